@@ -115,12 +115,16 @@ def scene_schema(scene: Scene) -> SceneSchema:
         material=write_material_text(material_settings(scene.surfaces.material)),
         transmission=scene.surfaces.transmission,
         materials=material_schemas(scene),
-        shines=(list(SHINE_KINDS) if scene.surfaces.colours is None else ["plastic"]) if scene.surfaces.shine else [],
+        shines=(list(SHINE_KINDS) if scene.surfaces.colours is None else ["plastic"])
+        if scene.surfaces.shine
+        else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,
         target_error=scene.target_error,
-        environments=[EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()],
+        environments=[
+            EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()
+        ],
         rotating=scene.lighting.rotating,
         turns=scene.lighting.rotating and scene.plan.representation == "transfer",
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
@@ -131,7 +135,8 @@ def scene_schema(scene: Scene) -> SceneSchema:
 
 def volume_schema(scene: Scene) -> VolumeSchema:
     """The facts of a scene's volume."""
-    volume, orientation = scene.volume, scene.volume.orientation
+    volume = scene.volume
+    orientation = scene.volume.orientation
     names = ("name", "size", "spacing", "dtype", "value_range", "holes")
     return VolumeSchema(
         **{name: getattr(volume, name) for name in names},
@@ -152,7 +157,8 @@ def colour_scale(scene: Scene) -> ColourScale | None:
     if scene.surfaces.colours is None:
         return None
     scale = scene.surfaces.colours.scale
-    (low, high), outside = scale.span, hex_of(scale.outside)
+    (low, high) = scale.span
+    outside = hex_of(scale.outside)
     return ColourScale(
         name=scale.name,
         map=scale.map,
@@ -161,7 +167,9 @@ def colour_scale(scene: Scene) -> ColourScale | None:
         colours=scale.anchors,
         outside=outside,
         labels=[
-            LabelSchema(value=label.value, name=label.name, colour=hex_of(label.colour), shown=label.shown)
+            LabelSchema(
+                value=label.value, name=label.name, colour=hex_of(label.colour), shown=label.shown
+            )
             for label in scale.labels
         ],
     )
@@ -170,15 +178,23 @@ def colour_scale(scene: Scene) -> ColourScale | None:
 def material_schemas(scene: Scene) -> list[MaterialSchema]:
     """All materials; a scene is asked once, as its probes are read again for each."""
     if scene not in MATERIALS_OF:
-        MATERIALS_OF[scene] = [material_schema(kind, found) for kind, found in find_materials(scene).items()]
+        MATERIALS_OF[scene] = [
+            material_schema(kind, found) for kind, found in find_materials(scene).items()
+        ]
     return MATERIALS_OF[scene]
 
 
 def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
-    """A material by its ``kind``, as a scene would have it, or why it cannot: see ``find_materials``."""
+    """A material by its ``kind``, as a scene would have it, or why it cannot: see
+    ``find_materials``.
+    """
     if isinstance(found, str):
         return MaterialSchema(kind=kind, refused=found)
-    numbers = {name: given for name, given in material_settings(found.surfaces.material).items() if name != "material"}
+    numbers = {
+        name: given
+        for name, given in material_settings(found.surfaces.material).items()
+        if name != "material"
+    }
     return MaterialSchema(kind=kind, numbers=numbers)
 
 
@@ -194,19 +210,24 @@ def camera_schema(
     elevation: float | None,
     projection: str | None = None,
 ) -> CameraSchema:
-    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it.
+    """The camera that shows a view's surface whole and large; the whole volume, where none is to be
+    seen of it.
 
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
     scene = renderer.prepared.scene
     front, above = front_of(scene.volume, scene.lighting.room.any)
-    azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
+    azimuth = front if azimuth is None else azimuth
+    elevation = above if elevation is None else elevation
     target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 
-def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vector, float]:
-    """The target and the distance, rounded, at which cameras see their surfaces whole: see ``fitted_to_all``.
+def fit(
+    renderer: Renderer, stands: Sequence[Stand], projection: str | None
+) -> tuple[Vector, float]:
+    """The target and the distance, rounded, at which cameras see their surfaces whole: see
+    ``fitted_to_all``.
 
     They see the whole volume where none is to be seen.
     """
@@ -246,12 +267,17 @@ def turned_out(scene: Scene) -> list[str]:
     if scene.solid == "above" or "solid" in scene.source.document:
         return []
     return [
-        'Most of the volume\'s border is above the isovalue, so what is below it is solid; solid = "above" undoes it.'
+        (
+            "Most of the volume's border is above the isovalue, so what is below it is solid; "
+            'solid = "above" undoes it.'
+        )
     ]
 
 
 def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
-    """The isovalues, from one to another, where texels are projected, in the units of the volume's file."""
+    """The isovalues, from one to another, where texels are projected, in the units of the volume's
+    file.
+    """
     ends = [[scene.volume.file_value(end) for end in span] for span in scene.projection.spans()]
     return sorted((min(pair), max(pair)) for pair in ends)
 
@@ -259,7 +285,10 @@ def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
 def lobe_schema(lobe: Lobe) -> LobeSchema:
     """One lobe of a light."""
     return LobeSchema(
-        azimuth=lobe.azimuth, elevation=lobe.elevation, angle=lobe.angle, irradiance=lobe.irradiance.tolist()
+        azimuth=lobe.azimuth,
+        elevation=lobe.elevation,
+        angle=lobe.angle,
+        irradiance=lobe.irradiance.tolist(),
     )
 
 
@@ -277,18 +306,33 @@ def defaults(scene: Scene) -> dict[str, float | str]:
 
 def ranges(scene: Scene) -> dict[str, Range]:
     """What each number may be."""
-    spans = {name: (knob.kind.low, knob.kind.high) for name, knob in KNOBS.items() if isinstance(knob.kind, Span)}
+    spans = {
+        name: (knob.kind.low, knob.kind.high)
+        for name, knob in KNOBS.items()
+        if isinstance(knob.kind, Span)
+    }
     spans |= {"isovalue": scene.isovalues, "time": (0, scene.volume.moment[1] - 1)}
-    spans |= {} if scene.surfaces.albedos is None else {"albedo": scene.surfaces.albedos}
+    if scene.surfaces.albedos is None:
+        spans |= {}
+    else:
+        spans |= {"albedo": scene.surfaces.albedos}
     return {name: Range(min=low, max=high) for name, (low, high) in spans.items()}
 
 
-def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float) -> PointSchema:
+def point_schema(
+    scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float
+) -> PointSchema:
     """What a pixel, by column and row, of a frame shows."""
-    orientation, point = scene.volume.orientation, point_at(frame, *pixel, scene)
+    orientation = scene.volume.orientation
+    point = point_at(frame, *pixel, scene)
     if point is None:
         return PointSchema(hit=False, unit=orientation.unit)
-    shown = lit(np.array([[point.radiance]], np.float32), np.full((1, 1), FINAL, np.uint8), exposure, marked=False)
+    shown = lit(
+        np.array([[point.radiance]], np.float32),
+        np.full((1, 1), FINAL, np.uint8),
+        exposure,
+        marked=False,
+    )
     return PointSchema(
         hit=True,
         unit=orientation.unit,
@@ -308,7 +352,8 @@ def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: f
 def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
     """The size of a scene's surface, in the world; an area of 0 where there is none."""
     prepared = renderer.prepared
-    volume, place = prepared.scene.volume, prepared.scene.volume.orientation
+    volume = prepared.scene.volume
+    place = prepared.scene.volume.orientation
     steps = place.affine(volume.spacing)[:, :3]
     size = surface_size(volume.voxels, prepared.surface(isovalue).isovalue, steps)
     return SizeSchema(isovalue=isovalue, unit=place.unit, **asdict(size))
@@ -335,7 +380,8 @@ CARD_FORMAT = 1
 """Version of what is sent: counts up when an older page cannot read it."""
 
 VOXELS_KEPT = Obstacle(
-    "voxels kept", "This server hands out no voxels: it draws all pictures itself (hand_out_voxels)."
+    "voxels kept",
+    "This server hands out no voxels: it draws all pictures itself (hand_out_voxels).",
 )
 """What keeps cards from drawing anything that this server shows."""
 
@@ -344,35 +390,60 @@ TONE = CardTone(gain=TONE_GAIN, toe=TONE_TOE, shoulder=TONE_SHOULDER)
 
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:
-    """What keeps a card from drawing a view; whether the server ``hands_out`` voxels. Raises ViewError."""
+    """What keeps a card from drawing a view; whether the server ``hands_out`` voxels. Raises
+    ViewError.
+    """
     own = [] if hands_out else [VOXELS_KEPT]
     return own + find_obstacles(prepared.scene, view, prepared.voxel_codes.nbytes)
 
 
-def card_schema(renderer: Renderer, view: View, query: Sequence[tuple[str, str]], hands_out: bool) -> CardSchema:
-    """The document of a ``view``; addresses of voxels go on with a ``query``. Its version is not filled in yet."""
+def card_schema(
+    renderer: Renderer, view: View, query: Sequence[tuple[str, str]], hands_out: bool
+) -> CardSchema:
+    """The document of a ``view``; addresses of voxels go on with a ``query``. Its version is not
+    filled in yet.
+    """
     found = card_obstacles(renderer.prepared, view, hands_out)
-    scene = None if found else card_scene(renderer, view, query)
-    because, reason = [each.name for each in found], " ".join(each.why for each in found)
-    return CardSchema(format=CARD_FORMAT, drawable=not found, because=because, reason=reason, scene=scene, version="")
+    if found:
+        scene = None
+    else:
+        scene = card_scene(renderer, view, query)
+    because = [each.name for each in found]
+    reason = " ".join(each.why for each in found)
+    return CardSchema(
+        format=CARD_FORMAT,
+        drawable=not found,
+        because=because,
+        reason=reason,
+        scene=scene,
+        version="",
+    )
 
 
 def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]]) -> CardScene:
     """All that drawing a view takes besides voxels and texels."""
-    prepared, spec = renderer.prepared, renderer.caches.spec("gi")
-    scene, volume = prepared.scene, prepared.scene.volume
+    prepared = renderer.prepared
+    spec = renderer.caches.spec("gi")
+    scene = prepared.scene
+    volume = prepared.scene.volume
     model = RotatedLight(spec, view).local_model("lambert", (0.0, 0.0))
     return CardScene(
         grid=grid_of(scene),
         values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
-        lattice=CardLattice(size=prepared.shape[::-1], density=prepared.lattice.density, chunk=prepared.lattice.chunk),
+        lattice=CardLattice(
+            size=prepared.shape[::-1],
+            density=prepared.lattice.density,
+            chunk=prepared.lattice.chunk,
+        ),
         plan=plan_of(renderer),
         light=card_light(RotatedLight(spec, replace(view, light=IDENTITY))),
         lambert=CardLambert(key=model.key, sun=model.sun, ambient=model.ambient),
         exposure=scene.default_exposure,
         tone=TONE,
-        grounds=CardGrounds(dark=triple(np.array(ground_of("dark"))), light=triple(np.array(ground_of("light")))),
+        grounds=CardGrounds(
+            dark=triple(np.array(ground_of("dark"))), light=triple(np.array(ground_of("light")))
+        ),
         isovalues=scene.isovalues,
         target=scene.target_error,
         expected=expected_error(scene, volume.normalise_isovalue(view.isovalue)),
@@ -400,7 +471,12 @@ def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> Card
     more = urlencode([*query, ("version", voxel_version(prepared.scene))])
     slabs = [CardSlab(first=a, last=b, href=f"card/volume/{a}-{b}?{more}") for a, b in codes.slabs]
     return CardVolume(
-        type=codes.kind, gain=codes.gain, base=codes.base, hole=codes.hole, bytes=codes.nbytes, slabs=slabs
+        type=codes.kind,
+        gain=codes.gain,
+        base=codes.base,
+        hole=codes.hole,
+        bytes=codes.nbytes,
+        slabs=slabs,
     )
 
 
@@ -411,7 +487,8 @@ def voxel_version(scene: Scene) -> str:
 
 def plan_of(renderer: Renderer) -> CardPlan:
     """What texels keep."""
-    scene, spec = renderer.prepared.scene, renderer.caches.spec("gi")
+    scene = renderer.prepared.scene
+    spec = renderer.caches.spec("gi")
     return CardPlan(
         representation=spec.plan.representation,
         channels=spec.channels,
@@ -427,15 +504,22 @@ def plan_of(renderer: Renderer) -> CardPlan:
 def card_light(light: RotatedLight) -> CardLight:
     """A light that is not turned, in the unit of its bake spec."""
     scale = raw_scale(light.spec)
-    columns, squares = light.reflected / light.spec.unit * scale, light.square * scale
-    firsts, terms = light.spec.firsts.tolist(), light.seen.terms
-    parts = [(term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)]
-    lobes, tint = light.lobes, light.tint
+    columns = light.reflected / light.spec.unit * scale
+    squares = light.square * scale
+    firsts = light.spec.firsts.tolist()
+    terms = light.seen.terms
+    parts = [
+        (term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)
+    ]
+    lobes = light.lobes
+    tint = light.tint
     shine = (triple(colour) for colour in lobes.colours * tint)
     return CardLight(
         unit=light.spec.unit,
         terms=[
-            CardTerm(order=order, light=colour_rows(columns[:, part]), square=squares[part].tolist())
+            CardTerm(
+                order=order, light=colour_rows(columns[:, part]), square=squares[part].tolist()
+            )
             for order, part in parts
         ],
         sky=colour_rows(light.sky.lobe * light.sky.light),
@@ -455,14 +539,20 @@ def colour_rows(rows: np.ndarray) -> Colours:
 
 def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
     """The chunks that a view reads."""
-    return [CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final) for each in seen]
+    return [
+        CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final)
+        for each in seen
+    ]
 
 
 def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
-    """The chunks that the view of a ``frame`` reads, most visible first; none where it is drawn without texels.
+    """The chunks that the view of a ``frame`` reads, most visible first; none where it is drawn
+    without texels.
 
     Raises what ``seen_chunks`` does.
     """
     if frame.quality.lacking is None or frame.view.shading != "gi":
         return []
-    return chunk_list(seen_chunks(renderer, frame.view, frame.quality.lacking.reading.target, renderer.tiles))
+    return chunk_list(
+        seen_chunks(renderer, frame.view, frame.quality.lacking.reading.target, renderer.tiles)
+    )

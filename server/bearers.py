@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 TOKEN_SCOPES = ("look", "bake", "upload", "admin")
-"""What a token may allow: to see pictures of what is baked; to have light baked, by looking too, and to dismiss one's
-own jobs; to upload volumes, and delete one's own; and everything, /metrics and what is others' among it."""
+"""What a token may allow: to see pictures of what is baked; to have light baked, by looking too,
+and to dismiss one's own jobs; to upload volumes, and delete one's own; and everything, /metrics and
+what is others' among it."""
 
 MIN_TOKEN_CHARACTERS = 16
 """Characters of a token, at least."""
@@ -17,7 +18,9 @@ MIN_TOKEN_CHARACTERS = 16
 
 @dataclass(frozen=True)
 class Bearer:
-    """Who shows a ``token``: a ``name``, empty where the server has one token or none, and the ``scopes``."""
+    """Who shows a ``token``: a ``name``, empty where the server has one token or none, and the
+    ``scopes``.
+    """
 
     token: str = field(default="", repr=False)
     name: str = ""
@@ -33,7 +36,9 @@ class Bearer:
         return sum(map(self.may, TOKEN_SCOPES))
 
     def owns(self, owner: str) -> bool:
-        """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to change."""
+        """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to
+        change.
+        """
         return owner in ("", self.name) or "admin" in self.scopes
 
 
@@ -55,28 +60,38 @@ def bearer_of(scope: Mapping[str, Any]) -> Bearer:
 
 
 SITE_PREFIX_BITS = 64
-"""Leading bits of an IPv6 address that stand for one client: each has all addresses that begin so."""
+"""Leading bits of an IPv6 address that stand for one client: each has all addresses that begin
+so.
+"""
 
 
 def client_of(scope: Mapping[str, Any]) -> tuple[str, str]:
-    """Who counts as one client where clients share: a bearer's name, and the address that the request comes from."""
+    """Who counts as one client where clients share: a bearer's name, and the address that the
+    request comes from.
+    """
     host = (scope.get("client") or ("",))[0]
     return bearer_of(scope).name, site_of(host)
 
 
 def site_of(host: str) -> str:
-    """The address as limits count it: a network of SITE_PREFIX_BITS bits for IPv6, where one client has many."""
+    """The address as limits count it: a network of SITE_PREFIX_BITS bits for IPv6, where one client
+    has many.
+    """
     try:
         address = ip_address(host)
     except ValueError:
         return host
     if isinstance(address, IPv6Address) and address.ipv4_mapped:
         return str(address.ipv4_mapped)
-    return host if address.version == 4 else str(ip_network((int(address), SITE_PREFIX_BITS), strict=False))
+    if address.version == 4:
+        return host
+    return str(ip_network((int(address), SITE_PREFIX_BITS), strict=False))
 
 
 def read_bearers(path: Path) -> tuple[Bearer, ...]:
-    """The bearers in a TOML file: tables by name, each with a ``token`` and ``scopes``. Raises ValueError."""
+    """The bearers in a TOML file: tables by name, each with a ``token`` and ``scopes``. Raises
+    ValueError.
+    """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -90,10 +105,14 @@ def read_bearers(path: Path) -> tuple[Bearer, ...]:
 def read_bearer(name: str, table: Any) -> Bearer:
     """One bearer. Raises ValueError, which names no token."""
     some = list(TOKEN_SCOPES[:2])
-    right = f"[{name}] must have a token of {MIN_TOKEN_CHARACTERS} characters or more, and scopes, such as {some}"
+    right = (
+        f"[{name}] must have a token of {MIN_TOKEN_CHARACTERS} characters or more, and "
+        f"scopes, such as {some}"
+    )
     if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
         raise ValueError(right)
-    token, scopes = table["token"], table["scopes"]
+    token = table["token"]
+    scopes = table["scopes"]
     if not isinstance(token, str) or len(token) < MIN_TOKEN_CHARACTERS or not are_scopes(scopes):
         raise ValueError(f"{right}; scopes are {', '.join(TOKEN_SCOPES)}")
     return Bearer(token, name, frozenset(scopes))
@@ -101,4 +120,8 @@ def read_bearer(name: str, table: Any) -> Bearer:
 
 def are_scopes(given: object) -> bool:
     """Whether these are scopes, and any at all."""
-    return isinstance(given, Collection) and bool(given) and all(each in TOKEN_SCOPES for each in given)
+    return (
+        isinstance(given, Collection)
+        and bool(given)
+        and all(each in TOKEN_SCOPES for each in given)
+    )

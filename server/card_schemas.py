@@ -10,9 +10,11 @@ Colours = tuple[list[float], list[float], list[float]]
 
 
 class CardGrid(BaseModel):
-    """Voxels along x, y, z, and the world: ``world = rotation · box + origin``, ``box = voxel index · spacing``.
+    """Voxels along x, y, z, and the world: ``world = rotation · box + origin``, ``box = voxel index
+    · spacing``.
 
-    Shadow rays start ``offset`` voxels along the normal, which is that of the B-spline's gradient where ``smooth``.
+    Shadow rays start ``offset`` voxels along the normal, which is that of the B-spline's gradient
+    where ``smooth``.
     """
 
     size: tuple[int, int, int]
@@ -32,7 +34,9 @@ class CardValues(BaseModel):
 
 
 class CardSlab(BaseModel):
-    """Layers of voxels from the ``first`` to before the ``last``, and the address of their codes."""
+    """Layers of voxels from the ``first`` to before the ``last``, and the address of their
+    codes.
+    """
 
     first: int
     last: int
@@ -40,7 +44,9 @@ class CardSlab(BaseModel):
 
 
 class CardVolume(BaseModel):
-    """Codes of voxels: ``voxel = base + gain · code``, but for the code ``hole`` where a value is missing."""
+    """Codes of voxels: ``voxel = base + gain · code``, but for the code ``hole`` where a value is
+    missing.
+    """
 
     type: CodeType
     gain: float
@@ -66,10 +72,11 @@ class CardLayer(BaseModel):
 
 
 class CardPlan(BaseModel):
-    """What texels keep: ``columns`` numbers for each channel, from ``straight`` on of reflected light alone.
+    """What texels keep: ``columns`` numbers for each channel, from ``straight`` on of reflected
+    light alone.
 
-    ``ratios`` is whether light is carried to pixels as irradiance ratios, ``whole`` whether texels keep direct and
-    reflected light as one, and ``turns`` whether the light may be turned.
+    ``ratios`` is whether light is carried to pixels as irradiance ratios, ``whole`` whether texels
+    keep direct and reflected light as one, and ``turns`` whether the light may be turned.
     """
 
     representation: str
@@ -83,7 +90,8 @@ class CardPlan(BaseModel):
 
 
 class CardTerm(BaseModel):
-    """The unturned light that some columns meet: harmonics of an order, linear RGB times the albedo, in the unit.
+    """The unturned light that some columns meet: harmonics of an order, linear RGB times the
+    albedo, in the unit.
 
     Those of the square of its luminance say how noisy light is.
     """
@@ -94,7 +102,9 @@ class CardTerm(BaseModel):
 
 
 class CardLobe(BaseModel):
-    """An unturned lobe of the light: where it is, two radii of its disc, and what it gives from straight above."""
+    """An unturned lobe of the light: where it is, two radii of its disc, and what it gives from
+    straight above.
+    """
 
     towards: Triple
     edges: tuple[Triple, Triple]
@@ -102,7 +112,9 @@ class CardLobe(BaseModel):
 
 
 class CardLight(BaseModel):
-    """The unturned light in a ``unit`` of radiance: the terms, the ``sky`` without shadows, the least, the lobes."""
+    """The unturned light in a ``unit`` of radiance: the terms, the ``sky`` without shadows, the
+    least, the lobes.
+    """
 
     unit: float
     terms: list[CardTerm]
@@ -170,7 +182,9 @@ class CardScene(BaseModel):
 
 
 class CardSchema(BaseModel):
-    """Whether a page may draw a view by itself, ``because`` of what it may not and the ``reason``, else its scene."""
+    """Whether a page may draw a view by itself, ``because`` of what it may not and the ``reason``,
+    else its scene.
+    """
 
     format: int
     drawable: bool
@@ -181,7 +195,9 @@ class CardSchema(BaseModel):
 
 
 class CardChunk(BaseModel):
-    """A chunk of texels by its place ``z.y.x``, how far it is baked, and whether all that the view reads is final."""
+    """A chunk of texels by its place ``z.y.x``, how far it is baked, and whether all that the view
+    reads is final.
+    """
 
     at: str
     version: str
@@ -189,7 +205,9 @@ class CardChunk(BaseModel):
 
 
 class CardChunks(BaseModel):
-    """The chunks that a view reads, most visible first, and how many of them are going to have more light."""
+    """The chunks that a view reads, most visible first, and how many of them are going to have more
+    light.
+    """
 
     chunks: list[CardChunk]
     coming: int

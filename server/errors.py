@@ -1,4 +1,6 @@
-"""Errors that belong to the service and not to the domain; each speaks to a person in one sentence."""
+"""Errors that belong to the service and not to the domain; each speaks to a person in one
+sentence.
+"""
 
 from isogi_core.errors import IsogiError, ViewError
 

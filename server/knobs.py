@@ -1,6 +1,8 @@
-"""The table of knobs: what a view and its picture may be asked for, over HTTP and by options of commands alike.
+"""The table of knobs: what a view and its picture may be asked for, over HTTP and by options of
+commands alike.
 
-Parameters, options, their help, and the defaults and ranges of a scene's document all derive from KNOBS.
+Parameters, options, their help, and the defaults and ranges of a scene's document all derive from
+KNOBS.
 """
 
 from __future__ import annotations
@@ -29,9 +31,11 @@ OF_SCENE = "the scene's"
 
 @dataclass(frozen=True)
 class Knob:
-    """A knob: its ``name``, the ``kind`` of its values, and what it does, a line of ``help`` without its end.
+    """A knob: its ``name``, the ``kind`` of its values, and what it does, a line of ``help``
+    without its end.
 
-    Left out it is its ``default``, None where ``otherwise`` says what holds instead. Numbers are in its ``unit``.
+    Left out it is its ``default``, None where ``otherwise`` says what holds instead. Numbers are in
+    its ``unit``.
     """
 
     name: str
@@ -46,8 +50,14 @@ class Knob:
     @property
     def text(self) -> str:
         """A line of help: what it does, what it may be, and what it is where it is left out."""
-        usual = self.otherwise if self.default in (None, ...) else self.default
-        shown = usual if isinstance(usual, str) else f"{usual:g}"
+        if self.default in (None, ...):
+            usual = self.otherwise
+        else:
+            usual = self.default
+        if isinstance(usual, str):
+            shown = usual
+        else:
+            shown = f"{usual:g}"
         return f"{self.help}{self._values()}{shown and f'; default: {shown}'}."
 
     def _values(self) -> str:
@@ -59,11 +69,17 @@ class Knob:
         return ""
 
     def default_of(self, scene: Scene) -> Any:
-        """What it is in views of a ``scene`` that leave it out; None where the scene does not have it."""
-        return self.default if self.own is None else self.own(scene)
+        """What it is in views of a ``scene`` that leave it out; None where the scene does not have
+        it.
+        """
+        if self.own is None:
+            return self.default
+        return self.own(scene)
 
 
-XYZ, ANGLE, PICTURE_SIDE = Row(("x", "y", "z")), Span(-360, 360), Span(1, LONGEST_SIDE, whole=True)
+XYZ = Row(("x", "y", "z"))
+ANGLE = Span(-360, 360)
+PICTURE_SIDE = Span(1, LONGEST_SIDE, whole=True)
 
 
 def _none(_: Scene) -> None:
@@ -75,7 +91,9 @@ def _albedo(scene: Scene) -> float | str | None:
     own = scene.surfaces.albedo
     if scene.surfaces.albedos is None:
         return None
-    return own[0] if len({*own}) == 1 else ",".join(f"{share:.6g}" for share in own)
+    if len({*own}) == 1:
+        return own[0]
+    return ",".join(f"{share:.6g}" for share in own)
 
 
 def _shine(name: str) -> Callable[[Scene], Any]:
@@ -87,12 +105,18 @@ KNOB_GROUPS = {
         Knob(
             "environment",
             Words(40, "studio"),
-            f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an uploaded environment",
+            (
+                f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an "
+                "uploaded environment"
+            ),
         ),
         Knob(
             "cut",
             Planes(),
-            "Planes along the volume's axes, in world units, such as x>40;z<10: light comes in where they cut",
+            (
+                "Planes along the volume's axes, in world units, such as x>40;z<10: light comes in "
+                "where they cut"
+            ),
             otherwise="",
         ),
         Knob(
@@ -104,7 +128,10 @@ KNOB_GROUPS = {
         Knob(
             "surfaces",
             Words(100, "0.4,off"),
-            "The share of rays that passes each pinned surface, 0 to 1, or off to hide it, such as 0.4,off",
+            (
+                "The share of rays that passes each pinned surface, 0 to 1, or off to hide it, "
+                "such as 0.4,off"
+            ),
         ),
         Knob(
             "hide",
@@ -114,7 +141,8 @@ KNOB_GROUPS = {
         Knob(
             "material",
             Words(200, "glass,index=1.3"),
-            "What the surface is made of: diffuse, glass or subsurface, with its index, absorption or mean_free_path,"
+            "What the surface is made of: diffuse, glass or subsurface, with its index, "
+            "absorption or mean_free_path,"
             " such as glass,index=1.3",
         ),
     ),
@@ -128,22 +156,46 @@ KNOB_GROUPS = {
         Knob(
             "projection",
             Choice(PROJECTIONS),
-            "How rays leave the camera, from the eye or side by side; what is at the target is as large in both",
+            (
+                "How rays leave the camera, from the eye or side by side; what is at the target is "
+                "as large in both"
+            ),
             own=lambda scene: scene.settings.projection,
         ),
     ),
     "Camera": (
         Knob("azimuth", ANGLE, "Where to look from: 0 from +x, 90 from +y", 30.0, "degrees"),
         Knob("elevation", Span(-90, 90), "Where to look from, above the xy plane", 20.0, "degrees"),
-        Knob("distance", Span(0.01, 1e7), "From the target, in radii of the volume's bounding sphere", 3.4),
+        Knob(
+            "distance",
+            Span(0.01, 1e7),
+            "From the target, in radii of the volume's bounding sphere",
+            3.4,
+        ),
         Knob("fov", Span(0.01, 179), "Vertical field of view", 30.0, "degrees"),
-        Knob("eye", XYZ, "World x,y,z of the eye, instead of azimuth, elevation and distance", otherwise=""),
-        Knob("target", XYZ, "World x,y,z in the middle of the picture", otherwise="the volume's centre"),
-        Knob("up", XYZ, "World x,y,z that points up", otherwise="0,0,1 with eye, else the orbit's own"),
+        Knob(
+            "eye",
+            XYZ,
+            "World x,y,z of the eye, instead of azimuth, elevation and distance",
+            otherwise="",
+        ),
+        Knob(
+            "target",
+            XYZ,
+            "World x,y,z in the middle of the picture",
+            otherwise="the volume's centre",
+        ),
+        Knob(
+            "up",
+            XYZ,
+            "World x,y,z that points up",
+            otherwise="0,0,1 with eye, else the orbit's own",
+        ),
         Knob(
             "window",
             Planes(),
-            "Planes that take away what the eye would see there, in world units: x>40, or a normal such as 0,1,-1<12.5,"
+            "Planes that take away what the eye would see there, in world units: x>40, or a "
+            "normal such as 0,1,-1<12.5,"
             " with ; between them. All light stays; what is cut open shows its values",
             otherwise="",
         ),
@@ -163,13 +215,22 @@ KNOB_GROUPS = {
         Knob(
             "albedo",
             Colour(),
-            "The share of the light that the surface reflects, one number or r,g,b, within the scene's albedos",
+            (
+                "The share of the light that the surface reflects, one number or r,g,b, within the "
+                "scene's albedos"
+            ),
             own=_albedo,
         ),
         Knob(
-            "shine", Choice(SHINE_KINDS), "What the surface shines as, where the scene has a shine", own=_shine("shine")
+            "shine",
+            Choice(SHINE_KINDS),
+            "What the surface shines as, where the scene has a shine",
+            own=_shine("shine"),
         ),
-        *(Knob(name, Span(*span), SHINE_HELP[name], own=_shine(name)) for name, span in SHINE_RANGES.items()),
+        *(
+            Knob(name, Span(*span), SHINE_HELP[name], own=_shine(name))
+            for name, span in SHINE_RANGES.items()
+        ),
         Knob(
             "glow",
             Span(0, MAX_GLOW_STRENGTH),
@@ -179,7 +240,12 @@ KNOB_GROUPS = {
         ),
         Knob("width", PICTURE_SIDE, "Width of the picture", 512, "pixels"),
         Knob("height", PICTURE_SIDE, "Height of the picture", 512, "pixels"),
-        Knob("shading", Choice(VIEW_SHADINGS), "How the surface is lit: gi by light from all around", "gi"),
+        Knob(
+            "shading",
+            Choice(VIEW_SHADINGS),
+            "How the surface is lit: gi by light from all around",
+            "gi",
+        ),
         Knob(
             "exposure",
             Span(1e-36, 1e36),
@@ -199,18 +265,33 @@ KNOB_GROUPS = {
             "light",
             own=_none,
         ),
-        Knob("samples", Span(1, 4096, whole=True), "Paths per pixel, of path_traced alone", 16, own=_none),
+        Knob(
+            "samples",
+            Span(1, 4096, whole=True),
+            "Paths per pixel, of path_traced alone",
+            16,
+            own=_none,
+        ),
         Knob(
             "overlay",
             Choice(OVERLAYS),
-            "Marks over the picture: provisional hatches what is not final; error colours each pixel by its estimated"
-            " relative error on a log scale (the scene's error_scale), and hatches what has no light yet",
+            "Marks over the picture: provisional hatches what is not final; error colours each "
+            "pixel by its estimated"
+            " relative error on a log scale (the scene's error_scale), and hatches what has no "
+            "light yet",
             "none",
             own=_none,
         ),
     ),
     "Work": (
-        Knob("wait_ms", Span(0, LONGEST_WAIT, whole=True), "Longest wait for baking", 0, "milliseconds", own=_none),
+        Knob(
+            "wait_ms",
+            Span(0, LONGEST_WAIT, whole=True),
+            "Longest wait for baking",
+            0,
+            "milliseconds",
+            own=_none,
+        ),
         Knob(
             "max_error",
             Span(0.0001, 1),
@@ -219,6 +300,8 @@ KNOB_GROUPS = {
         ),
     ),
 }
-"""The knobs by what they are of: headings of help, but for the volume's and the work's, which have options apart."""
+"""The knobs by what they are of: headings of help, but for the volume's and the work's, which have
+options apart.
+"""
 
 KNOBS = {knob.name: knob for group in KNOB_GROUPS.values() for knob in group}

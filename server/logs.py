@@ -14,22 +14,31 @@ REQUEST_ID: ContextVar[str] = ContextVar("request_id", default="")
 """The id of the request that is worked on; empty outside of one."""
 
 WELL_FORMED = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
-STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "request_id", "taskName"}
+STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {
+    "message",
+    "asctime",
+    "request_id",
+    "taskName",
+}
 
 
 def request_id(given: str | None) -> str:
     """The id that a client gave its request where it is well-formed, else a new one."""
-    return given if given is not None and WELL_FORMED.fullmatch(given) else uuid4().hex
+    if given is not None and WELL_FORMED.fullmatch(given):
+        return given
+    return uuid4().hex
 
 
-MAX_WARNINGS, SPAN = 10, 60.0
+MAX_WARNINGS = 10
+SPAN = 60.0
 """Warnings of a kind that are written within so many seconds; of more, only how many there were."""
 
 
 class Repeats(logging.Filter):
     """Drops warnings and errors that come again and again: what clients cause must not fill a disk.
 
-    Those of one kind have a logger, a text before its values are put in, and a class of error in common.
+    Those of one kind have a logger, a text before its values are put in, and a class of error in
+    common.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -39,16 +48,28 @@ class Repeats(logging.Filter):
         self._seen: dict[Hashable, tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let the first MAX_WARNINGS of a kind pass in each SPAN; the next one says how many were dropped."""
+        """Let the first MAX_WARNINGS of a kind pass in each SPAN; the next one says how many were
+        dropped.
+        """
         if record.levelno < logging.WARNING:
             return True
-        kind, now = kind_of(record), self._clock()
+        kind = kind_of(record)
+        now = self._clock()
         begun, count = self._seen.get(kind, (now, 0))
         if now - begun >= SPAN:
-            more = MORE_OF_A_KIND.format(count - MAX_WARNINGS) if count > MAX_WARNINGS else ""
-            record.msg, record.args = record.getMessage() + more, None
-            begun, count = now, 0
-            self._seen = {each: seen for each, seen in self._seen.items() if now - seen[0] < SPAN or each == kind}
+            if count > MAX_WARNINGS:
+                more = MORE_OF_A_KIND.format(count - MAX_WARNINGS)
+            else:
+                more = ""
+            record.msg = record.getMessage() + more
+            record.args = None
+            begun = now
+            count = 0
+            self._seen = {
+                each: seen
+                for each, seen in self._seen.items()
+                if now - seen[0] < SPAN or each == kind
+            }
         self._seen[kind] = begun, count + 1
         return count < MAX_WARNINGS
 
@@ -58,14 +79,19 @@ MORE_OF_A_KIND = " (and {} more of its kind, which are not written)"
 
 def kind_of(record: logging.LogRecord) -> Hashable:
     """What records have in common of which few are written."""
-    raised = [type(each) for each in record.args if isinstance(each, BaseException)] if record.args else []
+    if record.args:
+        raised = [type(each) for each in record.args if isinstance(each, BaseException)]
+    else:
+        raised = []
     return record.name, record.msg, *raised, record.exc_info[0] if record.exc_info else None
 
 
 class WithRequest(logging.Filter):
-    """Gives each record the id of the request that is worked on; drops most of what other libraries log.
+    """Gives each record the id of the request that is worked on; drops most of what other libraries
+    log.
 
-    isogi logs itself what becomes of workers and their tasks; Dask warns of each stop of a busy worker.
+    isogi logs itself what becomes of workers and their tasks; Dask warns of each stop of a busy
+    worker.
     """
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -76,7 +102,9 @@ class WithRequest(logging.Filter):
 
 
 class JsonLines(logging.Formatter):
-    """A record as one line of JSON: time, level, logger, request, message, what it says besides, and a traceback."""
+    """A record as one line of JSON: time, level, logger, request, message, what it says besides,
+    and a traceback.
+    """
 
     def format(self, record: logging.LogRecord) -> str:
         """The line."""
@@ -96,7 +124,11 @@ class JsonLines(logging.Formatter):
 def configure(form: str, level: str) -> None:
     """Send what this process logs, from ``level`` on, to stderr; ``form`` is text or json."""
     text = {"format": "%(asctime)s %(levelname)s %(name)s [%(request_id)s] %(message)s"}
-    handler = {"class": "logging.StreamHandler", "formatter": form, "filters": ["request", "repeats"]}
+    handler = {
+        "class": "logging.StreamHandler",
+        "formatter": form,
+        "filters": ["request", "repeats"],
+    }
     logging.config.dictConfig(
         {
             "version": 1,

@@ -7,7 +7,15 @@ from dataclasses import replace
 from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 from fastapi import Depends, Request
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from isogi_core.errors import advice
 from isogi_core.files.vector import Vector
@@ -47,7 +55,9 @@ class LightParams(NoParams):
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, what is taken away of it, when, of what, and which surfaces are beside."""
+    """The light that a scene is shown in, what is taken away of it, when, of what, and which
+    surfaces are beside.
+    """
 
     cut: str | None = knob("cut")
     time: int | None = knob("time")
@@ -57,7 +67,9 @@ class VariantParams(LightParams):
 
 
 class ViewParams(VariantParams):
-    """What to look at, from where and in which light; what is left out takes the scene's defaults."""
+    """What to look at, from where and in which light; what is left out takes the scene's
+    defaults.
+    """
 
     isovalue: float | str | None = knob("isovalue")
     azimuth: float = knob("azimuth")
@@ -92,7 +104,10 @@ class ViewParams(VariantParams):
         self._exclusive(sorted(given & {"eye"}), sorted(given & set(ORBIT)), "camera")
         self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
         if "samples" in given and self.shading != "path_traced":
-            raise ValueError(f"samples is for shading=path_traced, {self.shading} does not read it: leave it out.")
+            raise ValueError(
+                f"samples is for shading=path_traced, {self.shading} does not read it: leave "
+                "it out."
+            )
         return self
 
     @staticmethod
@@ -123,7 +138,9 @@ class FitParams(NoParams):
 class UploadParams(NoParams):
     """What to call an uploaded volume."""
 
-    name: str = Field("", max_length=80, description="A name for people; default: one made of the volume's id.")
+    name: str = Field(
+        "", max_length=80, description="A name for people; default: one made of the volume's id."
+    )
 
     @field_validator("name")
     @classmethod
@@ -137,25 +154,36 @@ class UploadParams(NoParams):
 class FrameParams(ViewParams):
     """A view and the picture to make of it."""
 
-    f: Annotated[str | None, Choice(FORMATS)] = Field(None, description="Picture format; default: by Accept, else png.")
+    f: Annotated[str | None, Choice(FORMATS)] = Field(
+        None, description="Picture format; default: by Accept, else png."
+    )
     overlay: str = knob("overlay")
     exposure: float | None = knob("exposure")
     background: str = knob("background")
     antialias: str | None = knob("antialias")
     strip: Annotated[tuple[int, int] | None, Rows()] = Field(
-        None, description="The rows of the picture to draw, first,last: from the first up to before the last."
+        None,
+        description=(
+            "The rows of the picture to draw, first,last: from the first up to before the last."
+        ),
     )
-    version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION_PATTERN})] = Field(
+    version: Annotated[
+        str | None, WithJsonSchema({"type": "string", "pattern": VERSION_PATTERN})
+    ] = Field(
         None,
         pattern=VERSION_PATTERN,
-        description="An ETag without its quotes: the final picture that has it may be kept for ever.",
+        description=(
+            "An ETag without its quotes: the final picture that has it may be kept for ever."
+        ),
     )
 
 
 class SkyParams(LightParams):
     """A picture of the light around a scene."""
 
-    width: Annotated[int, Span(16, 512, whole=True)] = Field(256, description="Pixels; the height is half of it.")
+    width: Annotated[int, Span(16, 512, whole=True)] = Field(
+        256, description="Pixels; the height is half of it."
+    )
     f: Annotated[str, Choice(FORMATS[:3])] = Field("png", description="Picture format.")
     version: str | None = Field(
         None,
@@ -168,7 +196,9 @@ Model = TypeVar("Model", bound=NoParams)
 
 
 def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
-    """The parameters as ``model``; ParameterError, in one sentence, on the first thing that is wrong."""
+    """The parameters as ``model``; ParameterError, in one sentence, on the first thing that is
+    wrong.
+    """
     values: dict[str, Any] = {}
     for name, value in pairs:
         if name in values:
@@ -185,7 +215,9 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     first = error.errors(include_url=False)[0]
     name = ".".join(map(str, first["loc"]))
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-        return ParameterError(f"There is no parameter '{name[:40]}' here: {advice(name, model.model_fields)}", name)
+        return ParameterError(
+            f"There is no parameter '{name[:40]}' here: {advice(name, model.model_fields)}", name
+        )
     if first["type"] == "missing":
         return ParameterError(f"{name} is missing: give it.", name)
     reason = first["msg"].removeprefix("Value error, ").rstrip(".")
@@ -193,7 +225,9 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
 
 
 def documented(model: type[BaseModel]) -> dict[str, Any]:
-    """The model's fields as query parameters of an OpenAPI operation; None is no default that a query can spell."""
+    """The model's fields as query parameters of an OpenAPI operation; None is no default that a
+    query can spell.
+    """
     document = model.model_json_schema()
     described: Mapping[str, dict[str, Any]] = document["properties"]
     needed = {name: {"required": True} for name in document.get("required", ())}
@@ -202,7 +236,12 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
             del schema["default"]
     return {
         "parameters": [
-            {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
+            {
+                "name": name,
+                "in": "query",
+                "description": schema.pop("description"),
+                "schema": schema,
+            }
             | needed.get(name, {})
             for name, schema in described.items()
         ]
@@ -210,7 +249,9 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def reader(model: type[Model]) -> Any:
-    """What gives a route the query as a ``model``; ParameterError where that says something is wrong."""
+    """What gives a route the query as a ``model``; ParameterError where that says something is
+    wrong.
+    """
 
     async def query(request: Request) -> Model:
         return read(model, request.query_params.multi_items())
@@ -233,7 +274,9 @@ EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 class ExportParams(VariantParams):
     """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
 
-    f: Annotated[str, Choice(EXPORTS)] = Field("glb", description="Kind of file: a mesh, or a volume (vti, nrrd).")
+    f: Annotated[str, Choice(EXPORTS)] = Field(
+        "glb", description="Kind of file: a mesh, or a volume (vti, nrrd)."
+    )
     isovalue: float | str | None = knob("isovalue")
     light: Quaternion | None = knob("light")
     yaw: float = knob("yaw")
@@ -243,7 +286,11 @@ class ExportParams(VariantParams):
     exposure: float | None = knob("exposure")
     max_error: float | None = knob("max_error")
     deadline: Annotated[float | None, Span(0, LONGEST_SECONDS)] = Field(
-        None, description="Seconds of baking after which the file is made with the light that is there; default: none."
+        None,
+        description=(
+            "Seconds of baking after which the file is made with the light that is "
+            "there; default: none."
+        ),
     )
 
     coefficients: Annotated[str, Choice(("off", "on"))] = Field(
@@ -260,7 +307,8 @@ class ExportParams(VariantParams):
 ExportParamsDep = Annotated[ExportParams, reader(ExportParams)]
 
 
-AXIS_NAMES, LARGEST_VALUE = ("x", "y", "z"), sys.float_info.max
+AXIS_NAMES = ("x", "y", "z")
+LARGEST_VALUE = sys.float_info.max
 
 
 class PointParams(ViewParams):
@@ -277,17 +325,29 @@ class PointParams(ViewParams):
         """Column and row of the pixel at that place; ParameterError outside the picture."""
         for name, place, pixels in (("x", self.x, self.width), ("y", self.y, self.height)):
             if place >= pixels:
-                raise ParameterError(f"{name}={place:g} is outside a picture of {pixels} pixels that way.", name)
+                raise ParameterError(
+                    f"{name}={place:g} is outside a picture of {pixels} pixels that way.", name
+                )
         return int(self.x), int(self.y)
 
 
 class SliceParams(NoParams):
-    """A plane of a scene's volume, as values or as a picture, and the values that are black and white in that."""
+    """A plane of a scene's volume, as values or as a picture, and the values that are black and
+    white in that.
+    """
 
-    axis: Annotated[str, Choice(AXIS_NAMES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
-    at: Annotated[float, Span(0, 1e9)] = Field(description="Where it is, as a voxel index; linear between voxels.")
+    axis: Annotated[str, Choice(AXIS_NAMES)] = Field(
+        description="The voxel axis that the plane is across: x, y or z."
+    )
+    at: Annotated[float, Span(0, 1e9)] = Field(
+        description="Where it is, as a voxel index; linear between voxels."
+    )
     low: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
-        None, description="The value, in the volume's units, that is black; default: its least one, outliers aside."
+        None,
+        description=(
+            "The value, in the volume's units, that is black; default: its least one, "
+            "outliers aside."
+        ),
     )
     high: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
         None, description="The value that is white; default: its greatest one, outliers aside."
@@ -299,18 +359,26 @@ class SliceParams(NoParams):
 
     @property
     def is_picture(self) -> bool:
-        """Whether a picture is asked for; ParameterError where values are, with what black and white are in one."""
+        """Whether a picture is asked for; ParameterError where values are, with what black and
+        white are in one.
+        """
         given = sorted({"low", "high"} & self.model_fields_set)
         if self.f == "npy" and given:
             names = " and ".join(given)
             raise ParameterError(
-                f"npy holds the values themselves and does not read {names}: leave that out.", given[0]
+                f"npy holds the values themselves and does not read {names}: leave that out.",
+                given[0],
             )
         return self.f == "png"
 
     def window(self, core: tuple[float, float]) -> tuple[float, float]:
-        """What is black and white, by default the ends of the ``core``; ParameterError where low is not below high."""
-        low, high = (own if given is None else given for given, own in zip((self.low, self.high), core, strict=True))
+        """What is black and white, by default the ends of the ``core``; ParameterError where low is
+        not below high.
+        """
+        low, high = (
+            own if given is None else given
+            for given, own in zip((self.low, self.high), core, strict=True)
+        )
         if not low < high and (self.low, self.high) != (None, None):
             raise ParameterError(f"low={low:g} is not below high={high:g}: widen the range.", "low")
         return low, high
@@ -347,20 +415,26 @@ class ChunkName(NamedTuple):
 
     @classmethod
     def of(cls, text: str, shape: Index) -> "ChunkName":
-        """The chunk that a ``text`` names in a lattice of so many. Raises ParameterError and UnknownPartError."""
+        """The chunk that a ``text`` names in a lattice of so many. Raises ParameterError and
+        UnknownPartError.
+        """
         found = CHUNK.fullmatch(text)
         if found is None:
-            raise ParameterError(f"'{text[:40]}' names no chunk: write z.y.x, or z.y.x-version, of /card/chunks.")
+            raise ParameterError(
+                f"'{text[:40]}' names no chunk: write z.y.x, or z.y.x-version, of /card/chunks."
+            )
         z, y, x = (int(place) for place in found.groups()[:3])
         if not is_inside((z, y, x), shape):
             most = " × ".join(map(str, shape))
-            raise UnknownPartError(f"There is no chunk {z}.{y}.{x}: this scene has {most} along z, y, x.")
+            raise UnknownPartError(
+                f"There is no chunk {z}.{y}.{x}: this scene has {most} along z, y, x."
+            )
         return cls((z, y, x), None if found[4] is None else bytes.fromhex(found[4]))
 
 
 def chunk_names(text: str, shape: Index) -> list[ChunkName]:
-    """The chunks that a path names, with commas between. Raises ParameterError, and UnknownPartError where one is not
-    in a lattice of so many chunks.
+    """The chunks that a path names, with commas between. Raises ParameterError, and
+    UnknownPartError where one is not in a lattice of so many chunks.
     """
     parts = text.split(",")
     if len(parts) > CHUNKS:
@@ -369,12 +443,18 @@ def chunk_names(text: str, shape: Index) -> list[ChunkName]:
 
 
 def layers_of(text: str, depth: int, most: int) -> tuple[int, int]:
-    """The layers that a path names, of so many. Raises UnknownPartError where there are none, or more than ``most``."""
+    """The layers that a path names, of so many. Raises UnknownPartError where there are none, or
+    more than ``most``.
+    """
     found = LAYERS.fullmatch(text)
-    first, last = map(int, found.groups()) if found else (0, 0)
+    if found:
+        first, last = map(int, found.groups())
+    else:
+        first, last = (0, 0)
     if not first < last <= depth or last - first > most:
         raise UnknownPartError(
-            f"There are no layers '{text[:40]}': name up to {most} from 0 to {depth}, as first-last."
+            f"There are no layers '{text[:40]}': name up to {most} from 0 to {depth}, as "
+            "first-last."
         )
     return first, last
 
@@ -407,7 +487,9 @@ class FoldParams(TransferParams):
     @property
     def view(self) -> ViewParams:
         """A view in that light; ParameterError where the light is turned in two ways."""
-        return read(ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items())
+        return read(
+            ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items()
+        )
 
 
 VoxelParamsDep = Annotated[VoxelParams, reader(VoxelParams)]

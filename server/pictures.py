@@ -14,7 +14,12 @@ from isogi_core.frame.frame import Frame
 from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FORMATS, FrameParams
 
-MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
+MEDIA_TYPES = {
+    "png": "image/png",
+    "jpeg": "image/jpeg",
+    "webp": "image/webp",
+    "npy": "application/x-npy",
+}
 FORMAT_OF_SUFFIX = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
 DEVELOPING_PARAMETERS = {"exposure", "overlay", "background"}
 """Parameters of developing, which the linear format does not read."""
@@ -26,14 +31,19 @@ BAND = 4 << 20
 """Bytes of such a file that are made at once."""
 
 SLICE_TYPES = ("|u1", "<u2", "<i2", "<f4")
-"""Numbers that values of a slice are sent in, the narrowest first; what none of them holds is float64."""
+"""Numbers that values of a slice are sent in, the narrowest first; what none of them holds is
+float64.
+"""
 
 RLE = 3
-"""Zlib's strategy that looks for runs alone: what a PNG filter leaves of smooth shading holds few longer repeats."""
+"""Zlib's strategy that looks for runs alone: what a PNG filter leaves of smooth shading holds few
+longer repeats.
+"""
 
-# Fastest that costs no size to speak of. 512 × 512 of the engine under grace, one core, milliseconds and KiB:
-# png runs alone 7.3, 190 (any level; level 1 with repeats 8.7, 185; level 6 17, 186; stored 4.3, 769), jpeg at 85
-# 0.9, 42 and 38.1 dB (without full chroma 0.6, 35 and 37.5 dB; at 95 1.0, 74), webp method 0 4.7, 44 (2: 7.2, 27).
+# Fastest that costs no size to speak of. 512 × 512 of the engine under grace, one core,
+# milliseconds and KiB: png runs alone 7.3, 190 (any level; level 1 with repeats 8.7, 185; level 6
+# 17, 186; stored 4.3, 769), jpeg at 85 0.9, 42 and 38.1 dB (without full chroma 0.6, 35 and 37.5
+# dB; at 95 1.0, 74), webp method 0 4.7, 44 (2: 7.2, 27).
 ENCODER_OPTIONS: dict[str, dict[str, int]] = {
     "png": {"compress_level": 1, "compress_type": RLE},
     "jpeg": {"quality": 85, "subsampling": 0},
@@ -44,31 +54,43 @@ ENCODER_OPTIONS: dict[str, dict[str, int]] = {
 def format_for(params: FrameParams, accept: str | None) -> str:
     """The format: ``f`` first, else what ``accept`` likes best (png on a tie or without a header).
 
-    NotAcceptableError where no format fits; ParameterError where the format does not read a given parameter.
+    NotAcceptableError where no format fits; ParameterError where the format does not read a given
+    parameter.
     """
     chosen = params.f or negotiate(accept)
     unread = sorted(params.model_fields_set & DEVELOPING_PARAMETERS)
     if chosen == "npy" and unread:
         names = " and ".join(unread)
-        raise ParameterError(f"npy holds linear radiance and does not read {names}: leave that out.", unread[0])
+        raise ParameterError(
+            f"npy holds linear radiance and does not read {names}: leave that out.", unread[0]
+        )
     if chosen == "jpeg" and params.background == "transparent":
-        raise ParameterError("jpeg knows no transparent background: take png or webp, or another one.", "background")
+        raise ParameterError(
+            "jpeg knows no transparent background: take png or webp, or another one.", "background"
+        )
     return chosen
 
 
 def smoothed(params: FrameParams, form: str) -> FrameParams:
-    """The parameters with antialiasing settled: on in pictures, off in what is measured, where they do not say."""
+    """The parameters with antialiasing settled: on in pictures, off in what is measured, where they
+    do not say.
+    """
     settled = params.antialias or ("off" if form == "npy" else "on")
     return params.model_copy(update={"antialias": settled})
 
 
 def negotiate(accept: str | None) -> str:
     """The first of FORMATS with the highest quality in an Accept header."""
-    ranges = dict(map(media_range, accept.split(","))) if accept and accept.strip() else {"*/*": 1.0}
+    if accept and accept.strip():
+        ranges = dict(map(media_range, accept.split(",")))
+    else:
+        ranges = {"*/*": 1.0}
     best = max(FORMATS, key=lambda name: quality(MEDIA_TYPES[name], ranges))
     if quality(MEDIA_TYPES[best], ranges) <= 0:
         offered = ", ".join(MEDIA_TYPES.values())
-        raise NotAcceptableError(f"No picture format fits the Accept header; there are {offered}: or name one by f=.")
+        raise NotAcceptableError(
+            f"No picture format fits the Accept header; there are {offered}: or name one by f=."
+        )
     return best
 
 
@@ -84,7 +106,9 @@ def media_range(text: str) -> tuple[str, float]:
 
 
 def quality(media_type: str, ranges: dict[str, float]) -> float:
-    """The quality that the most specific matching range gives to a media type (RFC 9110, 12.5.1)."""
+    """The quality that the most specific matching range gives to a media type (RFC 9110,
+    12.5.1).
+    """
     for pattern in (media_type, media_type.split("/", maxsplit=1)[0] + "/*", "*/*"):
         if pattern in ranges:
             return ranges[pattern]
@@ -94,11 +118,18 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
 DEFAULT_PARAMETERS = FrameParams.model_validate({})
 
 
-def encode(frame: Frame, form: str, exposure: float, params: FrameParams = DEFAULT_PARAMETERS) -> bytes:
-    """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft in jpeg is clear."""
+def encode(
+    frame: Frame, form: str, exposure: float, params: FrameParams = DEFAULT_PARAMETERS
+) -> bytes:
+    """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft
+    in jpeg is clear.
+    """
 
     if form != "npy":
-        behind = "dark" if (form, params.background) == ("jpeg", "transparent") else params.background
+        if (form, params.background) == ("jpeg", "transparent"):
+            behind = "dark"
+        else:
+            behind = params.background
         return compress(develop(frame, exposure, params.overlay, behind), form)
     buffer = io.BytesIO()
     buffer.writelines(npy_parts(frame))
@@ -106,15 +137,17 @@ def encode(frame: Frame, form: str, exposure: float, params: FrameParams = DEFAU
 
 
 def compress(picture: np.ndarray, form: str) -> bytes:
-    """The bytes of a picture (h, w, 3), (h, w, 4), or grey (h, w), uint8 in one of the 8-bit formats."""
+    """The bytes of a picture (h, w, 3), (h, w, 4), or grey (h, w), uint8 in one of the 8-bit
+    formats.
+    """
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
     return buffer.getvalue()
 
 
 def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """A picture (h, w) uint8 of ``values`` (h, w): black at ``low`` and below, white at ``high`` and above, black for
-    NaN. Where these are one value all of it is middle grey.
+    """A picture (h, w) uint8 of ``values`` (h, w): black at ``low`` and below, white at ``high``
+    and above, black for NaN. Where these are one value all of it is middle grey.
     """
     if low == high:
         return np.where(np.isnan(values), np.uint8(0), np.uint8(128))
@@ -126,9 +159,13 @@ def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
 def values_npy(values: np.ndarray, near: float) -> bytes:
     """An npy file of ``values`` (h, w), float64, in the narrowest of SLICE_TYPES that holds them.
 
-    Whole numbers are exact in it, others are off by ``near`` at most. What is not finite is in floats alone.
+    Whole numbers are exact in it, others are off by ``near`` at most. What is not finite is in
+    floats alone.
     """
-    form = next((form for form in SLICE_TYPES if off(form, values) <= (near if form == "<f4" else 0.0)), "<f8")
+    form = next(
+        (form for form in SLICE_TYPES if off(form, values) <= (near if form == "<f4" else 0.0)),
+        "<f8",
+    )
     buffer = io.BytesIO()
     np.lib.format.write_array(buffer, np.ascontiguousarray(values, form), version=(1, 0))
     return buffer.getvalue()
@@ -145,7 +182,9 @@ def off(form: str, values: np.ndarray) -> float:
 
 
 def npy_parts(frame: Frame) -> Iterator[bytes]:
-    """The bytes of an npy file of ``planes`` in parts of some BAND bytes: the whole is never in memory."""
+    """The bytes of an npy file of ``planes`` in parts of some BAND bytes: the whole is never in
+    memory.
+    """
     height, width = frame.state.shape
     yield npy_header(height, width)
     rows = max(BAND // (4 * PLANES_PER_PIXEL * width), 1)
@@ -169,15 +208,19 @@ def npy_header(height: int, width: int) -> bytes:
 def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     """Rows ``first`` to ``last`` of a frame, float32 (rows, w, 9).
 
-    Linear RGB, hit mask, state, relative error, hit position x, y, z. Of pixels at edges that have samples, the first
-    is the mean of those on the surface, and the second the share of them.
+    Linear RGB, hit mask, state, relative error, hit position x, y, z. Of pixels at edges that have
+    samples, the first is the mean of those on the surface, and the second the share of them.
     """
     rows = slice(first, last)
-    state, error = frame.reported_state[rows, :, None], frame.total_error[rows, :, None]
+    state = frame.reported_state[rows, :, None]
+    error = frame.total_error[rows, :, None]
     parts = (frame.radiance[rows], state > 0, state, error, frame.positions(first, last))
     whole = np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")
     if frame.edges:
-        width, edges = whole.shape[1], frame.edges
+        width = whole.shape[1]
+        edges = frame.edges
         here = slice(*np.searchsorted(edges.pixels, (first * width, last * width)))
-        whole.reshape(-1, PLANES_PER_PIXEL)[edges.pixels[here] - first * width, :4] = edges.covered[here]
+        whole.reshape(-1, PLANES_PER_PIXEL)[edges.pixels[here] - first * width, :4] = edges.covered[
+            here
+        ]
     return whole

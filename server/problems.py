@@ -92,7 +92,10 @@ class Problem(BaseModel):
 def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """The OpenAPI responses of an operation that answers with these ``statuses``."""
     content = {"application/problem+json": {"schema": Problem.model_json_schema()}}
-    return {status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses}
+    return {
+        status: {"description": HTTPStatus(status).phrase, "content": content}
+        for status in statuses
+    }
 
 
 def status_of(error: Exception) -> int:
@@ -103,18 +106,29 @@ def status_of(error: Exception) -> int:
 def problem_document(status: int, detail: str, instance: str, **more: Any) -> dict[str, Any]:
     """A problem document; ``more`` are its extension members."""
     title = HTTPStatus(status).phrase
-    return Problem(type="about:blank", title=title, status=status, detail=detail, instance=instance).model_dump() | more
+    return (
+        Problem(
+            type="about:blank", title=title, status=status, detail=detail, instance=instance
+        ).model_dump()
+        | more
+    )
 
 
 def parameter_named(error: Exception) -> dict[str, str]:
-    """The extension member that names the parameter that an error is about; none where it is about no single one."""
-    return {"parameter": error.parameter} if isinstance(error, ParameterError) and error.parameter else {}
+    """The extension member that names the parameter that an error is about; none where it is about
+    no single one.
+    """
+    if isinstance(error, ParameterError) and error.parameter:
+        return {"parameter": error.parameter}
+    return {}
 
 
 def problem(status: int, detail: str, instance: str, **more: Any) -> JSONResponse:
     """The answer with a ``problem_document``, which names the request that is worked on."""
     number = REQUEST_ID.get()
-    body = problem_document(status, detail, instance, **({"request_id": number} if number else {}), **more)
+    body = problem_document(
+        status, detail, instance, **({"request_id": number} if number else {}), **more
+    )
     headers = {"X-Content-Type-Options": "nosniff"} | (
         {"Retry-After": RETRY_AFTER_SECONDS[status]} if status in RETRY_AFTER_SECONDS else {}
     )
@@ -123,8 +137,13 @@ def problem(status: int, detail: str, instance: str, **more: Any) -> JSONRespons
 
 
 async def domain_problem(request: Request, error: Exception) -> JSONResponse:
-    """A domain error as a problem; a parameter's error names the parameter, and what is not the client's is logged."""
-    if isinstance(error, StoreError | WorkersError) or status_of(error) == HTTPStatus.INTERNAL_SERVER_ERROR:
+    """A domain error as a problem; a parameter's error names the parameter, and what is not the
+    client's is logged.
+    """
+    if (
+        isinstance(error, StoreError | WorkersError)
+        or status_of(error) == HTTPStatus.INTERNAL_SERVER_ERROR
+    ):
         log.error("%s", error)
     return problem(status_of(error), str(error), request.url.path, **parameter_named(error))
 
@@ -132,8 +151,12 @@ async def domain_problem(request: Request, error: Exception) -> JSONResponse:
 async def http_problem(request: Request, error: Exception) -> JSONResponse:
     """The framework's own 404, 405, … as a problem; headers such as Allow are kept."""
     assert isinstance(error, HTTPException)
-    status, path = error.status_code, request.url.path
-    sentence = SENTENCES[status].format(path=path, method=request.method) if status in SENTENCES else error.detail
+    status = error.status_code
+    path = request.url.path
+    if status in SENTENCES:
+        sentence = SENTENCES[status].format(path=path, method=request.method)
+    else:
+        sentence = error.detail
     answer = problem(status, sentence, path)
     answer.headers.update(error.headers or {})
     if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := methods_at(request.app, path)):
@@ -142,8 +165,14 @@ async def http_problem(request: Request, error: Exception) -> JSONResponse:
 
 
 def methods_at(app: FastAPI, path: str) -> list[str]:
-    """The methods that a path takes, as the API's document has it: of several routes the framework names but one."""
-    operations = (each for template, each in app.openapi()["paths"].items() if compile_path(template)[0].match(path))
+    """The methods that a path takes, as the API's document has it: of several routes the framework
+    names but one.
+    """
+    operations = (
+        each
+        for template, each in app.openapi()["paths"].items()
+        if compile_path(template)[0].match(path)
+    )
     found = {method.upper() for each in operations for method in each}
     return sorted(found & HTTP_METHODS | ({"HEAD"} if "GET" in found else set()))
 
@@ -157,7 +186,9 @@ async def validation_problem(request: Request, error: Exception) -> JSONResponse
 
 
 async def left(request: Request, error: Exception) -> JSONResponse:
-    """A client that left, or broke off its body, before its request was whole: nobody reads the answer."""
+    """A client that left, or broke off its body, before its request was whole: nobody reads the
+    answer.
+    """
     return problem(400, "The client left before its request was whole.", request.url.path)
 
 

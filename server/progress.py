@@ -1,4 +1,6 @@
-"""Progress of long work on the terminal: bars that show the time left, and scenes opened with one."""
+"""Progress of long work on the terminal: bars that show the time left, and scenes opened with
+one.
+"""
 
 import os
 import threading
@@ -48,14 +50,18 @@ def ticking(draw: Callable[[], object]) -> Iterator[None]:
 
 
 class Progress:
-    """A bar on stderr, drawn with the first progress; it begins again with each new name. Close it by ``with``.
+    """A bar on stderr, drawn with the first progress; it begins again with each new name. Close it
+    by ``with``.
 
     Its clock runs while nothing is reported.
     """
 
     def __init__(self, what: str = "", unit: str = "step") -> None:
-        """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not counted."""
-        self._what, self._unit = what, unit
+        """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not
+        counted.
+        """
+        self._what = what
+        self._unit = unit
         self._begun = time.monotonic()
         self._bar: Any = None
         self._clock = ExitStack()
@@ -77,16 +83,22 @@ class Progress:
         """From now on ``what`` is done: a new bar, where that is another than before."""
         if what != self._what:
             self.close()
-            self._what, self._unit, self._begun = what, unit, time.monotonic()
+            self._what = what
+            self._unit = unit
+            self._begun = time.monotonic()
 
     def begin(self, what: str) -> None:
-        """Draw at once that ``what`` is done now, with a clock: how much there is of it is not known."""
+        """Draw at once that ``what`` is done now, with a clock: how much there is of it is not
+        known.
+        """
         self.name(what, "")
         self._open(CLOCK, 0)
 
     def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
         """Draw how much is done, a note, and the time that is left."""
-        self._draw(done, total, " ".join(filter(None, (note, "" if left is None else left_text(left)))))
+        self._draw(
+            done, total, " ".join(filter(None, (note, "" if left is None else left_text(left))))
+        )
 
     def count(self, done: int, total: int) -> None:
         """Draw how much is done, and the time left at the mean pace so far."""
@@ -96,7 +108,8 @@ class Progress:
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
             self._open(ITEMS if self._unit else WEIGHTED_BAR_FORMAT, total)
-        self._bar.total, self._bar.n = total, done
+        self._bar.total = total
+        self._bar.n = done
         self._bar.set_postfix_str(postfix, refresh=False)
         self._bar.refresh()
 
@@ -107,7 +120,9 @@ class Progress:
 
 @contextmanager
 def compiling(progress: Callable[[], KernelProgress | None]) -> Iterator[None]:
-    """Draw, while other work is done, how far kernels are compiled; nothing where there are none to compile."""
+    """Draw, while other work is done, how far kernels are compiled; nothing where there are none to
+    compile.
+    """
     with Progress("compiling, once on this machine", "kernel") as bar:
 
         def draw() -> None:
@@ -129,7 +144,9 @@ def say(line: str) -> None:
 
 def about_left(seconds: float | None) -> str:
     """Seconds that are left, for a person; empty where they are not known."""
-    return "" if seconds is None else f"about {span(max(seconds, 1.0), digits=2)} left"
+    if seconds is None:
+        return ""
+    return f"about {span(max(seconds, 1.0), digits=2)} left"
 
 
 def left_text(left: TimeLeft) -> str:
@@ -138,7 +155,9 @@ def left_text(left: TimeLeft) -> str:
     return f"about {likely} left ({low} to {high})"
 
 
-def open_scene(target: str | Path | None, settings: Settings | None = None, **overrides: Any) -> Scene:
+def open_scene(
+    target: str | Path | None, settings: Settings | None = None, **overrides: Any
+) -> Scene:
     """The scene at ``target``, as ``load_scene`` has it, its volume kept as the ``settings`` say.
 
     Raises SceneError, VolumeError or LightError.
@@ -150,7 +169,9 @@ def open_scene(target: str | Path | None, settings: Settings | None = None, **ov
 
 
 def pass_to_core(settings: Settings) -> None:
-    """Have this process, and those that it starts, keep volumes as the settings say: by way of the environment."""
+    """Have this process, and those that it starts, keep volumes as the settings say: by way of the
+    environment.
+    """
     os.environ["ISOGI_VOLUME_MB"] = str(settings.volume_mb)
     os.environ["ISOGI_VOLUME_CACHE_MB"] = str(settings.volume_cache_mb)
     if settings.volume_cache is not None:

@@ -7,7 +7,9 @@ Row = tuple[float, float, float, float]
 
 
 class SceneLink(BaseModel):
-    """One scene in the list of scenes; ``volume`` is the address of its volume where that was uploaded."""
+    """One scene in the list of scenes; ``volume`` is the address of its volume where that was
+    uploaded.
+    """
 
     id: str
     name: str
@@ -16,7 +18,9 @@ class SceneLink(BaseModel):
 
 
 class UploadLimits(BaseModel):
-    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all may take."""
+    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all
+    may take.
+    """
 
     limit_bytes: int
     quota_bytes: int
@@ -31,7 +35,9 @@ class SceneList(BaseModel):
 
 
 class UploadSchema(BaseModel):
-    """An uploaded volume: voxels along x, y, z, bytes on the disk, and the address of the scene that shows it."""
+    """An uploaded volume: voxels along x, y, z, bytes on the disk, and the address of the scene
+    that shows it.
+    """
 
     id: str
     name: str
@@ -51,11 +57,11 @@ class UploadList(BaseModel):
 class VolumeSchema(BaseModel):
     """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite.
 
-    ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty where unknown.
-    ``letters`` say where the world's axes point in a patient, and ``axes`` where the voxels' do; empty elsewhere.
-    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field,
-    and ``read_as`` what the file was taken for, empty where it is of no file. It is step ``time`` of a series of
-    ``times``, 0 of 1 where it is none.
+    ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty
+    where unknown. ``letters`` say where the world's axes point in a patient, and ``axes`` where the
+    voxels' do; empty elsewhere. ``bounds`` are the least and the greatest world x, y, z. ``notes``
+    tell what was done to the file's field, and ``read_as`` what the file was taken for, empty where
+    it is of no file. It is step ``time`` of a series of ``times``, 0 of 1 where it is none.
     """
 
     name: str
@@ -90,7 +96,9 @@ class Range(BaseModel):
 
 
 class PresetSchema(BaseModel):
-    """An isovalue with a name; ``suggested`` where it was found in the volume, not given by the scene."""
+    """An isovalue with a name; ``suggested`` where it was found in the volume, not given by the
+    scene.
+    """
 
     name: str
     isovalue: float
@@ -98,7 +106,9 @@ class PresetSchema(BaseModel):
 
 
 class ErrorScale(BaseModel):
-    """The colours of ``overlay=error``: sRGB at equal steps of the logarithm, from the error ``low`` to ``high``."""
+    """The colours of ``overlay=error``: sRGB at equal steps of the logarithm, from the error
+    ``low`` to ``high``.
+    """
 
     low: float
     high: float
@@ -106,7 +116,9 @@ class ErrorScale(BaseModel):
 
 
 class LabelSchema(BaseModel):
-    """A label of a segmentation: its value, its name, its colour as sRGB, and whether it is shown."""
+    """A label of a segmentation: its value, its name, its colour as sRGB, and whether it is
+    shown.
+    """
 
     value: int
     name: str
@@ -115,10 +127,11 @@ class LabelSchema(BaseModel):
 
 
 class ColourScale(BaseModel):
-    """The surface's colours by data: what of, the name of the map, and sRGB at equal steps from ``low`` to ``high``.
+    """The surface's colours by data: what of, the name of the map, and sRGB at equal steps from
+    ``low`` to ``high``.
 
-    ``outside`` is where there is no value. ``labels`` are those of a segmentation; the ``colours`` are then those of
-    the labels that are shown.
+    ``outside`` is where there is no value. ``labels`` are those of a segmentation; the ``colours``
+    are then those of the labels that are shown.
     """
 
     name: str
@@ -146,7 +159,8 @@ class SavingSchema(BaseModel):
 
 
 class Omission(BaseModel):
-    """Something that this scene does not need, why, and what that saves beside the same plan with it.
+    """Something that this scene does not need, why, and what that saves beside the same plan with
+    it.
 
     S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
     """
@@ -157,10 +171,11 @@ class Omission(BaseModel):
 
 
 class LayerSchema(BaseModel):
-    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
+    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the
+    scale.
 
-    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels are of grey surfaces
-    with these albedos, and light of any other is mixed of theirs.
+    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels
+    are of grey surfaces with these albedos, and light of any other is mixed of theirs.
     """
 
     kind: str
@@ -174,7 +189,8 @@ class LayerSchema(BaseModel):
 
 
 class TexelSchema(BaseModel):
-    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light.
+    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold
+    no light.
 
     A chunk has ``chunk`` texels along each side.
     """
@@ -188,7 +204,8 @@ class TexelSchema(BaseModel):
 
 
 class LobeSchema(BaseModel):
-    """A small bright part of the unturned light: where it stands and its apparent diameter, in degrees.
+    """A small bright part of the unturned light: where it stands and its apparent diameter, in
+    degrees.
 
     ``irradiance`` is what a surface that faces it receives, linear RGB.
     """
@@ -200,11 +217,13 @@ class LobeSchema(BaseModel):
 
 
 class PlanSchema(BaseModel):
-    """What is stored per texel for this scene, the errors that are expected of it, and what was left out.
+    """What is stored per texel for this scene, the errors that are expected of it, and what was
+    left out.
 
-    ``indirect_order`` is that of reflected light, null where that has no harmonics; paths go on in ``branches`` ways
-    from their first hit; ``samples`` are a texel's most; ``lobes`` are lit by shadow rays; ``errors`` are relative.
-    ``full_bytes_per_texel`` is what S1 keeps. ``projected`` are isovalues, from one to another, whose views project.
+    ``indirect_order`` is that of reflected light, null where that has no harmonics; paths go on in
+    ``branches`` ways from their first hit; ``samples`` are a texel's most; ``lobes`` are lit by
+    shadow rays; ``errors`` are relative. ``full_bytes_per_texel`` is what S1 keeps. ``projected``
+    are isovalues, from one to another, whose views project.
     """
 
     representation: str
@@ -227,7 +246,9 @@ class PlanSchema(BaseModel):
 
 
 class EnvironmentSchema(BaseModel):
-    """Light that a scene may be shown in: what views call it, its name, and its address where it was uploaded."""
+    """Light that a scene may be shown in: what views call it, its name, and its address where it
+    was uploaded.
+    """
 
     id: str
     name: str
@@ -242,9 +263,9 @@ class EnvironmentList(BaseModel):
 
 
 class SurfaceSchema(BaseModel):
-    """A pinned isosurface: its ``name``, empty where it has none, the ``albedo`` of both its sides, linear RGB, and the
-    share of rays that passes straight through it, ``clear``. Its ``transmission``, linear RGB, is what gets through
-    diffuse.
+    """A pinned isosurface: its ``name``, empty where it has none, the ``albedo`` of both its sides,
+    linear RGB, and the share of rays that passes straight through it, ``clear``. Its
+    ``transmission``, linear RGB, is what gets through diffuse.
     """
 
     isovalue: float
@@ -255,7 +276,8 @@ class SurfaceSchema(BaseModel):
 
 
 class MaterialSchema(BaseModel):
-    """A material that views may ask for by its ``kind``: its ``numbers`` where they give none, each one or linear RGB.
+    """A material that views may ask for by its ``kind``: its ``numbers`` where they give none, each
+    one or linear RGB.
 
     Where this scene cannot be of it ``refused`` says why; it is null elsewhere.
     """
@@ -266,23 +288,27 @@ class MaterialSchema(BaseModel):
 
 
 class SceneSchema(BaseModel):
-    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
+    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob,
+    plan.
 
-    ``environment`` is the id of the light that this is about, null for the scene's own; ``environments`` are those
-    that views may name.
+    ``environment`` is the id of the light that this is about, null for the scene's own;
+    ``environments`` are those that views may name.
 
-    ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
+    ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of
+    the plan says so too.
 
-    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume. ``stops``
-    ascend through the range, and the surface moves about equally far from one to the next; ``stops_note`` says where
-    they are even instead, and is empty where that is nowhere.
-    ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
-    same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
-    of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
-    may cut it: its voxels lie along them. ``colours`` are those of a surface whose albedo comes from data, null where
-    it has one ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one that
-    slides, which lets the share ``clear`` of rays pass, and of other light its ``transmission`` through, diffuse.
-    ``material`` is what this is about, as views spell it, and ``materials`` are all, with why some of them are refused.
+    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in
+    its volume. ``stops`` ascend through the range, and the surface moves about equally far from one
+    to the next; ``stops_note`` says where they are even instead, and is empty where that is
+    nowhere. ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not
+    where the light is the same from all sides. ``albedos`` are those that a view may ask for, null
+    where it may not. ``shines`` are the kinds of shine that it may ask for, none where the surface
+    is diffuse. ``cuts`` is whether planes across the world's axes may cut it: its voxels lie along
+    them. ``colours`` are those of a surface whose albedo comes from data, null where it has one
+    ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one
+    that slides, which lets the share ``clear`` of rays pass, and of other light its
+    ``transmission`` through, diffuse. ``material`` is what this is about, as views spell it, and
+    ``materials`` are all, with why some of them are refused.
     """
 
     id: str
@@ -319,7 +345,9 @@ class SceneSchema(BaseModel):
 
 
 class CameraSchema(BaseModel):
-    """A camera on its orbit: angles in degrees, and the distance from the world's target in radii of the volume."""
+    """A camera on its orbit: angles in degrees, and the distance from the world's target in radii
+    of the volume.
+    """
 
     azimuth: float
     elevation: float
@@ -360,12 +388,13 @@ class TimeLeftSchema(BaseModel):
 
 
 class Coverage(BaseModel):
-    """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total relative RMSE.
+    """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total
+    relative RMSE.
 
-    Control pixels, ``controls`` of them, measured it, with a 95 % ``interval``; of none it is a prediction, and the
-    interval null. ``noise`` is the noise in it. 99 % of the pixels have an error below ``p99``, with a 95 %
-    ``p99_interval``; both are null where that is not measured. ``time_left`` is null where it is unknown, or no
-    worker is at the view.
+    Control pixels, ``controls`` of them, measured it, with a 95 % ``interval``; of none it is a
+    prediction, and the interval null. ``noise`` is the noise in it. 99 % of the pixels have an
+    error below ``p99``, with a 95 % ``p99_interval``; both are null where that is not measured.
+    ``time_left`` is null where it is unknown, or no worker is at the view.
     """
 
     chunks: ChunkCounts
@@ -384,11 +413,12 @@ class Coverage(BaseModel):
 class PointSchema(BaseModel):
     """What one pixel shows; all but ``hit`` and ``unit`` is null where it shows no surface.
 
-    ``position`` and the outward unit ``normal`` are in the world, whose lengths have the ``unit``, empty where
-    unknown; ``sides`` are the sides of a patient on which the coordinates lie, "LAS", empty elsewhere. ``voxel`` are
-    voxel indices, x first. ``value`` is the volume's there, null on the ``wall`` with that number. ``light`` is linear
-    RGB, ``displayed`` the same as a picture shows it, sRGB; ``state`` is final, converging or provisional, and
-    ``error`` the relative error of this pixel.
+    ``position`` and the outward unit ``normal`` are in the world, whose lengths have the ``unit``,
+    empty where unknown; ``sides`` are the sides of a patient on which the coordinates lie, "LAS",
+    empty elsewhere. ``voxel`` are voxel indices, x first. ``value`` is the volume's there, null on
+    the ``wall`` with that number. ``light`` is linear RGB, ``displayed`` the same as a picture
+    shows it, sRGB; ``state`` is final, converging or provisional, and ``error`` the relative error
+    of this pixel.
     """
 
     hit: bool
@@ -406,10 +436,12 @@ class PointSchema(BaseModel):
 
 
 class SizeSchema(BaseModel):
-    """Area of a surface, and volume of the solid, in squares and cubes of the ``unit``, which is empty where unknown.
+    """Area of a surface, and volume of the solid, in squares and cubes of the ``unit``, which is
+    empty where unknown.
 
-    ``area`` is 0 where there is no surface. ``area_error`` and ``volume_error`` are what the voxels' size leaves open,
-    in the same units. ``is_open`` is whether the solid reaches a side of the volume, where it is taken to end.
+    ``area`` is 0 where there is no surface. ``area_error`` and ``volume_error`` are what the
+    voxels' size leaves open, in the same units. ``is_open`` is whether the solid reaches a side of
+    the volume, where it is taken to end.
     """
 
     isovalue: float

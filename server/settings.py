@@ -1,4 +1,6 @@
-"""Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
+"""Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML
+file.
+"""
 
 import os
 from ipaddress import ip_address, ip_network
@@ -17,7 +19,8 @@ from pydantic_settings import (
 from server.bearers import Bearer, read_bearers
 
 UNKNOWN_SCHEDULER = (
-    "anybody who reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
+    "anybody who reaches a scheduler without certificates can run code there: name one at "
+    "tls://… with scheduler_ca,"
     " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
 )
 
@@ -35,7 +38,9 @@ FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
 
 def cores() -> int:
     """Cores that this process may use, at least 1."""
-    return max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    return max(
+        1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
 
 
 class Settings(BaseSettings):
@@ -46,19 +51,32 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     workers: int = Field(
-        default_factory=cores, ge=1, le=1024, description="Processes that compute light; default: one per core."
+        default_factory=cores,
+        ge=1,
+        le=1024,
+        description="Processes that compute light; default: one per core.",
     )
-    store: str | None = Field(None, description="Path or URL of the cache; default: the user's cache folder.")
-    store_seconds: float = Field(5, gt=0, le=600, description="Time for one call to an object store.")
-    store_retries: int = Field(2, ge=0, le=100, description="Times that such a call is tried again when it fails.")
+    store: str | None = Field(
+        None, description="Path or URL of the cache; default: the user's cache folder."
+    )
+    store_seconds: float = Field(
+        5, gt=0, le=600, description="Time for one call to an object store."
+    )
+    store_retries: int = Field(
+        2, ge=0, le=100, description="Times that such a call is tried again when it fails."
+    )
     store_cache_mb: int = Field(
-        1024, ge=0, le=1 << 20, description="Megabytes of an object store's chunks that this machine's disk keeps."
+        1024,
+        ge=0,
+        le=1 << 20,
+        description="Megabytes of an object store's chunks that this machine's disk keeps.",
     )
     projected_mb: int = Field(
         4096,
         ge=0,
         le=1 << 30,
-        description="Megabytes of light for single isovalues that the store keeps; what was unused longest goes when"
+        description="Megabytes of light for single isovalues that the store keeps; what was "
+        "unused longest goes when"
         " another isovalue is shown.",
     )
     memory_mb: int = Field(
@@ -71,11 +89,15 @@ class Settings(BaseSettings):
         2048,
         ge=1,
         le=1 << 20,
-        description="Megabytes of voxels, mapped from a copy on the disk, that a process holds; volumes of an eighth"
+        description="Megabytes of voxels, mapped from a copy on the disk, that a process "
+        "holds; volumes of an eighth"
         " of it or less are in memory without a copy.",
     )
     volume_cache: str | None = Field(
-        None, description="Folder of such copies, on a disk of this machine; default: in the user's cache folder."
+        None,
+        description=(
+            "Folder of such copies, on a disk of this machine; default: in the user's cache folder."
+        ),
     )
     volume_cache_mb: int = Field(
         1 << 16,
@@ -83,9 +105,15 @@ class Settings(BaseSettings):
         le=1 << 30,
         description="Megabytes of such copies; those used last are kept.",
     )
-    scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers, tls://….")
+    scheduler: str | None = Field(
+        None, description="Address of a Dask scheduler instead of own workers, tls://…."
+    )
     scheduler_ca: FilePath | None = Field(
-        None, description="File of the authority, PEM, that signed the certificates of that scheduler and its workers."
+        None,
+        description=(
+            "File of the authority, PEM, that signed the certificates of that "
+            "scheduler and its workers."
+        ),
     )
     scheduler_cert: FilePath | None = Field(
         None, description="File of the certificate, PEM, that the scheduler is shown."
@@ -93,50 +121,77 @@ class Settings(BaseSettings):
     scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
     insecure_scheduler: bool = Field(
         False,
-        description="Join a scheduler without certificates: anybody who reaches it can run code as its workers' user.",
+        description=(
+            "Join a scheduler without certificates: anybody who reaches it can run "
+            "code as its workers' user."
+        ),
     )
     token: SecretStr | None = Field(
         None,
         min_length=16,
-        description="What clients show as 'Authorization: Bearer', or a browser once as /?token=; needed where the"
+        description="What clients show as 'Authorization: Bearer', or a browser once as "
+        "/?token=; needed where the"
         " host is not loopback. No option, for all users of a machine see those.",
     )
-    token_file: str | None = Field(None, description="File that holds the token, where the environment does not.")
+    token_file: str | None = Field(
+        None, description="File that holds the token, where the environment does not."
+    )
     tokens_file: FilePath | None = Field(
-        None, description="TOML file of tokens by name, each with what it may: look, bake, upload, admin."
+        None,
+        description=(
+            "TOML file of tokens by name, each with what it may: look, bake, upload, admin."
+        ),
     )
     allowed_hosts: Names | None = Field(
         None,
-        description="Host names that requests may use, comma-separated; default: the loopback names when"
+        description="Host names that requests may use, comma-separated; default: the loopback "
+        "names when"
         " listening on loopback (a defence against DNS rebinding), else any.",
     )
     allowed_origins: Names = Field(
-        (), description="Origins such as https://lab.example whose pages may ask too, comma-separated; default: none."
+        (),
+        description=(
+            "Origins such as https://lab.example whose pages may ask too, "
+            "comma-separated; default: none."
+        ),
     )
     trusted_proxies: Names = Field(
         (),
-        description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed,"
+        description="Addresses or networks of proxies whose X-Forwarded-For and "
+        "X-Forwarded-Proto are believed,"
         " comma-separated; default: none.",
     )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
-    max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
-    max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
+    max_paths: int = Field(
+        2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
+    )
+    max_body_bytes: int = Field(
+        64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413."
+    )
     uploads_mb: int | None = Field(
         None,
         ge=0,
         le=1 << 20,
-        description=f"Megabytes that uploads may take in all; 0: no uploads; default: {UPLOADS_MB} where this machine"
+        description="Megabytes that uploads may take in all; 0: no uploads; default: "
+        f"{UPLOADS_MB} where this machine"
         " alone reaches the server (on loopback, without allowed_hosts), else 0.",
     )
-    uploads: str | None = Field(None, description="Folder of uploads; default: in the user's data folder.")
+    uploads: str | None = Field(
+        None, description="Folder of uploads; default: in the user's data folder."
+    )
     max_upload_mb: int = Field(
-        256, ge=1, le=1 << 16, description="Most megabytes of one upload, and of its voxels at 4 bytes each."
+        256,
+        ge=1,
+        le=1 << 16,
+        description="Most megabytes of one upload, and of its voxels at 4 bytes each.",
     )
     upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
     reading_seconds: float = Field(
         4,
         ge=0.1,
-        description="Processor time to read an upload that came, and for every 8 MB of it a second more.",
+        description=(
+            "Processor time to read an upload that came, and for every 8 MB of it a second more."
+        ),
     )
     exports_mb: int = Field(
         384,
@@ -146,33 +201,58 @@ class Settings(BaseSettings):
     )
     hand_out_voxels: bool | None = Field(
         None,
-        description="Whether pages may have the voxels and the light of scenes, to draw by themselves; default: yes,"
+        description="Whether pages may have the voxels and the light of scenes, to draw by "
+        "themselves; default: yes,"
         " but where a token is asked for.",
     )
     max_connections: int = Field(512, ge=1, description="Connections at once.")
-    max_client_connections: int = Field(256, ge=1, description="Connections at once from one address.")
+    max_client_connections: int = Field(
+        256, ge=1, description="Connections at once from one address."
+    )
     head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")
     body_seconds: int = Field(10, ge=1, description="Time for the body of a request.")
-    stall_seconds: int = Field(20, ge=1, description="Time for which a client may take less than 1 kB a second.")
-    max_unsent_mb: int = Field(
-        1024, ge=1, description="Megabytes of answers that clients are yet to take; beyond that the slowest is closed."
+    stall_seconds: int = Field(
+        20, ge=1, description="Time for which a client may take less than 1 kB a second."
     )
-    idle_seconds: int = Field(5, ge=1, description="Time for which a connection without a request is kept.")
+    max_unsent_mb: int = Field(
+        1024,
+        ge=1,
+        description=(
+            "Megabytes of answers that clients are yet to take; beyond that the slowest is closed."
+        ),
+    )
+    idle_seconds: int = Field(
+        5, ge=1, description="Time for which a connection without a request is kept."
+    )
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,
         le=256,
         description="Frames rendered or waited for at once; default: two per core, 4 at least.",
     )
-    render_queue: int = Field(64, ge=0, description="Frames that may wait for a thread; beyond that: 429.")
-    queue_seconds: float = Field(10, gt=0, description="Seconds that a frame may wait for a thread; beyond that: 429.")
-    streams: int = Field(64, ge=0, description="Streams and listeners to events at once; beyond that: 429.")
+    render_queue: int = Field(
+        64, ge=0, description="Frames that may wait for a thread; beyond that: 429."
+    )
+    queue_seconds: float = Field(
+        10, gt=0, description="Seconds that a frame may wait for a thread; beyond that: 429."
+    )
+    streams: int = Field(
+        64, ge=0, description="Streams and listeners to events at once; beyond that: 429."
+    )
     jobs: int = Field(16, ge=0, description="Jobs at once; beyond that: 429.")
-    stream_bytes: int = Field(16384, ge=256, description="Bytes of one message that a stream takes.")
+    stream_bytes: int = Field(
+        16384, ge=256, description="Bytes of one message that a stream takes."
+    )
     stream_rate: int = Field(600, ge=1, description="Messages that a stream takes in a second.")
-    stream_idle_seconds: float = Field(3600, gt=0, description="Seconds without a message that end a stream.")
-    shutdown_seconds: int = Field(10, ge=0, description="How long a stopping server finishes open requests.")
-    log_format: Literal["text", "json"] = Field("text", description="Lines of the log: text, or json.")
+    stream_idle_seconds: float = Field(
+        3600, gt=0, description="Seconds without a message that end a stream."
+    )
+    shutdown_seconds: int = Field(
+        10, ge=0, description="How long a stopping server finishes open requests."
+    )
+    log_format: Literal["text", "json"] = Field(
+        "text", description="Lines of the log: text, or json."
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "warning", description="What is logged: debug, info (with each request), warning or error."
     )
@@ -181,7 +261,9 @@ class Settings(BaseSettings):
     @classmethod
     def split(cls, value: object) -> object:
         """The names in a comma-separated text."""
-        return tuple(filter(None, map(str.strip, value.split(",")))) if isinstance(value, str) else value
+        if isinstance(value, str):
+            return tuple(filter(None, map(str.strip, value.split(","))))
+        return value
 
     @field_validator("allowed_origins")
     @classmethod
@@ -190,7 +272,9 @@ class Settings(BaseSettings):
         for name in value:
             scheme, _, host = name.partition("://")
             if scheme not in ("http", "https") or not host or set("/*?#@") & set(host):
-                raise ValueError(f"{name} is no origin: write it as https://lab.example or http://localhost:8888")
+                raise ValueError(
+                    f"{name} is no origin: write it as https://lab.example or http://localhost:8888"
+                )
         return tuple(name.lower() for name in value)
 
     @field_validator("trusted_proxies")
@@ -243,7 +327,11 @@ class Settings(BaseSettings):
 
     @classmethod
     def settings_customise_sources(
-        cls, settings_cls: type[BaseSettings], init_settings: PydanticBaseSettingsSource, *_: Any, **others: Any
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        *_: Any,
+        **others: Any,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Options come first, then the environment, then the file where there is one."""
         return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
@@ -269,15 +357,23 @@ class Settings(BaseSettings):
 
     @property
     def upload_quota_mb(self) -> int:
-        """Megabytes that uploads may take: as set, else none where other machines may reach the server."""
+        """Megabytes that uploads may take: as set, else none where other machines may reach the
+        server.
+        """
         if self.uploads_mb is not None:
             return self.uploads_mb
-        return 0 if self.exposed or self.allowed_hosts is not None else UPLOADS_MB
+        if self.exposed or self.allowed_hosts is not None:
+            return 0
+        return UPLOADS_MB
 
     @property
     def hands_out_voxels(self) -> bool:
-        """Whether pages may have voxels: as set, else where anybody may ask who reaches the server."""
-        return not self.bearers if self.hand_out_voxels is None else self.hand_out_voxels
+        """Whether pages may have voxels: as set, else where anybody may ask who reaches the
+        server.
+        """
+        if self.hand_out_voxels is None:
+            return not self.bearers
+        return self.hand_out_voxels
 
     def trusts(self, host: str) -> bool:
         """Whether a connection from this address is a proxy's, whose headers name the client."""
@@ -290,14 +386,16 @@ class Settings(BaseSettings):
         """Host names that requests may use, in lower case; None for any."""
         if self.allowed_hosts is not None:
             return tuple(name.lower() for name in self.allowed_hosts)
-        return None if self.exposed else tuple(dict.fromkeys((*LOOPBACK_HOSTS, self.host.lower())))
+        if self.exposed:
+            return None
+        return tuple(dict.fromkeys((*LOOPBACK_HOSTS, self.host.lower())))
 
 
 def read_settings(config: Path | None = None, **given: Any) -> Settings:
     """The settings: those ``given``, then the environment's, then those in the file ``config``.
 
-    Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is given; OSError
-    where the file cannot be read.
+    Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is
+    given; OSError where the file cannot be read.
     """
     for former, name in FORMER_SETTING_NAMES.items():
         if former in given or f"ISOGI_{former.upper()}" in os.environ:

@@ -1,4 +1,6 @@
-"""Values written as text: numbers in a range, rows of numbers, words, spans of time; and documents of these."""
+"""Values written as text: numbers in a range, rows of numbers, words, spans of time; and documents
+of these.
+"""
 
 import json
 import math
@@ -23,21 +25,33 @@ MAX_COORDINATE = 1e12
 
 def shown(value: object) -> str:
     """What was given, as a quotation short enough for a sentence."""
-    text = str(value).encode(errors="backslashreplace").decode()  # half a surrogate pair, which JSON can spell
-    return f"'{text}'" if len(text) <= 40 else f"'{text[:39]}…'"
+    text = (
+        str(value).encode(errors="backslashreplace").decode()
+    )  # half a surrogate pair, which JSON can spell
+    if len(text) <= 40:
+        return f"'{text}'"
+    return f"'{text[:39]}…'"
 
 
 def finite(value: object) -> float:
     """The number that ``value`` is or spells; NaN for anything else."""
     if isinstance(value, str):
-        return float(value) if len(value) <= 64 and NUMBER_PATTERN.fullmatch(value) else math.nan
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        if len(value) <= 64 and NUMBER_PATTERN.fullmatch(value):
+            return float(value)
+        return math.nan
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) <= sys.float_info.max
+    ):
         return math.nan
     return float(value)
 
 
 class Kind(GroupedMetadata):
-    """A kind of value that text spells: an annotation of pydantic's fields, which needs no pydantic by itself."""
+    """A kind of value that text spells: an annotation of pydantic's fields, which needs no pydantic
+    by itself.
+    """
 
     example: str = ""
 
@@ -47,7 +61,9 @@ class Kind(GroupedMetadata):
         return {"type": "string", "example": self.example}
 
     def read(self, value: object) -> Any:
-        """What ``value`` spells; ValueError, which says what is allowed, where it is of another kind."""
+        """What ``value`` spells; ValueError, which says what is allowed, where it is of another
+        kind.
+        """
         return value
 
     def __iter__(self) -> Iterator[Any]:
@@ -68,15 +84,24 @@ class Span(Kind):
     @property
     def schema(self) -> dict[str, Any]:
         """The kind as JSON Schema."""
-        return {"type": "integer" if self.whole else "number", "minimum": self.low, "maximum": self.high}
+        return {
+            "type": "integer" if self.whole else "number",
+            "minimum": self.low,
+            "maximum": self.high,
+        }
 
     def read(self, value: object) -> float:
         """The number in ``value``; ValueError where it is none or out of range."""
         number = finite(value)
         spelt = not self.whole or WHOLE_PATTERN.fullmatch(str(value)) is not None
         if not (spelt and self.low <= number <= self.high):
-            kind = "a whole number" if self.whole else "a number"
-            raise ValueError(f"must be {kind} from {self.low:.10g} to {self.high:.10g}, not {shown(value)}.")
+            if self.whole:
+                kind = "a whole number"
+            else:
+                kind = "a number"
+            raise ValueError(
+                f"must be {kind} from {self.low:.10g} to {self.high:.10g}, not {shown(value)}."
+            )
         return int(number) if self.whole else number
 
 
@@ -94,10 +119,17 @@ class Row(Kind):
     def read(self, value: object) -> tuple[float, ...]:
         """The numbers in ``value``, a text or a sequence; ValueError where they are not these."""
         parts = value.split(",") if isinstance(value, str) else value
-        numbers = tuple(map(finite, parts)) if isinstance(parts, list | tuple) else ()
-        if len(numbers) != len(self.names) or not all(abs(number) <= MAX_COORDINATE for number in numbers):
+        if isinstance(parts, list | tuple):
+            numbers = tuple(map(finite, parts))
+        else:
+            numbers = ()
+        if len(numbers) != len(self.names) or not all(
+            abs(number) <= MAX_COORDINATE for number in numbers
+        ):
             wanted = f"{len(self.names)} finite numbers {','.join(self.names)}"
-            raise ValueError(f"must be {wanted} (each at most {MAX_COORDINATE:g} in size), not {shown(value)}.")
+            raise ValueError(
+                f"must be {wanted} (each at most {MAX_COORDINATE:g} in size), not {shown(value)}."
+            )
         return numbers
 
 
@@ -109,33 +141,57 @@ class Rows(Kind):
 
     def read(self, value: object) -> tuple[int, int]:
         """The two numbers; ValueError where they are not these."""
-        parts = value.split(",") if isinstance(value, str) else []
-        if len(parts) == 2 and all(len(part) <= 6 and part.isascii() and part.isdigit() for part in parts):
+        if isinstance(value, str):
+            parts = value.split(",")
+        else:
+            parts = []
+        if len(parts) == 2 and all(
+            len(part) <= 6 and part.isascii() and part.isdigit() for part in parts
+        ):
             first, last = map(int, parts)
             if first < last:
                 return first, last
-        raise ValueError(f"must be two whole numbers first,last, the first below the last, not {shown(value)}.")
+        raise ValueError(
+            f"must be two whole numbers first,last, the first below the last, not {shown(value)}."
+        )
 
 
 @dataclass(frozen=True)
 class Colour(Kind):
-    """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all three."""
+    """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all
+    three.
+    """
 
     example = "0.7"
 
     def read(self, value: object) -> tuple[float, float, float]:
-        """The three numbers in ``value``, a number, a text or a sequence; ValueError where it is none of these."""
-        parts = value.split(",") if isinstance(value, str) else value if isinstance(value, list | tuple) else [value]
+        """The three numbers in ``value``, a number, a text or a sequence; ValueError where it is
+        none of these.
+        """
+        parts = (
+            value.split(",")
+            if isinstance(value, str)
+            else value
+            if isinstance(value, list | tuple)
+            else [value]
+        )
         numbers = tuple(map(finite, parts))
         if len(numbers) not in (1, 3) or not all(0.0 <= number <= 1.0 for number in numbers):
-            raise ValueError(f"must be one number from 0 to 1, or three with commas between, not {shown(value)}.")
-        red, green, blue = numbers if len(numbers) == 3 else numbers * 3
+            raise ValueError(
+                f"must be one number from 0 to 1, or three with commas between, not {shown(value)}."
+            )
+        if len(numbers) == 3:
+            red, green, blue = numbers
+        else:
+            red, green, blue = numbers * 3
         return red, green, blue
 
 
 @dataclass(frozen=True)
 class Planes(Kind):
-    """Planes with ; between them, such as ``window=x>40;0,1,-1<12.5``: each takes away what it is true of."""
+    """Planes with ; between them, such as ``window=x>40;0,1,-1<12.5``: each takes away what it is
+    true of.
+    """
 
     example = "x>40"
 
@@ -163,7 +219,10 @@ class Ground(Kind):
         """The background in ``value``, in small letters; ValueError where it is none."""
         text = str(value).lower()
         if text not in BACKGROUND_NAMES and not re.fullmatch("#[0-9a-f]{6}", text):
-            raise ValueError(f"must be {', '.join(BACKGROUND_NAMES)}, or a colour such as #ffffff, not {shown(value)}.")
+            raise ValueError(
+                f"must be {', '.join(BACKGROUND_NAMES)}, or a colour such as #ffffff, not "
+                f"{shown(value)}."
+            )
         return text
 
 
@@ -187,7 +246,9 @@ class Choice(Kind):
 
 @dataclass(frozen=True)
 class Words(Kind):
-    """A text that is read by what knows its meaning, such as ``example``, of ``longest`` characters at most."""
+    """A text that is read by what knows its meaning, such as ``example``, of ``longest`` characters
+    at most.
+    """
 
     longest: int
     example: str
@@ -220,29 +281,49 @@ LONGEST_SECONDS = 1e9
 
 
 def seconds_of(text: str) -> float:
-    """Seconds of a span of time, none included; ValueError, which says what is allowed, where it is no span."""
-    match = DURATION_PATTERN.fullmatch(text) if len(text) <= 40 else None
-    seconds = float(match[1]) * DURATION_UNITS[match.groups()[-1]] if match else -1.0
+    """Seconds of a span of time, none included; ValueError, which says what is allowed, where it is
+    no span.
+    """
+    if len(text) <= 40:
+        match = DURATION_PATTERN.fullmatch(text)
+    else:
+        match = None
+    if match:
+        seconds = float(match[1]) * DURATION_UNITS[match.groups()[-1]]
+    else:
+        seconds = -1.0
     if not 0.0 <= seconds <= LONGEST_SECONDS:
         raise ValueError(f"must be a span of time such as 90, 90s, 10m or 1h, not {shown(text)}.")
     return seconds
 
 
 def seconds_of_age(text: str) -> float:
-    """Seconds of a span of time that may also be in days or weeks: 12h, 30d, 4w; ValueError as ``seconds_of``."""
-    match = AGE_PATTERN.fullmatch(text) if len(text) <= 40 else None
+    """Seconds of a span of time that may also be in days or weeks: 12h, 30d, 4w; ValueError as
+    ``seconds_of``.
+    """
+    if len(text) <= 40:
+        match = AGE_PATTERN.fullmatch(text)
+    else:
+        match = None
     if match and float(match[1]) >= 0.0:
         return float(match[1]) * AGE_UNITS[match.groups()[-1]]
     try:
         return seconds_of(text)
     except ValueError:
-        raise ValueError(f"must be a span of time such as 12h, 30d or 4w, not {shown(text)}.") from None
+        raise ValueError(
+            f"must be a span of time such as 12h, 30d or 4w, not {shown(text)}."
+        ) from None
 
 
 def span(seconds: float, digits: int = 3) -> str:
-    """Seconds as text to so many digits, in the largest unit that they reach; ``0 s`` for less than a millisecond."""
+    """Seconds as text to so many digits, in the largest unit that they reach; ``0 s`` for less than
+    a millisecond.
+    """
     name, size = next(((name, size) for name, size in TIME_UNITS if seconds >= size), ("s", 1.0))
-    count = float(f"{seconds / size:.{digits}g}") if seconds >= TIME_UNITS[-1][1] else 0.0
+    if seconds >= TIME_UNITS[-1][1]:
+        count = float(f"{seconds / size:.{digits}g}")
+    else:
+        count = 0.0
     return f"{count:,g} {name}"
 
 
@@ -251,7 +332,9 @@ MAX_DOCUMENT_BYTES = 1 << 26
 
 
 def document_in(file: Path, otherwise: Callable[[str], Any]) -> Any:
-    """What a JSON or TOML ``file`` holds; the text of any other is read by ``otherwise``. Raises ParameterError."""
+    """What a JSON or TOML ``file`` holds; the text of any other is read by ``otherwise``. Raises
+    ParameterError.
+    """
     readers = {".json": json.loads, ".toml": tomllib.loads}
     try:
         return readers.get(file.suffix, otherwise)(read_small(file, MAX_DOCUMENT_BYTES).decode())

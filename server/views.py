@@ -24,15 +24,26 @@ from server.values import Span
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
-    """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
-    first, last = params.strip if isinstance(params, FrameParams) and params.strip else (0, params.height)
+    """The view that the parameters ask for; ViewError where this scene or these settings do not
+    allow it.
+    """
+    if isinstance(params, FrameParams) and params.strip:
+        first, last = params.strip
+    else:
+        first = 0
+        last = params.height
     if last > params.height:
         raise ParameterError(f"strip ends at row {last} of a picture of {params.height}.", "strip")
-    pixels, paths = params.width * (last - first), params.width * (last - first) * params.samples
+    pixels = params.width * (last - first)
+    paths = params.width * (last - first) * params.samples
     if pixels > settings.max_pixels:
-        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
+        raise ViewError(
+            f"width × height must be at most {settings.max_pixels} pixels, not {pixels}."
+        )
     if params.shading == "path_traced" and paths > settings.max_paths:
-        raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
+        raise ViewError(
+            f"width × height × samples must be at most {settings.max_paths} paths, not {paths}."
+        )
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
@@ -45,14 +56,20 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         albedo=albedo_of(scene, params),
         shine=shine_of(scene, params),
         glow=glow_of(scene, params),
-        smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
+        smooth=isinstance(params, FrameParams)
+        and params.antialias == "on"
+        and params.shading != "path_traced",
         orientation=scene.volume.orientation,
-        window=None if params.window is None else read_window(params.window).in_box(scene.volume.orientation),
+        window=None
+        if params.window is None
+        else read_window(params.window).in_box(scene.volume.orientation),
     )
 
 
 def isovalue_of(scene: Scene, params: ViewParams) -> float:
-    """The isovalue asked for, else the scene's; ParameterError where it is outside the scene's range."""
+    """The isovalue asked for, else the scene's; ParameterError where it is outside the scene's
+    range.
+    """
     if params.isovalue is None:
         return scene.isovalue
     try:
@@ -62,23 +79,38 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
 
 
 def albedo_of(scene: Scene, params: ViewParams) -> Vector | None:
-    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
+    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is
+    not of it.
+    """
     try:
-        return None if scene.surfaces.albedo_for(params.albedo) == scene.surfaces.albedo else params.albedo
+        if scene.surfaces.albedo_for(params.albedo) == scene.surfaces.albedo:
+            return None
+        return params.albedo
     except ViewError as error:
         raise ParameterError(str(error), "albedo") from None
 
 
 def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
-    """The shine asked for, None where it is the scene's; ParameterError where the scene has none to be changed."""
-    given = {name: getattr(params, name) for name in SHINE_KNOBS if getattr(params, name) is not None}
+    """The shine asked for, None where it is the scene's; ParameterError where the scene has none to
+    be changed.
+    """
+    given = {
+        name: getattr(params, name) for name in SHINE_KNOBS if getattr(params, name) is not None
+    }
     if not given:
         return None
     if scene.surfaces.shine is None:
         name = next(iter(given))
-        raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
-    shine = replace(scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()})
-    return None if shine == scene.surfaces.shine else shine
+        raise ParameterError(
+            f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.",
+            name,
+        )
+    shine = replace(
+        scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()}
+    )
+    if shine == scene.surfaces.shine:
+        return None
+    return shine
 
 
 def glow_of(scene: Scene, params: ViewParams) -> float:
@@ -90,22 +122,34 @@ def glow_of(scene: Scene, params: ViewParams) -> float:
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:
-    """The camera, in the volume's box: at the eye where one is given, else on its orbit about the target."""
-    target, radius = params.target or scene.volume.world_centre, scene.volume.radius
+    """The camera, in the volume's box: at the eye where one is given, else on its orbit about the
+    target.
+    """
+    target = params.target or scene.volume.world_centre
+    radius = scene.volume.radius
     if params.eye is not None:
         camera = Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
     else:
-        camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
-        camera = camera if params.up is None else replace(camera, up=params.up)
+        camera = orbit(
+            target, radius, params.azimuth, params.elevation, params.distance, params.fov
+        )
+        if params.up is not None:
+            camera = replace(camera, up=params.up)
     return scene.in_box(camera, params.projection)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:
-    """The light's rotation in the volume's box, a unit quaternion; ViewError where the scene's light does not turn."""
+    """The light's rotation in the volume's box, a unit quaternion; ViewError where the scene's
+    light does not turn.
+    """
     if params.light is not None:
         turn = unit_quaternion(params.light)
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
     if not scene.lighting.rotating and abs(turn[0]) < 1 - 1e-12:
-        raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
-    return light_in_box(turn, scene.volume.orientation) if scene.lighting.rotating else IDENTITY
+        raise ViewError(
+            "This scene's light does not turn (rotating = false): leave light and its angles out."
+        )
+    if scene.lighting.rotating:
+        return light_in_box(turn, scene.volume.orientation)
+    return IDENTITY

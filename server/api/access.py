@@ -15,7 +15,9 @@ from server.bearers import BEARER_SCOPE_KEY, TOKENLESS_BEARER, Bearer
 from server.problems import problem
 
 HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
-"""A Host header: a name or an address, that of six in brackets, and perhaps a port (RFC 9110, 7.2)."""
+"""A Host header: a name or an address, that of six in brackets, and perhaps a port (RFC 9110,
+7.2).
+"""
 
 
 class KnownHosts:
@@ -28,36 +30,54 @@ class KnownHosts:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on where its Host header is allowed; 421 else."""
-        if scope["type"] not in ("http", "websocket") or self.hosts is None or self.knows(Headers(scope=scope)):
+        if (
+            scope["type"] not in ("http", "websocket")
+            or self.hosts is None
+            or self.knows(Headers(scope=scope))
+        ):
             await self.app(scope, receive, send)
             return
-        detail = "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
+        detail = (
+            "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
+        )
         await problem(421, detail, scope["path"])(scope, receive, send)
 
     def knows(self, headers: Headers) -> bool:
         """Whether the Host header, its port aside, is one of the allowed names."""
         match = HOST.fullmatch(headers.get("host", "").lower())
-        return self.hosts is not None and match is not None and (match["six"] or match["name"]) in self.hosts
+        return (
+            self.hosts is not None
+            and match is not None
+            and (match["six"] or match["name"]) in self.hosts
+        )
 
 
 SAFE = ("GET", "HEAD")
-"""Methods that change nothing; a client without a browser's headers may use them from wherever it is."""
+"""Methods that change nothing; a client without a browser's headers may use them from wherever it
+is.
+"""
 
 SAME_SITE = ("same-origin", "none")
-"""Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an address."""
+"""Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an
+address.
+"""
 
 
 class KnownOrigins:
-    """ASGI middleware: refuses what pages of other origins send, against forged requests and stolen work.
+    """ASGI middleware: refuses what pages of other origins send, against forged requests and stolen
+    work.
 
-    Browsers say where a request comes from in Sec-Fetch-Site and Origin, and no page can change that. What they
-    call foreign is refused, but for a person who follows a link; where they name an origin, changes and sockets
-    are refused unless it is the server's own. A frame costs work and bakes light, so that pictures in foreign
-    pages are refused too. (A resource isolation policy as in web.dev/articles/fetch-metadata.)
+    Browsers say where a request comes from in Sec-Fetch-Site and Origin, and no page can change
+    that. What they call foreign is refused, but for a person who follows a link; where they name an
+    origin, changes and sockets are refused unless it is the server's own. A frame costs work and
+    bakes light, so that pictures in foreign pages are refused too. (A resource isolation policy as
+    in web.dev/articles/fetch-metadata.)
     """
 
     def __init__(self, app: ASGIApp, origins: tuple[str, ...] = ()) -> None:
-        """Let pages of ``origins``, such as ``https://lab.example``, pass besides the server's own."""
+        """Let pages of ``origins``, such as ``https://lab.example``, pass besides the server's
+        own.
+        """
         self.app = app
         self.origins = origins
 
@@ -66,13 +86,16 @@ class KnownOrigins:
         if scope["type"] not in ("http", "websocket") or self.lets_pass(scope):
             await self.app(scope, receive, send)
             return
-        detail = "Pages of other origins may not ask this server: set ISOGI_ALLOWED_ORIGINS to let one."
+        detail = (
+            "Pages of other origins may not ask this server: set ISOGI_ALLOWED_ORIGINS to let one."
+        )
         await problem(403, detail, scope["path"])(scope, receive, send)
 
     def lets_pass(self, scope: Scope) -> bool:
         """Whether the request comes from a page that is known, from no page, or by a link."""
         headers = Headers(scope=scope)
-        origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+        origin = headers.get("origin")
+        site = headers.get("sec-fetch-site")
         if origin in self.origins:
             return True
         safe = scope["type"] == "http" and scope["method"] in SAFE
@@ -87,20 +110,31 @@ def is_own(origin: str, headers: Headers) -> bool:
 
 
 def is_link(headers: Headers) -> bool:
-    """Whether a browser opens the address in a tab of its own, as it does when a link is followed."""
-    return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    """Whether a browser opens the address in a tab of its own, as it does when a link is
+    followed.
+    """
+    return (
+        headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    )
 
 
 OPEN_PATHS = ("/livez", "/readyz")
 """What probes ask, which hold no token: they answer whoever shows none in fewer words."""
 
-REFUSAL = "This server wants its token: as 'Authorization: Bearer …', or once in the page's address as /?token=…"
+REFUSAL = (
+    "This server wants its token: as 'Authorization: Bearer …', or once in the page's "
+    "address as /?token=…"
+)
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: token</title>
-<h1>This server wants its token</h1><p>Open this page once as <code>/?token=…</code>; the browser then keeps it.</p>
+<h1>This server wants its token</h1>
+<p>Open this page once as <code>/?token=…</code>; the browser then keeps it.</p>
 <p>If it has it already, and you came by a link from elsewhere: <a href="">go on</a>.</p></html>"""
 
 
-FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask the operator of this server for one that does."
+FORBIDDEN = (
+    "The token '{name}' does not allow this ({scope}): ask the operator of this server "
+    "for one that does."
+)
 
 
 def needed_scope(scope: Scope) -> str:
@@ -109,11 +143,15 @@ def needed_scope(scope: Scope) -> str:
         return "admin"
     if scope["type"] == "websocket" or scope["method"] in SAFE:
         return "look"
-    return "upload" if scope["path"].startswith(("/v1/volumes", "/v1/environments")) else "bake"
+    if scope["path"].startswith(("/v1/volumes", "/v1/environments")):
+        return "upload"
+    return "bake"
 
 
 class Token:
-    """The token of a ``bearer``, and the cookie that stands for it: a digest of it, named after it."""
+    """The token of a ``bearer``, and the cookie that stands for it: a digest of it, named after
+    it.
+    """
 
     def __init__(self, bearer: Bearer) -> None:
         self.bearer = bearer
@@ -128,14 +166,17 @@ class Token:
     def is_in(self, cookies: SimpleCookie) -> bool:
         """Whether its cookie is among those of a request."""
         cookie = cookies.get(self.name)
-        return cookie is not None and hmac.compare_digest(cookie.value.encode(), self.cookie.encode())
+        return cookie is not None and hmac.compare_digest(
+            cookie.value.encode(), self.cookie.encode()
+        )
 
 
 class TokenBearers:
     """ASGI middleware: 401 for requests without a token, 403 for what the token does not allow.
 
-    It is shown in the Authorization header, or by a cookie that a browser is given when the page is opened with
-    ``?token=``. The cookie holds a digest and not the token, and is named after it, as ports share their cookies.
+    It is shown in the Authorization header, or by a cookie that a browser is given when the page is
+    opened with ``?token=``. The cookie holds a digest and not the token, and is named after it, as
+    ports share their cookies.
     """
 
     def __init__(self, app: ASGIApp, bearers: Sequence[Bearer]) -> None:
@@ -144,20 +185,28 @@ class TokenBearers:
         self.tokens = [Token(bearer) for bearer in bearers]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where it shows a token that allows it; a page that is opened with one gets the cookie."""
+        """Pass the request on where it shows a token that allows it; a page that is opened with one
+        gets the cookie.
+        """
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
         if scope["path"] in OPEN_PATHS:
             token = self.known(Headers(scope=scope))
-            scope[BEARER_SCOPE_KEY] = token.bearer if token else TOKENLESS_BEARER
+            if token:
+                scope[BEARER_SCOPE_KEY] = token.bearer
+            else:
+                scope[BEARER_SCOPE_KEY] = TOKENLESS_BEARER
             await self.app(scope, receive, send)
             return
-        headers, given = Headers(scope=scope), self.given(scope)
+        headers = Headers(scope=scope)
+        given = self.given(scope)
         if given is not None and (token := self.shown(given.encode(errors="replace"))):
             await self.admission(scope, token)(scope, receive, send)
         elif given is None and (token := self.known(headers)):
-            await self.passed(scope, token.bearer)(scope, receive, lambda message: send(private(message)))
+            await self.passed(scope, token.bearer)(
+                scope, receive, lambda message: send(private(message))
+            )
         else:
             await self.refusal(scope, headers)(scope, receive, send)
 
@@ -169,7 +218,9 @@ class TokenBearers:
         return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
 
     def known(self, headers: Headers) -> Token | None:
-        """The token that the headers show, themselves or by its cookie; of several cookies that which allows most."""
+        """The token that the headers show, themselves or by its cookie; of several cookies that
+        which allows most.
+        """
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             return self.shown(given.strip().encode("latin-1"))
@@ -182,19 +233,29 @@ class TokenBearers:
 
     def shown(self, given: bytes) -> Token | None:
         """The token that this is, if any; how long that takes reveals nothing."""
-        return next((token for token in [each for each in self.tokens if each.is_shown(given)]), None)
+        return next(
+            (token for token in [each for each in self.tokens if each.is_shown(given)]), None
+        )
 
     def given(self, scope: Scope) -> str | None:
-        """The token in the page's own address; None where there is none, or the address is another."""
+        """The token in the page's own address; None where there is none, or the address is
+        another.
+        """
         if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return None
-        return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get("token")
+        return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get(
+            "token"
+        )
 
     def admission(self, scope: Scope, token: Token) -> Response:
-        """A redirect to the address without the token, with the cookie; the browser's history forgets the token."""
+        """A redirect to the address without the token, with the cookie; the browser's history
+        forgets the token.
+        """
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
-        answer = RedirectResponse(f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"})
+        answer = RedirectResponse(
+            f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"}
+        )
         secure = scope["scheme"] == "https"
         answer.set_cookie(token.name, token.cookie, httponly=True, samesite="strict", secure=secure)
         return answer

@@ -25,12 +25,22 @@ from server.render.metrics import BakingCollector, JobsCollector, Metrics
 from server.render.workforce import StoreProbe
 from server.settings import Settings
 
-API_DESCRIPTION = "Pictures of isosurfaces with global illumination, served at once and refined while you look."
+API_DESCRIPTION = (
+    "Pictures of isosurfaces with global illumination, served at once and refined while you look."
+)
 GUARDED = problems.documented_problems(401, 403, 413, 421)
 """What the middleware answers for any route."""
 
 ROUTERS = (
-    *(pages.router, pages.health_router, scenes.router, scenes.sky_router, frames.router, points.router, events.router),
+    *(
+        pages.router,
+        pages.health_router,
+        scenes.router,
+        scenes.sky_router,
+        frames.router,
+        points.router,
+        events.router,
+    ),
     card.router,
     *(
         stream_router,
@@ -54,8 +64,11 @@ EXPOSED = (
 
 
 def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
-    """The service around ``engine``, which it starts beside the event loop and closes at the end."""
-    metrics, closing = Metrics(), Closing()
+    """The service around ``engine``, which it starts beside the event loop and closes at the
+    end.
+    """
+    metrics = Metrics()
+    closing = Closing()
     service = Service(engine, settings)
     metrics.registry.register(BakingCollector(engine))
     metrics.registry.register(JobsCollector(service.jobs))
@@ -68,8 +81,11 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
         lifespan=lifespan,
         middleware=middleware(settings, metrics, closing),
     )
-    app.state.service, app.state.settings = service, settings
-    app.state.metrics, app.state.closing, app.state.probe = metrics, closing, StoreProbe(engine.store)
+    app.state.service = service
+    app.state.settings = settings
+    app.state.metrics = metrics
+    app.state.closing = closing
+    app.state.probe = StoreProbe(engine.store)
     problems.install(app)
     for router in ROUTERS:
         app.include_router(router, responses=GUARDED)
@@ -106,7 +122,8 @@ async def lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Starts the service's engine without waiting for it; closes it at the end."""
     service: Service = app.state.service
     with app.state.metrics.counting_errors():
-        start, resumption = asyncio.create_task(service.start()), asyncio.create_task(resume(service))
+        start = asyncio.create_task(service.start())
+        resumption = asyncio.create_task(resume(service))
         yield
         resumption.cancel()
         service.engine.stop()

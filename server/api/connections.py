@@ -1,4 +1,6 @@
-"""Connections over uvicorn's own: requests have deadlines and places, and what clients of streams break is no error."""
+"""Connections over uvicorn's own: requests have deadlines and places, and what clients of streams
+break is no error.
+"""
 
 import asyncio
 import logging
@@ -28,10 +30,14 @@ UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 
 
 
 class StreamConnection(WebSocketsSansIOProtocol):
-    """A stream's connection that leaves nothing in the log for what its client sends, or for being refused."""
+    """A stream's connection that leaves nothing in the log for what its client sends, or for being
+    refused.
+    """
 
     def data_received(self, data: bytes) -> None:
-        """Read; refuse a handshake that cannot be read, such as one with too many headers, and close."""
+        """Read; refuse a handshake that cannot be read, such as one with too many headers, and
+        close.
+        """
         super().data_received(data)
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
             self.handshake_initiated = self.close_sent = True
@@ -41,7 +47,9 @@ class StreamConnection(WebSocketsSansIOProtocol):
     async def send(self, message: Any) -> None:
         """Send a message; with the end of a refusal the handshake is complete."""
         await super().send(message)
-        if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+        if message["type"] == "websocket.http.response.body" and not message.get(
+            "more_body", False
+        ):
             self.handshake_complete = True
 
     def send_receive_event_to_app(self) -> None:
@@ -74,7 +82,9 @@ PING = 5.0
 """Seconds between two pings of a stream's client, and within which it has to answer each."""
 
 LINGER = 1.0
-"""Seconds for which one reads from a connection that is to be closed: more of a request may be on its way."""
+"""Seconds for which one reads from a connection that is to be closed: more of a request may be on
+its way.
+"""
 
 
 class ServerConfig(Config):
@@ -105,10 +115,11 @@ class ServerConfig(Config):
 class Connection(H11Protocol):
     """A connection that is given up where its client is too slow, or too many want one.
 
-    A head must be there ``head_seconds`` after the connection or the last answer, and a body ``body_seconds`` after
-    its head, that of an upload ``upload_seconds``; an answer must be taken at some PACE. Where all places are taken,
-    one makes room that lacks a part of its request: of the client that has most of these, the one that has waited
-    longest, for a head before a body. Where none lacks any, the newcomer is answered with 503.
+    A head must be there ``head_seconds`` after the connection or the last answer, and a body
+    ``body_seconds`` after its head, that of an upload ``upload_seconds``; an answer must be taken
+    at some PACE. Where all places are taken, one makes room that lacks a part of its request: of
+    the client that has most of these, the one that has waited longest, for a head before a body.
+    Where none lacks any, the newcomer is answered with 503.
     """
 
     def __init__(
@@ -119,7 +130,8 @@ class Connection(H11Protocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self.settings, self.metrics = config.settings, config.metrics
+        self.settings = config.settings
+        self.metrics = config.metrics
         self._state: Any = h11.IDLE
         self._since = self._taken = self.loop.time()
         self._unsent = 0
@@ -128,16 +140,23 @@ class Connection(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a place, or close another connection that waits."""
-        # asyncio does so only for listeners that name their protocol; else each answer may wait 40 ms for its end
+        # asyncio does so only for listeners that name their protocol; else each answer may wait 40
+        # ms for its end
         transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         super().connection_made(transport)
         self._since = self._taken = self.loop.time()
         self._check_later()
         crowd = too_many(self, cast(Iterable[H11Protocol], self.connections), self.settings)
-        waiting = [each for each in crowd if isinstance(each, Connection) and each.lacks and each is not self]
+        waiting = [
+            each
+            for each in crowd
+            if isinstance(each, Connection) and each.lacks and each is not self
+        ]
         if waiting:
             held = Counter(map(site_at, crowd))
-            last = min(waiting, key=lambda each: (-held[site_at(each)], not each.waits, each._since))
+            last = min(
+                waiting, key=lambda each: (-held[site_at(each)], not each.waits, each._since)
+            )
             last.give_up("crowd", "Others need this connection: open a new one.")
         elif crowd:
             self.app = crowded
@@ -159,10 +178,13 @@ class Connection(H11Protocol):
         self._note()
 
     def pause_writing(self) -> None:
-        """Have the application wait; where clients together leave too much, the one that takes longest is closed."""
+        """Have the application wait; where clients together leave too much, the one that takes
+        longest is closed.
+        """
         super().pause_writing()
         if not self._unsent:
-            self._unsent, self._taken = self.unsent, self.loop.time()
+            self._taken = self.loop.time()
+            self._unsent = self.unsent
         slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
         if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
             min(slow, key=lambda each: each._taken).drop("memory")
@@ -176,7 +198,9 @@ class Connection(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def shutdown(self) -> None:
-        """Close after the present answer; a quiet connection after a while, in which its next request is answered."""
+        """Close after the present answer; a quiet connection after a while, in which its next
+        request is answered.
+        """
         if self.cycle is not None and not self.cycle.response_complete:
             self.cycle.keep_alive = False
         else:
@@ -185,20 +209,33 @@ class Connection(H11Protocol):
     @property
     def waits(self) -> bool:
         """Whether the head of a request is still to come."""
-        return self.conn.their_state is h11.IDLE and not self._refused and not self.transport.is_closing()
+        return (
+            self.conn.their_state is h11.IDLE
+            and not self._refused
+            and not self.transport.is_closing()
+        )
 
     @property
     def lacks(self) -> str | None:
         """The part of a request that is still to come: head or body."""
         if self.waits:
             return "head"
-        return "body" if self.conn.their_state is h11.SEND_BODY and not self._refused else None
+        if self.conn.their_state is h11.SEND_BODY and not self._refused:
+            return "body"
+        return None
 
     @property
     def body_seconds(self) -> int:
-        """Seconds for the body of the present request; once an upload is answered its rest is a body as any other."""
-        uploading = (self.scope["method"], self.scope["path"]) in UPLOADS and self.conn.our_state is h11.SEND_RESPONSE
-        return self.settings.upload_seconds if uploading else self.settings.body_seconds
+        """Seconds for the body of the present request; once an upload is answered its rest is a
+        body as any other.
+        """
+        uploading = (
+            self.scope["method"],
+            self.scope["path"],
+        ) in UPLOADS and self.conn.our_state is h11.SEND_RESPONSE
+        if uploading:
+            return self.settings.upload_seconds
+        return self.settings.body_seconds
 
     @property
     def unsent(self) -> int:
@@ -207,8 +244,12 @@ class Connection(H11Protocol):
 
     def check(self) -> None:
         """Give the connection up where it is late; check again later where it is not."""
-        now, part = self.loop.time(), self.lacks
-        patience = self.body_seconds if part == "body" else self.settings.head_seconds
+        now = self.loop.time()
+        part = self.lacks
+        if part == "body":
+            patience = self.body_seconds
+        else:
+            patience = self.settings.head_seconds
         if part is not None and now - self._since > patience:
             self.give_up(part, f"The {part} of the request was not there within {patience} s.")
         elif self._stalls(now):
@@ -221,11 +262,21 @@ class Connection(H11Protocol):
         self.transport.abort()
 
     def give_up(self, why: str, sentence: str) -> None:
-        """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered yet."""
+        """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered
+        yet.
+        """
         self.metrics.closed.labels(why).inc()
-        answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
+        answering = (
+            self.cycle is not None
+            and self.cycle.response_started
+            and not self.cycle.response_complete
+        )
         self._end_cycle()
-        if answering or (self.waits and not self.conn.trailing_data[0]) or self.conn.our_state is h11.DONE:
+        if (
+            answering
+            or (self.waits and not self.conn.trailing_data[0])
+            or self.conn.our_state is h11.DONE
+        ):
             self.transport.close()
         else:
             self.refuse(408, sentence)
@@ -235,7 +286,9 @@ class Connection(H11Protocol):
         self.refuse(400, "This is not a request that HTTP/1.1 allows.")
 
     def refuse(self, status: int, sentence: str) -> None:
-        """Answer with a problem, past the app, and close; not at once, for what is still sent would be a reset."""
+        """Answer with a problem, past the app, and close; not at once, for what is still sent would
+        be a reset.
+        """
         self._end_cycle()
         answer = problem(status, sentence, "/")
         headers = [*answer.raw_headers, (b"connection", b"close")]
@@ -258,14 +311,18 @@ class Connection(H11Protocol):
     def _note(self) -> None:
         """Begin to count again where the client has come from one part of a request to the next."""
         if self.conn.their_state is not self._state:
-            self._state, self._since = self.conn.their_state, self.loop.time()
+            self._since = self.loop.time()
+            self._state = self.conn.their_state
 
     def _stalls(self, now: float) -> bool:
-        """Whether the client takes too little of an answer: less than its pace for ``stall_seconds``."""
+        """Whether the client takes too little of an answer: less than its pace for
+        ``stall_seconds``.
+        """
         unsent = self.unsent
         least = self._unsent - PACE * self.settings.stall_seconds
         if not unsent or unsent > self._unsent or unsent <= least:
-            self._unsent, self._taken = unsent, now
+            self._unsent = unsent
+            self._taken = now
         return unsent > 0 and now - self._taken > self.settings.stall_seconds
 
     def _leave(self) -> None:
@@ -289,21 +346,29 @@ async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
     await problem(503, CONNECTIONS_TAKEN, scope["path"])(scope, receive, send)
 
 
-def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:
-    """The connections that are too many: all of this client, or all; none where they are within the limits.
+def too_many(
+    one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings
+) -> list[H11Protocol]:
+    """The connections that are too many: all of this client, or all; none where they are within the
+    limits.
 
-    Connections of a trusted proxy are of many clients: the limit for all connections alone holds for them.
+    Connections of a trusted proxy are of many clients: the limit for all connections alone holds
+    for them.
     """
     everybody = list(connections)
     own = [each for each in everybody if site_at(each) == site_at(one)]
     if len(own) > settings.max_client_connections and not settings.trusts(host_of(one)):
         return own
-    return everybody if len(everybody) > settings.max_connections else []
+    if len(everybody) > settings.max_connections:
+        return everybody
+    return []
 
 
 def host_of(connection: H11Protocol) -> str:
     """The address of a connection's client, without its port; empty where it has none."""
-    return connection.client[0] if connection.client is not None else ""
+    if connection.client is not None:
+        return connection.client[0]
+    return ""
 
 
 def site_at(connection: H11Protocol) -> str:

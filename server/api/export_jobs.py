@@ -46,7 +46,9 @@ EXPORT_BYTES = 64 << 20
 """Bytes that the renderer of an export keeps."""
 
 
-def begin(service: Service, scene: Scene, params: ExportParams, client: tuple[str, str] = ("", "")) -> Job:
+def begin(
+    service: Service, scene: Scene, params: ExportParams, client: tuple[str, str] = ("", "")
+) -> Job:
     """The job of a ``client``, its owner's name first, that makes a file.
 
     Raises BusyError, ViewError, SceneError where the scene fits no such file.
@@ -68,7 +70,9 @@ def media_type(file: Path) -> str:
 
 
 def reporter(job: Job) -> Callable[[int, int], None]:
-    """What threads tell how many points are lit, of how many; the ``job`` reports it on this event loop."""
+    """What threads tell how many points are lit, of how many; the ``job`` reports it on this event
+    loop.
+    """
     loop = asyncio.get_running_loop()
 
     def report(done: int, total: int) -> None:
@@ -80,7 +84,9 @@ def reporter(job: Job) -> Callable[[int, int], None]:
 
 @dataclass(eq=False)
 class Export:
-    """One export on its way, as ``params`` ask for it: light is baked first, then a thread makes the file."""
+    """One export on its way, as ``params`` ask for it: light is baked first, then a thread makes
+    the file.
+    """
 
     service: Service
     scene: Scene
@@ -90,17 +96,30 @@ class Export:
     cancelled: threading.Event = field(default_factory=threading.Event)
 
     async def work(self, job: Job) -> Iterable[Result]:
-        """Do all of it; returns when that has ended, also when this is cancelled. Raises FullError and ViewError."""
-        exports, needed = self.service.exports, await self._in_thread(self._check)
-        rung = MAX_SAMPLES if self._coefficients else FIRST_LEVEL
-        prewarm = Prewarm(self.service, self.scene, self._order(), owner=self.owner, recorded=False, rung=rung)
-        summary = await prewarm.carry_out(lambda share, text, left: job.report(BAKED * share, text, left))
+        """Do all of it; returns when that has ended, also when this is cancelled. Raises FullError
+        and ViewError.
+        """
+        exports = self.service.exports
+        needed = await self._in_thread(self._check)
+        if self._coefficients:
+            rung = MAX_SAMPLES
+        else:
+            rung = FIRST_LEVEL
+        prewarm = Prewarm(
+            self.service, self.scene, self._order(), owner=self.owner, recorded=False, rung=rung
+        )
+        summary = await prewarm.carry_out(
+            lambda share, text, left: job.report(BAKED * share, text, left)
+        )
         async with exports.turn:
             exports.make_room({each.id for each in self.service.jobs.all()}, needed)
             own = self.service.engine.variant(self.scene.id).base
             output = exports.place(job.id, f"{own}-{self.view.isovalue:g}{self._suffix}")
             await self._in_thread(partial(self._make, output, reporter(job)))
-        good = f"{summary.final:.0%} of its light final at a relative error of {summary.target_error:g}"
+        good = (
+            f"{summary.final:.0%} of its light final at a relative error of "
+            f"{summary.target_error:g}"
+        )
         return [Result(f"/v1/jobs/{job.id}/file", media_type(output), f"The file, {good}")]
 
     @property
@@ -119,12 +138,19 @@ class Export:
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
         """Do some work on a thread; if cancelled, it is asked to stop, and waited for."""
-        return await to_its_end(asyncio.get_running_loop().run_in_executor(None, work), self.cancelled)
+        return await to_its_end(
+            asyncio.get_running_loop().run_in_executor(None, work), self.cancelled
+        )
 
     def _check(self) -> int:
-        """About the file's bytes. Raises FullError where that is too large, and ViewError where there is no surface."""
+        """About the file's bytes. Raises FullError where that is too large, and ViewError where
+        there is no surface.
+        """
         renderer = self.service.engine.renderer(self.scene.id)
-        numbers = coefficient_count(renderer.caches.spec(self.view.shading)) if self._coefficients else 0
+        if self._coefficients:
+            numbers = coefficient_count(renderer.caches.spec(self.view.shading))
+        else:
+            numbers = 0
         needed = expected_bytes(renderer.prepared, self.view.isovalue, self._suffix, numbers)
         if not needed:
             raise no_surface(self.view.isovalue)
@@ -132,9 +158,12 @@ class Export:
         return needed
 
     def _make(self, output: Path, report: Callable[[int, int], None]) -> None:
-        """Make the file, on one thread that stands behind those of frames. Raises Cancelled, and VolumeError."""
+        """Make the file, on one thread that stands behind those of frames. Raises Cancelled, and
+        VolumeError.
+        """
         stand_back()
-        view, exposure = self.view, self.params.exposure or self.scene.default_exposure
+        view = self.view
+        exposure = self.params.exposure or self.scene.default_exposure
         with closing(Tiles(1)) as tiles:
             caches = self.service.engine.renderer(self.scene.id).caches
             renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), EXPORT_BYTES)

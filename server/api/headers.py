@@ -47,18 +47,32 @@ STAGES = {
     "encode": "making the picture's bytes",
     "total": "all of these and what is between them",
 }
-"""The stages of a request, as Server-Timing names them, and what is done in each. None counts what another does."""
+"""The stages of a request, as Server-Timing names them, and what is done in each. None counts what
+another does.
+"""
 
 
-def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: str | None = None) -> dict[str, str]:
-    """The headers of a frame's response, a 304 included; ``version`` is what the address asks for, if anything.
+def frame_headers(
+    frame: Frame, time_left: TimeLeft | None, tag: str, version: str | None = None
+) -> dict[str, str]:
+    """The headers of a frame's response, a 304 included; ``version`` is what the address asks for,
+    if anything.
 
     What a client prefers changes the answer until the frame is final, and never the final one.
     """
-    left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and not frame.final else {}
+    if time_left is not None and not frame.final:
+        left = {"Isogi-Time-Left": time_left_header(time_left)}
+    else:
+        left = {}
     projection = frame.quality.projection
-    projected = {} if projection is None else {"Isogi-Projected": projection_header(projection.shares)}
-    refined = {"Isogi-Refined": refined_header(frame)} if frame.quality.fineness or frame.quality.own else {}
+    if projection is None:
+        projected = {}
+    else:
+        projected = {"Isogi-Projected": projection_header(projection.shares)}
+    if frame.quality.fineness or frame.quality.own:
+        refined = {"Isogi-Refined": refined_header(frame)}
+    else:
+        refined = {}
     return (
         left
         | projected
@@ -77,17 +91,23 @@ def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: s
 
 
 def cache_status(needed: int, final: int) -> str:
-    """What the store had of a frame's light (RFC 9211): all of it, part of it, or nothing; the rest is baked."""
+    """What the store had of a frame's light (RFC 9211): all of it, part of it, or nothing; the rest
+    is baked.
+    """
     if needed == final:
         return "isogi-light; hit"
     return f"isogi-light; fwd={'partial' if final else 'miss'}"
 
 
 def coverage_header(shares: Mapping[str, float]) -> str:
-    """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means all."""
+    """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means
+    all.
+    """
     final, *others = (1000 * shares[state] for state in STATE_NAMES)
     thousandths = (math.floor(final), *map(math.ceil, others))
-    return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATE_NAMES, thousandths, strict=True))
+    return ", ".join(
+        f"{state}={n / 1000:.3f}" for state, n in zip(STATE_NAMES, thousandths, strict=True)
+    )
 
 
 def projection_header(shares: Mapping[str, float]) -> str:
@@ -96,12 +116,18 @@ def projection_header(shares: Mapping[str, float]) -> str:
 
 
 def refined_header(frame: Frame) -> str:
-    """By what a picture is better than its plan: texels along each axis, times the plan's, and pixels' own light."""
-    return f"texels={FINER_FACTOR**frame.quality.fineness:g}, pixels={frame.quality.own / max(frame.surface, 1):.3f}"
+    """By what a picture is better than its plan: texels along each axis, times the plan's, and
+    pixels' own light.
+    """
+    return (
+        f"texels={FINER_FACTOR**frame.quality.fineness:g}, "
+        f"pixels={frame.quality.own / max(frame.surface, 1):.3f}"
+    )
 
 
 def error_header(frame: Frame) -> str:
-    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction, before there are any.
+    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction,
+    before there are any.
 
     Where the error that 99 % of the pixels stay below is measured, that follows with its interval.
     """
@@ -116,15 +142,24 @@ def error_header(frame: Frame) -> str:
 
 
 def time_left_header(left: TimeLeft) -> str:
-    """Seconds until the frame is final, and the range that they are likely in: while some are left, not up to 0.0."""
+    """Seconds until the frame is final, and the range that they are likely in: while some are left,
+    not up to 0.0.
+    """
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={max(left.high, 0.1):.1f}"
 
 
 def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) -> str:
-    """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
-    overlay, target, background = params.overlay, params.max_error, params.background
+    """A strong ETag: equal where the frame's content and its representation are, with errors where
+    it shows them.
+    """
+    overlay = params.overlay
+    target = params.max_error
+    background = params.background
     measured = len(frame.controlled)
-    known = (measured, frame.improving) if form == "npy" or overlay == "error" else None
+    if form == "npy" or overlay == "error":
+        known = (measured, frame.improving)
+    else:
+        known = None
     return tag_of(frame.version, form, exposure, overlay, target, known, background)
 
 
@@ -148,7 +183,9 @@ def takes_gzip(accepted: str) -> bool:
 
 
 def server_timing(watch: Stopwatch) -> str:
-    """A Server-Timing header: milliseconds of a request's stages so far and of their total; see STAGES."""
+    """A Server-Timing header: milliseconds of a request's stages so far and of their total; see
+    STAGES.
+    """
     seconds = {**watch.seconds, "total": watch.elapsed}
     return ", ".join(f"{stage};dur={1000 * spent:.2f}" for stage, spent in seconds.items())
 
@@ -158,7 +195,8 @@ MEMBER = re.compile(r'(?:[^,"]|"(?:[^"\\]|\\.)*"?)+')
 
 PREFER_DESCRIPTION = (
     "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, where wait_ms is left out;"
-    f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, answer with a job that bakes"
+    f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, "
+    "answer with a job that bakes"
     " it. Others are ignored."
 )
 
@@ -167,13 +205,17 @@ Params = TypeVar("Params", bound=ViewParams)
 
 @dataclass(frozen=True)
 class Preferences:
-    """To ``wait`` for so many seconds, if any, and to be answered with a job rather than wait longer."""
+    """To ``wait`` for so many seconds, if any, and to be answered with a job rather than wait
+    longer.
+    """
 
     wait: int | None = None
     respond_async: bool = False
 
     def fill(self, params: Params) -> tuple[Params, dict[str, str]]:
-        """The parameters with the wait that is preferred, and the header that says so; a given ``wait_ms`` stands."""
+        """The parameters with the wait that is preferred, and the header that says so; a given
+        ``wait_ms`` stands.
+        """
         if self.wait is None or "wait_ms" in params.model_fields_set:
             return params, {}
         filled = params.model_copy(update={"wait_ms": 1000 * self.wait})
@@ -181,7 +223,8 @@ class Preferences:
 
 
 def preferences(headers: Iterable[str]) -> Preferences:
-    """What Prefer headers say; of a preference that is given twice the first counts, and what makes no sense does not.
+    """What Prefer headers say; of a preference that is given twice the first counts, and what makes
+    no sense does not.
 
     A longer wait than is allowed is taken for the longest.
     """
@@ -196,10 +239,14 @@ def seconds(text: str) -> int | None:
     """The whole seconds that a text spells, LONGEST_WAIT at most; None where it spells none."""
     if not re.fullmatch(r"\d+", text, re.ASCII):
         return None
-    return min(int(text), LONGEST_WAIT // 1000) if len(text) < 10 else LONGEST_WAIT // 1000
+    if len(text) < 10:
+        return min(int(text), LONGEST_WAIT // 1000)
+    return LONGEST_WAIT // 1000
 
 
-async def preferred(prefer: Annotated[list[str] | None, Header(description=PREFER_DESCRIPTION)] = None) -> Preferences:
+async def preferred(
+    prefer: Annotated[list[str] | None, Header(description=PREFER_DESCRIPTION)] = None,
+) -> Preferences:
     """The preferences of a request."""
     return preferences(prefer or ())
 

@@ -1,4 +1,6 @@
-"""The start and the end of a service: pictures come without light first, and open requests are finished last."""
+"""The start and the end of a service: pictures come without light first, and open requests are
+finished last.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,17 @@ from server.render.bakes import until
 from server.render.engine import RenderEngine
 
 LATE = 1.0
-"""Seconds that a route has to answer after it read that its client left; then it is answered with 503."""
+"""Seconds that a route has to answer after it read that its client left; then it is answered with
+503.
+"""
 
 
 class Closing:
     """How far the server is on its way to stop; for its event loop alone.
 
-    First it is ``begun``: answers close their connections, and endless ones end. At its end, routes that are still
-    at work read that their client left; a little later, requests without an answer get 503.
+    First it is ``begun``: answers close their connections, and endless ones end. At its end, routes
+    that are still at work read that their client left; a little later, requests without an answer
+    get 503.
     """
 
     def __init__(self) -> None:
@@ -61,16 +66,21 @@ class Closing:
 
 
 class OpenRequest:
-    """A request that is worked on, and its answer: whether that has ``begun``, is ``endless``, and is ``whole``.
+    """A request that is worked on, and its answer: whether that has ``begun``, is ``endless``, and
+    is ``whole``.
 
-    Its route reads that the client left once ``ending`` is set, and is given up once it is ``late``.
+    Its route reads that the client left once ``ending`` is set, and is given up once it is
+    ``late``.
     """
 
     def __init__(self, receive: Receive, send: Send, closing: Closing) -> None:
         """Read what the client sends by ``receive``, and answer by ``send``."""
         self.begun = self.endless = self.whole = False
-        self.ending, self.late = asyncio.Event(), asyncio.Event()
-        self._receive, self._send, self._closing = receive, send, closing
+        self.ending = asyncio.Event()
+        self.late = asyncio.Event()
+        self._receive = receive
+        self._send = send
+        self._closing = closing
         self._next: asyncio.Future[Message] | None = None
 
     async def receive(self) -> Message:
@@ -89,7 +99,8 @@ class OpenRequest:
                 leave.cancel()
         if not self._next.done():
             return {"type": "http.disconnect"}
-        message, self._next = self._next.result(), None
+        message = self._next.result()
+        self._next = None
         return message
 
     async def send(self, message: Message) -> None:
@@ -142,20 +153,24 @@ LOOK = 0.02
 """Seconds between two looks at whether the service is ready."""
 
 SCENE_NOT_OPEN = "isogi is starting: its scene is not open yet."
-COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
+COMPILING = (
+    "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
+)
 
 
 class Startup:
     """How far the start of an ``engine`` is; for the event loop alone.
 
-    It is ``settled`` once pictures can be drawn, or a ``failure`` says why they cannot. They are ``lit`` once kernels
-    of light are there, which takes longer where these must be compiled.
+    It is ``settled`` once pictures can be drawn, or a ``failure`` says why they cannot. They are
+    ``lit`` once kernels of light are there, which takes longer where these must be compiled.
     """
 
     def __init__(self, engine: RenderEngine) -> None:
         """Begin nothing yet."""
         self._engine = engine
-        self.settled, self.lit, self._all = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self.settled = asyncio.Event()
+        self.lit = asyncio.Event()
+        self._all = asyncio.Event()
         self.failure: Exception | None = None
         self._compiling: asyncio.Task[None] | None = None
         self._closing = False
@@ -163,7 +178,8 @@ class Startup:
     async def run(self, prepare: Callable[[], None], survey: Callable[[Scene], None]) -> None:
         """Open the engine, and ``prepare`` what comes with it.
 
-        Kernels that must be compiled come after that, and then a ``survey`` of each scene, which visitors ask for.
+        Kernels that must be compiled come after that, and then a ``survey`` of each scene, which
+        visitors ask for.
         """
         try:
             await asyncio.to_thread(self._engine.open)
@@ -193,7 +209,9 @@ class Startup:
         """Why the service is not ready; empty when it is."""
         if not self.settled.is_set():
             return [self._engine.kernels.compiling or SCENE_NOT_OPEN]
-        return [f"isogi did not start: {self.failure}"] if self.failure else self._engine.unready()
+        if self.failure:
+            return [f"isogi did not start: {self.failure}"]
+        return self._engine.unready()
 
     @property
     def open(self) -> bool:
@@ -206,7 +224,9 @@ class Startup:
             raise StartingError(self.reasons()[0])
 
     async def others(self, shading: str, patience: float) -> None:
-        """Wait for kernels that no scene needs by itself; BusyError where they take more seconds than this."""
+        """Wait for kernels that no scene needs by itself; BusyError where they take more seconds
+        than this.
+        """
         await within(patience, self._all)
         if not self._all.is_set():
             raise BusyError(COMPILING.format(shading=shading))
@@ -217,7 +237,9 @@ class Startup:
         self.lit.set()
 
     async def _compile(self, survey: Callable[[Scene], None]) -> None:
-        """Have kernels of light compiled, ``survey`` scenes, and then compile those that no scene needs by itself."""
+        """Have kernels of light compiled, ``survey`` scenes, and then compile those that no scene
+        needs by itself.
+        """
         try:
             if not (self.failure or self.lit.is_set()):
                 await self._light()

@@ -27,7 +27,14 @@ from server.api.service import PictureRequest, Service
 from server.errors import BusyError
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
-from server.prewarm.record import BEAT, OPEN_STATES, Record, RecordDocument, Summary, recorded_prewarms
+from server.prewarm.record import (
+    BEAT,
+    OPEN_STATES,
+    Record,
+    RecordDocument,
+    Summary,
+    recorded_prewarms,
+)
 from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.render.bakes import BACKGROUND_VIEWER
 from server.render.jobs import Job, Result
@@ -41,7 +48,8 @@ SURVEY_WAIT_SECONDS = 5.0
 FRAME_CHECK_SECONDS = 0.1
 """Seconds between two checks of a frame that is waited for."""
 
-RETRY_SECONDS, LONGEST_AWAY = 10.0, 3600.0
+RETRY_SECONDS = 10.0
+LONGEST_AWAY = 3600.0
 """Seconds until what failed for the store is tried again, and for which it is."""
 
 NICENESS = 5
@@ -56,24 +64,33 @@ _visits = count(1)
 
 
 def begin(
-    service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False, client: tuple[str, str] = ("", "")
+    service: Service,
+    scene: Scene,
+    order: PrewarmOrder,
+    dry: bool = False,
+    client: tuple[str, str] = ("", ""),
 ) -> Job:
-    """The job of a ``client``, its owner's name first, that carries out an order, or forecasts it where ``dry``.
+    """The job of a ``client``, its owner's name first, that carries out an order, or forecasts it
+    where ``dry``.
 
     Raises BusyError. The same order once more is the same job until that has ended.
     """
     prewarm = Prewarm(service, scene, order, dry, client[0])
-    title = f"What a prewarm of {scene.id} takes" if dry else f"A prewarm of {scene.id}"
+    if dry:
+        title = f"What a prewarm of {scene.id} takes"
+    else:
+        title = f"A prewarm of {scene.id}"
     key = None if dry else order.digest(scene)
     return service.jobs.begin("prewarm", title, prewarm.work, key, client)
 
 
 @dataclass(eq=False)
 class Prewarm:
-    """One order on its way: what is between the event loop, where the job lives, and the thread that works.
+    """One order on its way: what is between the event loop, where the job lives, and the thread
+    that works.
 
-    One that is not ``recorded`` is not taken up by the next server. Texels of whole isosurfaces are to have as many
-    samples as ``rung`` at least, those that are not good enough with fewer.
+    One that is not ``recorded`` is not taken up by the next server. Texels of whole isosurfaces are
+    to have as many samples as ``rung`` at least, those that are not good enough with fewer.
     """
 
     service: Service
@@ -92,11 +109,13 @@ class Prewarm:
         return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
 
     async def carry_out(self, report: Report) -> Summary:
-        """Do all of it on a thread of its own; returns when that has ended, also when this is cancelled.
+        """Do all of it on a thread of its own; returns when that has ended, also when this is
+        cancelled.
 
         Raises WorkersError where some light could not be baked.
         """
-        loop, record = asyncio.get_running_loop(), self._record()
+        loop = asyncio.get_running_loop()
+        record = self._record()
         with ThreadPoolExecutor(1, "prewarm") as thread:
             working = loop.run_in_executor(thread, self._run, loop, report, record)
             summary = await to_its_end(working, self.cancelled)
@@ -105,8 +124,11 @@ class Prewarm:
         return summary
 
     def _record(self) -> Record | None:
-        store, given = self.service.engine.store, (self.scene, self.order)
-        return None if self.dry or not self.recorded else Record(store, *given, "server", self.owner)
+        store = self.service.engine.store
+        given = (self.scene, self.order)
+        if self.dry or not self.recorded:
+            return None
+        return Record(store, *given, "server", self.owner)
 
     def _run(self, loop: asyncio.AbstractEventLoop, tell: Report, record: Record | None) -> Summary:
         """What the thread does."""
@@ -122,22 +144,42 @@ class Prewarm:
             return self._refine(view, target, prices)
 
         target = self.order.target_error or self.scene.target_error
-        deadline = math.inf if self.order.deadline is None else self.begun + self.order.deadline
+        if self.order.deadline is None:
+            deadline = math.inf
+        else:
+            deadline = self.begun + self.order.deadline
         viewer = Viewer(("prewarm", next(_visits)), patient=True)
-        place = (self.service.engine, self.scene, target, viewer, frame_of, refine, report, deadline)
+        place = (
+            self.service.engine,
+            self.scene,
+            target,
+            viewer,
+            frame_of,
+            refine,
+            report,
+            deadline,
+        )
         context = PrewarmContext(*place, cancelled=self.cancelled, begun=self.begun, rung=self.rung)
         if self.dry:
             return carry_out_dry(context, wanted(context, self.order, self.service.settings))
-        return self._carried_out(context) if record is None else self._recorded(context, record)
+        if record is None:
+            return self._carried_out(context)
+        return self._recorded(context, record)
 
     def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
-        """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the next."""
+        """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the
+        next.
+        """
         with record.kept(context, "This was dismissed.", lambda: self.service.jobs.closed):
             summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
         return record.close(summary)
 
-    def _carried_out(self, context: PrewarmContext, begun: Callable[[Summary], None] = lambda _: None) -> Summary:
-        """Carry it out; what fails for the store is begun again a little later, for what is baked stays."""
+    def _carried_out(
+        self, context: PrewarmContext, begun: Callable[[Summary], None] = lambda _: None
+    ) -> Summary:
+        """Carry it out; what fails for the store is begun again a little later, for what is baked
+        stays.
+        """
         given_up = math.inf
         while True:
             try:
@@ -152,7 +194,9 @@ class Prewarm:
                 context.check()
 
     def _refine(self, view: View, target: float, prices: Prices) -> bool:
-        """Check the picture of a view, one step further, and leave as much time to clients that wait for frames."""
+        """Check the picture of a view, one step further, and leave as much time to clients that
+        wait for frames.
+        """
         begun = time.monotonic()
         more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices)
         if self.service.attended:
@@ -160,7 +204,9 @@ class Prewarm:
         return more
 
     def _frame_of(self, loop: asyncio.AbstractEventLoop, picture: PictureRequest) -> Frame:
-        """The frame of a picture, asked of the event loop by the thread. Raises Cancelled soon once it is."""
+        """The frame of a picture, asked of the event loop by the thread. Raises Cancelled soon once
+        it is.
+        """
         coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
         try:
             while True:
@@ -172,8 +218,11 @@ class Prewarm:
             coming.cancel()
 
     async def _frame(self, picture: PictureRequest) -> Frame:
-        """The frame of a picture; where clients wait for frames, they have as much time as it took."""
-        begun, rank = time.monotonic(), self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)
+        """The frame of a picture; where clients wait for frames, they have as much time as it
+        took.
+        """
+        begun = time.monotonic()
+        rank = self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)
@@ -181,7 +230,9 @@ class Prewarm:
 
 
 async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
-    """What a thread's work comes to. Where this is cancelled, the thread is asked to stop, and waited for."""
+    """What a thread's work comes to. Where this is cancelled, the thread is asked to stop, and
+    waited for.
+    """
     try:
         return await asyncio.shield(working)
     except asyncio.CancelledError:
@@ -205,7 +256,9 @@ LEASE = 20.0
 
 
 class Silence:
-    """For how long the record of each prewarm has not changed, by this process's clock: calendars differ and jump."""
+    """For how long the record of each prewarm has not changed, by this process's clock: calendars
+    differ and jump.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """No record was seen yet."""
@@ -220,10 +273,15 @@ class Silence:
 
 
 async def resume(service: Service) -> None:
-    """Begin prewarms that did not end, once the service stands; those of another server, when its records stop."""
+    """Begin prewarms that did not end, once the service stands; those of another server, when its
+    records stop.
+    """
     await service.startup.lit.wait()
     silence = Silence()
-    held = [] if service.startup.failure else await taken_up(service, silence)
+    if service.startup.failure:
+        held = []
+    else:
+        held = await taken_up(service, silence)
     service.resumed.set()
     while held:
         await asyncio.sleep(BEAT)
@@ -231,20 +289,28 @@ async def resume(service: Service) -> None:
 
 
 async def taken_up(service: Service, silence: Silence) -> list[RecordDocument]:
-    """Begin the prewarms that no process works on; the others: another server has them, or there are enough jobs."""
+    """Begin the prewarms that no process works on; the others: another server has them, or there
+    are enough jobs.
+    """
     try:
         found = await asyncio.to_thread(
-            lambda: [each for each in recorded_prewarms(service.engine.store) if ours(service, each)]
+            lambda: [
+                each for each in recorded_prewarms(service.engine.store) if ours(service, each)
+            ]
         )
     except StoreError as error:
         log.warning("Prewarms that were stopped are not taken up: %s", error)
         return []
     free = {document.id for document in found if silence.of(document) > LEASE or document.left}
-    return [document for document in found if not (document.id in free and begun(service, document))]
+    return [
+        document for document in found if not (document.id in free and begun(service, document))
+    ]
 
 
 def ours(service: Service, document: RecordDocument) -> bool:
-    """Whether a prewarm belongs to a server, has not ended, and its scene is shown here with the same light."""
+    """Whether a prewarm belongs to a server, has not ended, and its scene is shown here with the
+    same light.
+    """
     scene = service.engine.scenes.get(document.scene)
     same = scene is not None and scene.digest == document.scene_digest
     return (
@@ -256,9 +322,16 @@ def ours(service: Service, document: RecordDocument) -> bool:
 
 
 def begun(service: Service, document: RecordDocument) -> bool:
-    """Begin a prewarm again, under its former id and until its former deadline; whether there was room for it."""
+    """Begin a prewarm again, under its former id and until its former deadline; whether there was
+    room for it.
+    """
     try:
-        begin(service, service.engine.scenes[document.scene], document.rest, client=(document.owner, ""))
+        begin(
+            service,
+            service.engine.scenes[document.scene],
+            document.rest,
+            client=(document.owner, ""),
+        )
     except BusyError:
         return False
     return True

@@ -1,4 +1,6 @@
-"""Requests and answers as HTTP: ids, log and metrics, limits of bodies, headers of every answer, HEAD as GET."""
+"""Requests and answers as HTTP: ids, log and metrics, limits of bodies, headers of every answer,
+HEAD as GET.
+"""
 
 import logging
 import time
@@ -18,8 +20,8 @@ HANDSHAKE = HTTPStatus.SWITCHING_PROTOCOLS
 class Requests:
     """ASGI middleware: the outermost one, so that what the others refuse is counted and logged too.
 
-    The id is the client's ``X-Request-ID`` where it is well-formed; the answer carries it, and so do problems and
-    all that is logged meanwhile. Queries are not logged.
+    The id is the client's ``X-Request-ID`` where it is well-formed; the answer carries it, and so
+    do problems and all that is logged meanwhile. Queries are not logged.
     """
 
     def __init__(self, app: ASGIApp, metrics: "Metrics") -> None:
@@ -32,7 +34,8 @@ class Requests:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        number, begun = request_id(Headers(scope=scope).get("x-request-id")), time.perf_counter()
+        number = request_id(Headers(scope=scope).get("x-request-id"))
+        begun = time.perf_counter()
         REQUEST_ID.set(number)
         status: int = HTTPStatus.INTERNAL_SERVER_ERROR
         headers = Headers()
@@ -42,7 +45,8 @@ class Requests:
             if message["type"].endswith("response.start"):
                 own = MutableHeaders(scope=message)
                 own["X-Request-ID"] = number
-                status, headers = message["status"], own
+                status = message["status"]
+                headers = own
             elif message["type"] == "websocket.accept":
                 status = HANDSHAKE
             elif message["type"] == "websocket.close" and status != HANDSHAKE:
@@ -58,15 +62,24 @@ class Requests:
 
     def note(self, scope: Scope, status: int, seconds: float, headers: Headers) -> None:
         """Count and log a request that has ended."""
-        method, client = scope.get("method", "WEBSOCKET"), (scope.get("client") or ("-",))[0]
+        method = scope.get("method", "WEBSOCKET")
+        client = (scope.get("client") or ("-",))[0]
         self.metrics.count(method, route_of(scope), status, seconds, headers)
         path = scope.get("raw_path", b"").decode("latin-1") or scope["path"]
-        facts = {"method": method, "path": path, "status": status, "seconds": round(seconds, 6), "client": client}
+        facts = {
+            "method": method,
+            "path": path,
+            "status": status,
+            "seconds": round(seconds, 6),
+            "client": client,
+        }
         log.info("%s %s %d in %.1f ms", method, path, status, 1000 * seconds, extra=facts)
 
 
 def route_of(scope: Scope) -> str:
-    """The path of the route that answered, with its parameters' names; ``none`` where no route did."""
+    """The path of the route that answered, with its parameters' names; ``none`` where no route
+    did.
+    """
     return str(getattr(scope.get("route"), "path", "none"))
 
 
@@ -75,7 +88,8 @@ UPLOADS = (("POST", "/v1/volumes"), ("POST", "/v1/environments"))
 
 
 class SmallBodies:
-    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in chunks.
+    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in
+    chunks.
 
     A body with two lengths is refused with 400, and the connection closed (RFC 9112, 6.1).
     """
@@ -87,7 +101,9 @@ class SmallBodies:
         self.upload = upload
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; after too many bytes the route reads a disconnect, and the client gets 413."""
+        """Pass the request on; after too many bytes the route reads a disconnect, and the client
+        gets 413.
+        """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -95,12 +111,19 @@ class SmallBodies:
         if (
             "content-length" in headers and "transfer-encoding" in headers
         ):  # two lengths: what follows is anyone's guess
-            twofold = problem(400, "Content-Length and Transfer-Encoding are given: give one.", scope["path"])
+            twofold = problem(
+                400, "Content-Length and Transfer-Encoding are given: give one.", scope["path"]
+            )
             twofold.headers["Connection"] = "close"
             await twofold(scope, receive, send)
             return
-        limit = self.upload if (scope["method"], scope["path"]) in UPLOADS else self.limit
-        refusal = problem(413, f"The body of a request may be {limit} bytes, no more.", scope["path"])
+        if (scope["method"], scope["path"]) in UPLOADS:
+            limit = self.upload
+        else:
+            limit = self.limit
+        refusal = problem(
+            413, f"The body of a request may be {limit} bytes, no more.", scope["path"]
+        )
         if int(headers.get("content-length", "0")) > limit:  # the protocol lets digits pass alone
             await refusal(scope, receive, send)
             return
@@ -131,7 +154,9 @@ class Body:
         message = await self._receive()
         self._left -= len(message.get("body", b""))
         self.too_long = self.too_long or self._left < 0
-        return {"type": "http.disconnect"} if self.too_long else message
+        if self.too_long:
+            return {"type": "http.disconnect"}
+        return message
 
 
 class HeadAsGet:
@@ -147,7 +172,9 @@ class HeadAsGet:
             return
 
         async def bodiless(message: Message) -> None:
-            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+            await send(
+                {**message, "body": b""} if message["type"] == "http.response.body" else message
+            )
 
         asked = {**scope, "method": "GET"}
         await self.app(asked, receive, bodiless)
@@ -155,14 +182,17 @@ class HeadAsGet:
 
 
 PAGE_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self';"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
 
 
 class SafeHeaders:
-    """ASGI middleware: adds the headers to every response. Pages may load their own files, all else nothing."""
+    """ASGI middleware: adds the headers to every response. Pages may load their own files, all else
+    nothing.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

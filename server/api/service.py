@@ -1,4 +1,6 @@
-"""What the routes share: the engine and its start, the settings, and how a request becomes pictures."""
+"""What the routes share: the engine and its start, the settings, and how a request becomes
+pictures.
+"""
 
 from __future__ import annotations
 
@@ -50,32 +52,45 @@ from worker.progress import TimeLeft
 
 Result = TypeVar("Result")
 
-STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
-"""Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
+STREAM = 1.0
+ADDRESS = 4.0
+PATIENT = 0.25
+"""Weights of clients where they share the threads: a stream, all requests of an address, and work
+that yields.
+"""
 
 PREVIEW = "lambert"
-"""The shading of views whose light does not fit the memory, and of all while kernels of light are compiled."""
+"""The shading of views whose light does not fit the memory, and of all while kernels of light are
+compiled.
+"""
 
 SKETCHES = (PREVIEW, "lambert_fog", "phong")
 """Shadings that kernels of first pictures draw."""
 
 HEARTBEAT = 20.0
-"""Seconds without an update after which light is requested again, before the baker forgets the request."""
-
-SHORTEST_PAUSE, REFINING = 0.1, 0.25
-"""Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
-may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light,
-nor the first that has some in every part.
+"""Seconds without an update after which light is requested again, before the baker forgets the
+request.
 """
 
-YOUNGER, LONGEST_PAUSE = 0.1, 5.0
-"""Share of the time since a view was asked for that its next picture waits at least, up to so many seconds: errors fall
-with the square root of the paths, and one that had a tenth more of them looks the same.
+SHORTEST_PAUSE = 0.1
+REFINING = 0.25
+"""Seconds between two pictures of a view at rest, at least; and the share of the time that all
+views at rest together may be drawn in while light is baked for them. The last picture of a view
+waits for neither, nor the first with light, nor the first that has some in every part.
+"""
+
+YOUNGER = 0.1
+LONGEST_PAUSE = 5.0
+"""Share of the time since a view was asked for that its next picture waits at least, up to so many
+seconds: errors fall with the square root of the paths, and one that had a tenth more of them looks
+the same.
 """
 
 
 class Service:
-    """One render engine behind HTTP. It starts beside the event loop, so that the socket answers meanwhile."""
+    """One render engine behind HTTP. It starts beside the event loop, so that the socket answers
+    meanwhile.
+    """
 
     def __init__(self, engine: RenderEngine, settings: Settings) -> None:
         self.engine = engine
@@ -88,8 +103,12 @@ class Service:
         self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
         self.exports = ExportFolder(settings.exports_mb << 20)
-        self.variants = Variants(engine, self.uploads.environment_at, patience=settings.queue_seconds)
-        self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait", work=True)
+        self.variants = Variants(
+            engine, self.uploads.environment_at, patience=settings.queue_seconds
+        )
+        self._requests = AdmissionLimit(
+            settings.render_threads + settings.render_queue, "frames wait", work=True
+        )
         self._refining = 0
 
     async def start(self) -> None:
@@ -102,7 +121,9 @@ class Service:
         self.engine.listen(self.updates.publish)
 
     def _survey(self, scene: Scene) -> None:
-        """Work out what the document of a scene says, so that the first visitor does not wait for it."""
+        """Work out what the document of a scene says, so that the first visitor does not wait for
+        it.
+        """
         with suppress(IsogiError):
             scene_schema(self.planned(scene))
 
@@ -116,12 +137,16 @@ class Service:
         await asyncio.to_thread(self.engine.close)
 
     def job(self, key: str) -> Job:
-        """The job with this id. Raises UnknownJobError, and StartingError while it may still be taken up."""
+        """The job with this id. Raises UnknownJobError, and StartingError while it may still be
+        taken up.
+        """
         try:
             return self.jobs.find(key)
         except UnknownJobError:
             if not self.resumed.is_set():
-                raise StartingError("isogi is starting, and takes up the jobs that it had: ask again.") from None
+                raise StartingError(
+                    "isogi is starting, and takes up the jobs that it had: ask again."
+                ) from None
             raise
 
     async def dismiss(self, key: str, bearer: Bearer) -> Job:
@@ -129,13 +154,16 @@ class Service:
         job = self.job(key)
         if not bearer.owns(job.owner):
             raise ForbiddenError(
-                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may an admin."
+                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may "
+                "an admin."
             )
         return await self.jobs.dismiss(job.id)
 
     def reason(self) -> str:
         """Why light is not baked."""
-        return self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
+        return (
+            self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
+        )
 
     @property
     def attended(self) -> bool:
@@ -150,8 +178,8 @@ class Service:
         return scene
 
     async def variant(self, scene: Scene, params: LightParams) -> Scene:
-        """The scene in the light, with the cut, at the time, of the material, with the surfaces and without the labels
-        that the parameters ask for; itself where they do not.
+        """The scene in the light, with the cut, at the time, of the material, with the surfaces and
+        without the labels that the parameters ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
@@ -163,7 +191,9 @@ class Service:
         return await self.variants.of(scene, change)
 
     def planned(self, scene: Scene) -> Scene:
-        """The ``scene`` with the plan of the light that its store has, where that can be read now."""
+        """The ``scene`` with the plan of the light that its store has, where that can be read
+        now.
+        """
         if not self.startup.open:
             return scene
         with suppress(StoreError):
@@ -171,7 +201,9 @@ class Service:
         return scene
 
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
-        """The picture that the parameters ask for. Raises ViewError, and StartingError until the engine is up."""
+        """The picture that the parameters ask for. Raises ViewError, and StartingError until the
+        engine is up.
+        """
         view = view_of(scene, params, self.settings)
         self.startup.check()
         return PictureRequest(scene.id, view, params.max_error or scene.target_error)
@@ -184,45 +216,67 @@ class Service:
         finish: Callable[[Shown], Result],
         viewer: Viewer | None = None,
     ) -> Result:
-        """``finish`` of the picture that the parameters ask for, both off the event loop; for the request by default.
+        """``finish`` of the picture that the parameters ask for, both off the event loop; for the
+        request by default.
 
-        Raises ViewError, BusyError, StoreError, StartingError until the engine is up, and Cancelled once the client
-        has left: light that it alone requested is not baked then.
+        Raises ViewError, BusyError, StoreError, StartingError until the engine is up, and Cancelled
+        once the client has left: light that it alone requested is not baked then.
         """
         picture = self.picture_of(scene, params)
         with self._requests.admitted(client_of(request.scope)) as place:
-            answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
+            answer = self._answer(
+                picture, viewer or request_viewer(request), params.wait_ms / 1000, finish
+            )
             return await attended(request, place.keep(answer))
 
     async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
-        """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
+        """The result of some ``work`` for a request, off the event loop. Raises as ``render``
+        does.
+        """
         rank = self.rank(request_viewer(request), REQUEST_PATIENCE, self.settings.queue_seconds)
         with self._requests.admitted(client_of(request.scope)) as place:
             return await attended(request, place.keep(self.threads.pictures.run(work, rank)))
 
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
-        """Where work for a ``viewer`` stands that may wait so many seconds, and waits for ``longest`` at most.
+        """Where work for a ``viewer`` stands that may wait so many seconds, and waits for
+        ``longest`` at most.
 
-        Streams and addresses are clients that share the threads, and several programs may ask from one address.
+        Streams and addresses are clients that share the threads, and several programs may ask from
+        one address.
         """
-        weight = PATIENT if viewer.patient else STREAM if viewer.single else ADDRESS
+        if viewer.patient:
+            weight = PATIENT
+        elif viewer.single:
+            weight = STREAM
+        else:
+            weight = ADDRESS
         return Rank.within(patience, longest, self.threads.pictures.client(viewer.client, weight))
 
     def draft_rank(self, viewer: Viewer) -> Rank:
         """Where a draft of a stream's view that moves stands, among drafts alone."""
         return Rank.within(DRAFT, client=self.threads.drafts.client(viewer.client, STREAM))
 
-    async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
-        """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
-        watch, since = watch or Stopwatch(), self._newest(picture)
+    async def show(
+        self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None
+    ) -> Shown:
+        """The picture with the light baked so far; the light that it lacks is requested for the
+        ``viewer``.
+        """
+        watch = watch or Stopwatch()
+        since = self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
         with watch.stage("demand"):
             coming = await self.request_light(picture, frame, viewer)
-            left = await self._time_left(picture, frame) if viewer.bakes else None
+            if viewer.bakes:
+                left = await self._time_left(picture, frame)
+            else:
+                left = None
         return Shown(frame, left, watch, coming, since)
 
-    async def request_light(self, picture: PictureRequest, frame: Frame, viewer: Viewer) -> frozenset[Index]:
+    async def request_light(
+        self, picture: PictureRequest, frame: Frame, viewer: Viewer
+    ) -> frozenset[Index]:
         """Request the light that a frame lacks; the chunks that are coming."""
         if not viewer.bakes:
             return frozenset()
@@ -235,10 +289,11 @@ class Service:
         return await self.threads.asking.run(left, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
-        """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.
+        """The frame of a picture, drawn once for all requests that come meanwhile; no light is
+        requested for it.
 
-        A request that joins another counts all of the time as time in the queue. Waits for kernels of light that are
-        still compiled; raises BusyError where others are.
+        A request that joins another counts all of the time as time in the queue. Waits for kernels
+        of light that are still compiled; raises BusyError where others are.
         """
         if picture.view.shading in SPECS:
             await self.startup.lit.wait()
@@ -249,15 +304,22 @@ class Service:
             await self.startup.others(picture.view.shading, self.settings.queue_seconds)
 
         def work(cancelled: threading.Event) -> Frame:
-            frame = self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
+            frame = self.engine.survey(
+                picture.scene, picture.view, picture.target, cancelled, watch
+            )
             frame.tail  # noqa: B018 (found on this thread, and kept: up to 35 ms, which the event loop has not)
             return frame
 
         with watch.stage("queue"):
-            return await self.threads.of(picture.view).share((picture, self._newest(picture)), work, rank)
+            return await self.threads.of(picture.view).share(
+                (picture, self._newest(picture)), work, rank
+            )
 
-    async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
-        """The frame of a picture; an unshadowed one, all of it provisional, while it cannot have light.
+    async def frame_or_preview(
+        self, picture: PictureRequest, rank: Rank, watch: Stopwatch
+    ) -> Frame:
+        """The frame of a picture; an unshadowed one, all of it provisional, while it cannot have
+        light.
 
         That is so where its light does not fit the memory, and while kernels of light are compiled.
         """
@@ -268,14 +330,20 @@ class Service:
         frame = await self.frame(preview, rank.begun, watch)
         return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
-    async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
-        """The picture at once, then a better one as light comes, until it is final or no more light is coming.
+    async def refinements(
+        self, picture: PictureRequest, viewer: Viewer
+    ) -> AsyncGenerator[Shown, None]:
+        """The picture at once, then a better one as light comes, until it is final or no more light
+        is coming.
 
-        All views that refine are drawn for no more than a share REFINING of the time together, so that the workers
-        have the rest. The last picture of each comes at once, and so does one in which what was provisional has light.
-        Where light was given up, the same picture comes once more: it is not final, and no more is coming.
+        All views that refine are drawn for no more than a share REFINING of the time together, so
+        that the workers have the rest. The last picture of each comes at once, and so does one in
+        which what was provisional has light. Where light was given up, the same picture comes once
+        more: it is not final, and no more is coming.
         """
-        known, patience, clock = None, REST_PATIENCE, asyncio.get_running_loop().time
+        known = None
+        patience = REST_PATIENCE
+        clock = asyncio.get_running_loop().time
         begun = clock()
         if not self.startup.lit.is_set():
             yield await self.show(picture, viewer, self.rank(viewer, patience))
@@ -285,7 +353,8 @@ class Service:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
             given_up = not (shown.frame.final or shown.coming)
             if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
-                known, patience = now, REFINEMENT_PATIENCE
+                known = now
+                patience = REFINEMENT_PATIENCE
                 yield shown
             if not shown.coming:
                 return
@@ -294,14 +363,17 @@ class Service:
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
-        """Request the light of a view that is new before its first picture is lit: workers bake it meanwhile.
+        """Request the light of a view that is new before its first picture is lit: workers bake it
+        meanwhile.
 
         Where others wait for their turn, that picture would come later for it.
         """
 
         def work(cancelled: threading.Event) -> Frame | None:
             with suppress(NoRoomError):
-                return self.engine.unlit_frame(picture.scene, picture.view, picture.target, cancelled)
+                return self.engine.unlit_frame(
+                    picture.scene, picture.view, picture.target, cancelled
+                )
             return None
 
         threads = self.threads.of(picture.view)
@@ -311,7 +383,9 @@ class Service:
                 await self.request_light(picture, frame, viewer)
 
     def make_way(self) -> None:
-        """Have the workers make way for a view that moves. Does not wait for that: a thread may have to be started."""
+        """Have the workers make way for a view that moves. Does not wait for that: a thread may
+        have to be started.
+        """
         asyncio.get_running_loop().run_in_executor(None, self.engine.baker.make_way)
 
     async def check(self, picture: PictureRequest) -> None:
@@ -330,22 +404,28 @@ class Service:
         asyncio.get_running_loop().run_in_executor(None, self.engine.leave, viewer)
 
     async def _answer(
-        self, picture: PictureRequest, viewer: Viewer, wait: float, finish: Callable[[Shown], Result]
+        self,
+        picture: PictureRequest,
+        viewer: Viewer,
+        wait: float,
+        finish: Callable[[Shown], Result],
     ) -> Result:
         """``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
-        watch, loop, rank = (
-            Stopwatch(),
-            asyncio.get_running_loop(),
-            self.rank(viewer, REQUEST_PATIENCE, self.settings.queue_seconds),
-        )
+        watch = Stopwatch()
+        loop = asyncio.get_running_loop()
+        rank = self.rank(viewer, REQUEST_PATIENCE, self.settings.queue_seconds)
         deadline = loop.time() + wait
         try:
             await within(wait, self.startup.lit)
             shown = await self.show(picture, viewer, rank, watch)
             while shown.coming and (left := deadline - loop.time()) > 0:
-                coming, since = shown.coming, shown.since
+                coming = shown.coming
+                since = shown.since
                 del shown  # megabytes, which nobody needs while light is baked
-                with watch.stage("bake"), self.updates.pending(self._bake(picture), coming, since) as pending:
+                with (
+                    watch.stage("bake"),
+                    self.updates.pending(self._bake(picture), coming, since) as pending,
+                ):
                     await within(left, pending.all)
                 shown = await self.show(picture, viewer, rank.begun, watch)
             return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
@@ -354,12 +434,19 @@ class Service:
             raise
 
     async def _next_update(self, picture: PictureRequest, wait: Wait, least: float) -> None:
-        """Returns when it is time to draw the picture again: not before the ``least`` seconds, where it shows light."""
+        """Returns when it is time to draw the picture again: not before the ``least`` seconds,
+        where it shows light.
+        """
         self._refining += 1
         try:
-            with self.updates.pending(self._bake(picture), wait.coming, wait.since, wait.dark) as pending:
+            with self.updates.pending(
+                self._bake(picture), wait.coming, wait.since, wait.dark
+            ) as pending:
                 await within(HEARTBEAT, pending.some)
-                pause = max((1.0 / REFINING - 1.0) * wait.work * self._refining, least) if wait.work else 0.0
+                if wait.work:
+                    pause = max((1.0 / REFINING - 1.0) * wait.work * self._refining, least)
+                else:
+                    pause = 0.0
                 await within(max(pause, SHORTEST_PAUSE), pending.lit)
         finally:
             self._refining -= 1
@@ -372,7 +459,9 @@ class Service:
 
 
 async def service_of(connection: HTTPConnection) -> Service:
-    """The service of the app that the request came to; a coroutine, for anything else would have a thread started."""
+    """The service of the app that the request came to; a coroutine, for anything else would have a
+    thread started.
+    """
     service: Service = connection.app.state.service
     return service
 
@@ -407,26 +496,36 @@ DRAFTS = 2
 """Threads for drafts alone, so that none waits for a full picture to end."""
 
 LARGE_PICTURE_PIXELS = 1 << 21
-"""Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides what is kept."""
+"""Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides
+what is kept.
+"""
 
 ASKING = 2
-"""Threads that ask for light alone: they wait for each other at the queue of bakes, where no picture shall wait."""
+"""Threads that ask for light alone: they wait for each other at the queue of bakes, where no
+picture shall wait.
+"""
 
 
 class RenderThreads:
     """Threads for each kind of work, so that none of them waits for another kind."""
 
     def __init__(self, pictures: int) -> None:
-        """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait for their turn."""
+        """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait
+        for their turn.
+        """
         self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
-        self.large, self.asking, self.checks = Renders(1), Renders(ASKING), Renders(1)
+        self.large = Renders(1)
+        self.asking = Renders(ASKING)
+        self.checks = Renders(1)
 
     def of(self, view: View) -> Renders:
         """The threads on which the picture of a view is drawn, and written as a file."""
         if view.moving:
             return self.drafts
-        return self.large if view.width * view.height > LARGE_PICTURE_PIXELS else self.pictures
+        if view.width * view.height > LARGE_PICTURE_PIXELS:
+            return self.large
+        return self.pictures
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""
@@ -434,29 +533,42 @@ class RenderThreads:
             each.close()
 
 
-ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is kept for a view's next pictures
+ONCE = (
+    "queue",
+    "primary",
+    "texels",
+    "normals",
+    "lobes",
+)  # what they find is kept for a view's next pictures
 
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error ``target``."""
+    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error
+    ``target``.
+    """
 
     scene: str
     view: View
     target: float
 
     def draft(self, scale: float) -> Self:
-        """The draft of this view while it moves, in a picture of ``scale`` times the width and the height."""
-        width, height = (max(round(scale * side), 1) for side in (self.view.width, self.view.height))
+        """The draft of this view while it moves, in a picture of ``scale`` times the width and the
+        height.
+        """
+        width, height = (
+            max(round(scale * side), 1) for side in (self.view.width, self.view.height)
+        )
         return replace(self, view=replace(self.view, width=width, height=height, moving=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch`` of its stages.
+    """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch``
+    of its stages.
 
-    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest update of light when
-    the frame was begun.
+    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest
+    update of light when the frame was begun.
     """
 
     frame: Frame
@@ -467,8 +579,9 @@ class Shown:
 
 
 class Wait(NamedTuple):
-    """What a picture waits for: the chunks that are ``coming``, newer than the update ``since``; and the ``work`` on
-    it, seconds, where it shows light. Parts of it are provisional until the ``dark`` ones have light.
+    """What a picture waits for: the chunks that are ``coming``, newer than the update ``since``;
+    and the ``work`` on it, seconds, where it shows light. Parts of it are provisional until the
+    ``dark`` ones have light.
     """
 
     coming: frozenset[Index]
@@ -481,9 +594,13 @@ class Wait(NamedTuple):
         """What the next picture waits for."""
         if shown.frame.coverage["provisional"] == 1.0:
             return cls(shown.coming, shown.since, 0.0, frozenset())
-        return cls(shown.coming, shown.since, work_of(shown), shown.frame.quality.dark & shown.coming)
+        return cls(
+            shown.coming, shown.since, work_of(shown), shown.frame.quality.dark & shown.coming
+        )
 
 
 def work_of(shown: Shown) -> float:
-    """Seconds of work on a picture that the next one of its view takes again, without those in the queue."""
+    """Seconds of work on a picture that the next one of its view takes again, without those in the
+    queue.
+    """
     return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)

@@ -32,11 +32,14 @@ from server.values import Span
 
 
 def mixed(newest: float, before: float, fresh: float) -> float:
-    """The mean with the ``newest``, which counts by the share ``fresh``, from that ``before``, 0 for unknown."""
+    """The mean with the ``newest``, which counts by the share ``fresh``, from that ``before``, 0
+    for unknown.
+    """
     return fresh * newest + (1.0 - fresh) * (before or newest)
 
 
-HALF, QUARTER = 0.5, 0.25
+HALF = 0.5
+QUARTER = 0.25
 """Shares of the full width and height that drafts have."""
 
 MAX_DRAFT_SECONDS = 0.045
@@ -50,7 +53,9 @@ FRESH = 0.5
 
 
 class Drafts:
-    """The ``scale`` of a connection's drafts: a half of the full width and height, or a quarter where that is slow."""
+    """The ``scale`` of a connection's drafts: a half of the full width and height, or a quarter
+    where that is slow.
+    """
 
     def __init__(self, crowded: bool = False) -> None:
         """Begin with halves, or with quarters where others wait for theirs."""
@@ -64,14 +69,17 @@ class Drafts:
     def drawn(self, seconds: float) -> None:
         """A draft at ``scale`` was drawn for so long: size the next."""
         self._drawn = mixed(seconds, self._drawn, FRESH)
-        took, pixels = self._drawn + self._shown, (HALF / QUARTER) ** 2
+        took = self._drawn + self._shown
+        pixels = (HALF / QUARTER) ** 2
         if self.scale == HALF and took > MAX_DRAFT_SECONDS:
             self._resize(QUARTER, 1.0 / pixels)
         elif self.scale == QUARTER and pixels * took < PACE_MARGIN * MAX_DRAFT_SECONDS:
             self._resize(HALF, pixels)
 
     def _resize(self, scale: float, pixels: float) -> None:
-        self.scale, self._drawn, self._shown = scale, pixels * self._drawn, pixels * self._shown
+        self.scale = scale
+        self._drawn = pixels * self._drawn
+        self._shown = pixels * self._shown
 
 
 MAX_PICTURES_AHEAD = 2
@@ -115,13 +123,16 @@ GAP = 1.0
 
 
 class Motion:
-    """How well a stream follows: ``drafts`` that were sent, and the ``seconds`` in which its view moved.
+    """How well a stream follows: ``drafts`` that were sent, and the ``seconds`` in which its view
+    moved.
 
     ``since`` is when the newest view came. Belongs to its event loop.
     """
 
     def __init__(self) -> None:
-        self.drafts, self.seconds, self.since = 0, 0.0, 0.0
+        self.drafts = 0
+        self.seconds = 0.0
+        self.since = 0.0
         self._moving_since: float | None = None
 
     def took(self, moving: bool) -> None:
@@ -129,7 +140,8 @@ class Motion:
         now = asyncio.get_running_loop().time()
         if self._moving_since is not None:
             self.seconds += min(now - self._moving_since, GAP)
-        self._moving_since, self.since = now if moving else None, now
+        self._moving_since = now if moving else None
+        self.since = now
 
     def sent(self, came: float, draft: bool) -> float:
         """A picture is sent of the view that ``came`` then; how old it is."""
@@ -137,24 +149,36 @@ class Motion:
         return asyncio.get_running_loop().time() - came
 
 
-CLOSE_TOO_BIG, CLOSE_POLICY, CLOSE_TRY_LATER, CLOSE_IDLE = 1009, 1008, 1013, 4000
-"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text; another client needs
-the place; none for long."""
+CLOSE_TOO_BIG = 1009
+CLOSE_POLICY = 1008
+CLOSE_TRY_LATER = 1013
+CLOSE_IDLE = 4000
+"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text;
+another client needs the place; none for long."""
 
 
 class Inbox:
     """The messages of a stream, as long as they keep within the settings."""
 
     def __init__(self, socket: WebSocket, settings: Settings, place: Place) -> None:
-        self._socket, self._settings, self._place = socket, settings, place
-        self._second, self._count = 0, 0
+        self._socket = socket
+        self._settings = settings
+        self._place = place
+        self._second = 0
+        self._count = 0
 
     async def next(self) -> str | None:
-        """The next message; None when the client has gone. Raises StreamError where it breaks a limit."""
+        """The next message; None when the client has gone. Raises StreamError where it breaks a
+        limit.
+        """
         try:
-            message = await asyncio.wait_for(self._socket.receive(), self._settings.stream_idle_seconds)
+            message = await asyncio.wait_for(
+                self._socket.receive(), self._settings.stream_idle_seconds
+            )
         except TimeoutError:
-            raise StreamError(f"No message for {self._settings.stream_idle_seconds:g} seconds.", CLOSE_IDLE) from None
+            raise StreamError(
+                f"No message for {self._settings.stream_idle_seconds:g} seconds.", CLOSE_IDLE
+            ) from None
         if message["type"] == "websocket.disconnect":
             return None
         self._count_one()
@@ -163,29 +187,39 @@ class Inbox:
         if text is None:
             raise StreamError("Messages must be text.", CLOSE_POLICY)
         if len(text.encode()) > self._settings.stream_bytes:
-            raise StreamError(f"A message is longer than {self._settings.stream_bytes} bytes.", CLOSE_TOO_BIG)
+            raise StreamError(
+                f"A message is longer than {self._settings.stream_bytes} bytes.", CLOSE_TOO_BIG
+            )
         return str(text)
 
     def _count_one(self) -> None:
         second = int(asyncio.get_running_loop().time())
-        self._count = self._count + 1 if second == self._second else 1
+        if second == self._second:
+            self._count = self._count + 1
+        else:
+            self._count = 1
         self._second = second
         if self._count > self._settings.stream_rate:
-            raise StreamError(f"More than {self._settings.stream_rate} messages in a second.", CLOSE_POLICY)
+            raise StreamError(
+                f"More than {self._settings.stream_rate} messages in a second.", CLOSE_POLICY
+            )
 
 
 Id = Annotated[int, Span(0, 2**53 - 1, whole=True)]
 
 
 class Receipt(NoParams):
-    """The client has shown a picture of the view with this id; it ``took`` so many milliseconds from when it came."""
+    """The client has shown a picture of the view with this id; it ``took`` so many milliseconds
+    from when it came.
+    """
 
     shown: Id
     took: Annotated[float, Span(0.0, 60_000.0)] = 0.0
 
 
 class ViewRequest(NoParams):
-    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for ``chunks``.
+    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for
+    ``chunks``.
 
     A client that draws what moves by itself wants no ``pictures`` of it.
     """
@@ -201,7 +235,8 @@ class ViewRequest(NoParams):
         params = read(FrameParams, self.view.items())
         if "wait_ms" in params.model_fields_set:
             raise ParameterError(
-                "wait_ms is for requests, a stream sends new pictures by itself: leave it out.", "wait_ms"
+                "wait_ms is for requests, a stream sends new pictures by itself: leave it out.",
+                "wait_ms",
             )
         return params
 
@@ -213,19 +248,30 @@ def message_of(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise ParameterError("A message must be JSON, with numbers that are finite.") from None
     if not isinstance(message, dict):
-        raise ParameterError('A message must be an object such as {"id": 1, "view": {}} or {"shown": 1}.')
+        raise ParameterError(
+            'A message must be an object such as {"id": 1, "view": {}} or {"shown": 1}.'
+        )
     return message
 
 
 def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
     """The message as what it is; ParameterError on the first thing that is wrong."""
-    return read(Receipt, message.items()) if "shown" in message else read(ViewRequest, message.items())
+    if "shown" in message:
+        return read(Receipt, message.items())
+    return read(ViewRequest, message.items())
 
 
-def answer(request: int, shown: Shown, form: str, draft: bool, chunks: list[CardChunk] | None = None) -> str:
-    """The facts of the picture that follows, an answer to the ``request`` of this id, and the chunks that it reads."""
+def answer(
+    request: int, shown: Shown, form: str, draft: bool, chunks: list[CardChunk] | None = None
+) -> str:
+    """The facts of the picture that follows, an answer to the ``request`` of this id, and the
+    chunks that it reads.
+    """
     frame = shown.frame
-    named = {} if chunks is None else {"chunks": [each.model_dump() for each in chunks]}
+    if chunks is None:
+        named = {}
+    else:
+        named = {"chunks": [each.model_dump() for each in chunks]}
     return json.dumps(
         {
             "id": request,
@@ -235,7 +281,9 @@ def answer(request: int, shown: Shown, form: str, draft: bool, chunks: list[Card
             "height": frame.view.height,
             "media_type": MEDIA_TYPES[form],
             "facts": coverage_schema(frame, shown.time_left).model_dump(),
-            "timing": {stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()},
+            "timing": {
+                stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()
+            },
         }
         | named
     )
@@ -252,21 +300,29 @@ def _refuse(constant: str) -> NoReturn:
 
 
 WANT_EVERY = 0.5
-"""Seconds between two drafts of a moving view whose light is asked for: what it shows next needs much of the same."""
+"""Seconds between two drafts of a moving view whose light is asked for: what it shows next needs
+much of the same.
+"""
 
 
 class Session:
     """Answers the newest view that its client sent; work on an older one ends.
 
-    A draft alone is drawn to its end while the view goes on moving: else none would be when views come faster.
+    A draft alone is drawn to its end while the view goes on moving: else none would be when views
+    come faster.
     """
 
     def __init__(self, socket: WebSocket, service: Service, scene: Scene, place: Place) -> None:
-        self._socket, self._service, self._scene, self._lit = socket, service, scene, scene
+        self._socket = socket
+        self._service = service
+        self._scene = scene
+        self._lit = scene
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer(socket)
         self._inbox = Inbox(socket, service.settings, place)
-        self._drafts, self._window, self._motion = Drafts(service.threads.drafts.crowded), Window(), Motion()
+        self._drafts = Drafts(service.threads.drafts.crowded)
+        self._window = Window()
+        self._motion = Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
@@ -277,14 +333,17 @@ class Session:
 
     async def run(self) -> None:
         """Returns when the client has left, or broke a limit; nothing is baked for it any more."""
-        reading, working = asyncio.create_task(self._read()), asyncio.create_task(self._work())
+        reading = asyncio.create_task(self._read())
+        working = asyncio.create_task(self._work())
         try:
             await asyncio.wait({reading, working}, return_when=asyncio.FIRST_COMPLETED)
             for task in (reading, working):
                 if task.done():
                     await task
         except StreamError as error:
-            with suppress(WebSocketDisconnect, RuntimeError):  # the client, or its broken frame, may have closed it
+            with suppress(
+                WebSocketDisconnect, RuntimeError
+            ):  # the client, or its broken frame, may have closed it
                 await self._socket.close(error.code, str(error))
         except WebSocketDisconnect:
             pass
@@ -313,8 +372,10 @@ class Session:
             if message.shown != self._still:
                 self._drafts.shown(message.took / 1000.0)
             return
-        self._still = self._still if message.moving else message.id
-        older, self._newest = self._newest, (message, message.params())
+        if not (message.moving):
+            self._still = message.id
+        older = self._newest
+        self._newest = (message, message.params())
         self._motion.took(message.moving and message.pictures)
         self._changed.set()
         if self._showing and not (older and older[0].moving and message.moving):
@@ -346,15 +407,21 @@ class Session:
             self._lit = await self._service.variant(self._scene, params)
             picture = self._service.picture_of(self._lit, smoothed(params, form))
             await (
-                self._draft(request, params, picture) if request.moving else self._rest(request, params, picture, form)
+                self._draft(request, params, picture)
+                if request.moving
+                else self._rest(request, params, picture, form)
             )
         except IsogiError as error:
             await self._send(complaint(request.id, error, self._socket.url.path))
 
-    async def _draft(self, request: ViewRequest, params: FrameParams, picture: PictureRequest) -> None:
+    async def _draft(
+        self, request: ViewRequest, params: FrameParams, picture: PictureRequest
+    ) -> None:
         """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
         self._service.make_way()
-        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._service.draft_rank(self._viewer)
+        small = picture.draft(self._drafts.scale)
+        watch = Stopwatch()
+        rank = self._service.draft_rank(self._viewer)
         frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
         self._drafts.drawn(sum(watch.seconds.values()))  # smaller ones where many wait
@@ -364,26 +431,39 @@ class Session:
             self._wanted = now
             await self._service.request_light(small, frame, self._viewer)
 
-    async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
+    async def _rest(
+        self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str
+    ) -> None:
         """The full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
-                await self._picture(request, params, shown, form, self._service.rank(self._viewer, DRAFT))
+                await self._picture(
+                    request, params, shown, form, self._service.rank(self._viewer, DRAFT)
+                )
                 del shown  # megabytes, while the client catches up and light is baked
                 await self._window.room()
 
-    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:
+    async def _picture(
+        self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank
+    ) -> None:
         """Send a picture and its facts."""
-        exposure = self._lit.default_exposure if params.exposure is None else params.exposure
+        if params.exposure is None:
+            exposure = self._lit.default_exposure
+        else:
+            exposure = params.exposure
 
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):
                 picture = encode(shown.frame, form, exposure, params)
-            return answer(request.id, shown, form, request.moving, self._chunks(request, shown)), picture
+            return answer(
+                request.id, shown, form, request.moving, self._chunks(request, shown)
+            ), picture
 
         facts, picture = await self._service.threads.of(shown.frame.view).run(made, rank)
         self._window.sent(request.id)
-        self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
+        self._metrics.count_picture(
+            "draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds
+        )
         if self._shows is not None:
             self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))
             self._shows = None
@@ -421,9 +501,11 @@ router = APIRouter(prefix="/v1/scenes/{scene}")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
-    """The client sends views, the newest wins: drafts while it moves, the full picture at rest, better as light comes.
+    """The client sends views, the newest wins: drafts while it moves, the full picture at rest,
+    better as light comes.
 
-    Refused with a problem before it begins where the scene is unknown, or too many streams are open.
+    Refused with a problem before it begins where the scene is unknown, or too many streams are
+    open.
     """
     try:
         found = service.scene(scene)

@@ -1,4 +1,6 @@
-"""What commands share: the modules that do their work, the options of views and of work, and how a volume is taken."""
+"""What commands share: the modules that do their work, the options of views and of work, and how a
+volume is taken.
+"""
 
 import json
 from collections.abc import Callable, Mapping
@@ -55,13 +57,19 @@ VIEW_GROUPS = {
 
 
 def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
-    """The options of a view with their help; the azimuth and the like take a ``span`` such as first:last too.
+    """The options of a view with their help; the azimuth and the like take a ``span`` such as
+    first:last too.
 
     Where a command has defaults of its own, ``otherwise`` has them by name.
     """
     otherwise = {"azimuth": "", "elevation": "", "distance": "all of it is seen"} | otherwise
-    fitted = {name: replace(KNOBS[name], default=None, otherwise=usual) for name, usual in otherwise.items()}
-    knobs = {name: fitted.get(name, KNOBS[name]) for names in VIEW_GROUPS.values() for name in names}
+    fitted = {
+        name: replace(KNOBS[name], default=None, otherwise=usual)
+        for name, usual in otherwise.items()
+    }
+    knobs = {
+        name: fitted.get(name, KNOBS[name]) for names in VIEW_GROUPS.values() for name in names
+    }
     return {
         name: f"{knob.text[:-1]}; or {span}." if span and name in RANGE_OPTIONS else knob.text
         for name, knob in knobs.items()
@@ -78,14 +86,20 @@ GRID_OPTIONS = view_options("first:last:step")
 DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("window", "projection", *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"))
+PICTURE_OPTIONS = (
+    "window",
+    "projection",
+    *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"),
+)
 REPORT_OPTIONS = {
     name: text
     for name, text in view_options(azimuth="40", elevation="30", distance="2.2").items()
     if name not in PICTURE_OPTIONS
 }
 PREWARM_OPTIONS = {
-    "views": "Directions of each isovalue, spread over all sides; default: 12 where none are given.",
+    "views": (
+        "Directions of each isovalue, spread over all sides; default: 12 where none are given."
+    ),
     "times": "Steps of a series in time, each with light of its own: all, 3, 0:9 or 0:9:3.",
     "target_error": "Relative error of pictures at which light is final.",
     **{name: KNOBS[name].text for name in ("distance", "fov", "width", "height")},
@@ -103,10 +117,13 @@ SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-LIGHT_HELP = f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
+LIGHT_HELP = (
+    f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
+)
 
 RAW_HELP = (
-    "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
+    "What a file without a header holds: sizes along x, y, z, type and byte order, such "
+    "as 256x256x128,uint8,little."
 )
 
 
@@ -116,7 +133,9 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         for name, text in reversed(table.items()):
             flag = f"--{name.replace('_', '-')}"
-            command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(command)
+            command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(
+                command
+            )
         return command
 
     return decorate
@@ -132,19 +151,26 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option(
         "--axes",
         type=click.Choice(["world", "raw"]),
-        help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
+        help=(
+            "Where the volume lies: as its file says, or raw, its voxels' indices times "
+            "spacing; default: world."
+        ),
     )
     @click.option("--raw", help=RAW_HELP)
     @click.option(
         "--solid",
         type=click.Choice(["above", "below"]),
-        help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
+        help=(
+            "Which side of the isovalue is solid; default: above; below where most of the "
+            "border is above."
+        ),
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})
     @wraps(command)
     def placed(**given: Any) -> Any:
-        name, placing = "scene" if "scene" in given else "target", {key: given.pop(key) for key in VOLUME_OPTIONS}
+        name = "scene" if "scene" in given else "target"
+        placing = {key: given.pop(key) for key in VOLUME_OPTIONS}
         if "." in (placing["environment"] or ""):
             placing["environment"] = str(Path(placing["environment"]).resolve())
         given[name] = placed_target(given[name], placing)
@@ -154,7 +180,9 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
-    """A command's target with what its options say of the volume after its #; None where nothing is said of none."""
+    """A command's target with what its options say of the volume after its #; None where nothing is
+    said of none.
+    """
     for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
@@ -185,7 +213,9 @@ Check = Callable[[click.Context, click.Parameter, str | None], float | None]
 
 
 def checked(read: Callable[[str], float]) -> Check:
-    """Callback of an option: what ``read`` makes of its text; BadParameter says why where it is refused."""
+    """Callback of an option: what ``read`` makes of its text; BadParameter says why where it is
+    refused.
+    """
 
     def check(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
         try:
@@ -204,12 +234,15 @@ def number(low: float, high: float) -> Check:
 share_of_error, factor = (checked(KNOBS[name].kind.read) for name in ("max_error", "exposure"))
 """Callbacks of options that are a relative error, or a factor on radiance."""
 
-duration, age = checked(seconds_of), checked(seconds_of_age)
+duration = checked(seconds_of)
+age = checked(seconds_of_age)
 """Callbacks of options that are a span of time, or an age: seconds."""
 
 
 def settings_from(config: Path | None = None, **given: Any) -> "Settings":
-    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
+    """The settings: options first, then the environment, then a file; UsageError names what is
+    wrong.
+    """
     settings: Settings = module_of("settings").settings_from(config, **given)
     return settings
 

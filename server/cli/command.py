@@ -1,4 +1,6 @@
-"""The ``isogi`` command: what each command takes. The module that does its work is loaded when it is called."""
+"""The ``isogi`` command: what each command takes. The module that does its work is loaded when it
+is called.
+"""
 
 import gc
 import json
@@ -10,7 +12,15 @@ from typing import Any
 import click
 
 from isogi_core.allocation import keep_memory_small
-from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError, advice
+from isogi_core.errors import (
+    IsogiError,
+    LightError,
+    SceneError,
+    StoreUrlError,
+    ViewError,
+    VolumeError,
+    advice,
+)
 from server.cli.arguments import (
     AS_JSON,
     DEVELOPING_OPTIONS,
@@ -43,19 +53,26 @@ BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 def main() -> None:
     """Run the command line and leave with its exit status."""
     keep_memory_small()
-    gc.set_threshold(50_000)  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
+    gc.set_threshold(
+        50_000
+    )  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on stderr."""
+    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on
+    stderr.
+    """
     try:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
     except click.Abort:
         return complain("stopped", 1)
     except click.NoSuchOption as error:
-        name, near = error.option_name, error.possibilities
-        return complain(f"There is no option '{name}': {advice(name, near) if near else '--help lists all.'}", 2)
+        name = error.option_name
+        near = error.possibilities
+        return complain(
+            f"There is no option '{name}': {advice(name, near) if near else '--help lists all.'}", 2
+        )
     except click.ClickException as error:
         return complain(error.format_message(), error.exit_code)
     except BAD_INPUT as error:
@@ -86,7 +103,9 @@ def cli() -> None:
 @click.argument("target", required=False)
 @volume_options
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
-    """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
+    """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a
+    demo.
+    """
     settings = settings_from(config, **given)
     if not settings.scheduler:
         start_fork_server()
@@ -98,16 +117,29 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
-@click.option("--target-error", callback=share_of_error, help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h.")
+@click.option(
+    "--target-error", callback=share_of_error, help="Relative error at which a pixel is final."
+)
+@click.option(
+    "--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h."
+)
 @options(WORK_OPTIONS)
 @AS_JSON
 def render(
-    scene: str, output: Path, target_error: float | None, seconds: float | None, as_json: bool, **given: Any
+    scene: str,
+    output: Path,
+    target_error: float | None,
+    seconds: float | None,
+    as_json: bool,
+    **given: Any,
 ) -> None:
     """Write a picture of TARGET; the suffix of the output chooses png, jpeg, webp or npy."""
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
-    knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
+    knobs = {
+        name: value
+        for name, value in {**given, "max_error": target_error}.items()
+        if value is not None
+    }
     work = module_of("render")
     show(work.render(scene, output, knobs, settings, seconds), work.rendered, as_json)
 
@@ -115,12 +147,24 @@ def render(
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A file, .npz.",
+)
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPING_OPTIONS})
 @click.option("--samples", type=click.IntRange(1), help="Stop at this number of paths per pixel.")
-@click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
-@click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
-@click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
+@click.option(
+    "--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005."
+)
+@click.option(
+    "--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h."
+)
+@click.option(
+    "--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light."
+)
 @AS_JSON
 def reference(
     scene: str,
@@ -146,62 +190,142 @@ def reference(
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
-@click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder.",
+)
+@click.option(
+    "--size",
+    type=click.IntRange(8, 1024),
+    default=112,
+    show_default=True,
+    help="Pixels along each side.",
+)
 @options(REPORT_OPTIONS)
-@click.option("--deadline", callback=duration, help="90s, 10m or 1h, and a tenth more: what does not fit is left out.")
-@click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be given more than once.")
+@click.option(
+    "--deadline",
+    callback=duration,
+    help="90s, 10m or 1h, and a tenth more: what does not fit is left out.",
+)
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="KEY",
+    help="Run this study alone; may be given more than once.",
+)
 @AS_JSON
 def report(
-    scene: str, output: Path, size: int, deadline: float | None, only: tuple[str, ...], as_json: bool, **given: Any
+    scene: str,
+    output: Path,
+    size: int,
+    deadline: float | None,
+    only: tuple[str, ...],
+    as_json: bool,
+    **given: Any,
 ) -> int:
-    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as a page.
+    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as
+    a page.
 
     What was measured is kept in the folder: the same command goes on where it was stopped.
     """
     work = module_of("report")
     knobs = {name: value for name, value in given.items() if value is not None}
     square = {"width": str(size), "height": str(size)}
-    facts = work.report(scene, {**knobs, **square}, settings_from(), work.ReportRequest(output, deadline, only))
+    facts = work.report(
+        scene, {**knobs, **square}, settings_from(), work.ReportRequest(output, deadline, only)
+    )
     show(facts, work.sentence, as_json)
-    return 1 if facts["stopped"] or facts["failed"] else 0
+    if facts["stopped"] or facts["failed"]:
+        return 1
+    return 0
 
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
 @click.option(
-    "--isovalue", "isovalues", multiple=True, help="One, first:last:step, first:last for all between, or adaptive:20."
+    "--isovalue",
+    "isovalues",
+    multiple=True,
+    help="One, first:last:step, first:last for all between, or adaptive:20.",
 )
-@click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
+@click.option(
+    "--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction."
+)
 @click.option("--views-file", type=EXISTING_FILE, help="Such, .json or .toml.")
-@click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="A number of directions at an elevation.")
-@click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
+@click.option(
+    "--orbit",
+    "orbits",
+    multiple=True,
+    metavar="36@20",
+    help="A number of directions at an elevation.",
+)
+@click.option(
+    "--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side."
+)
 @options(PREWARM_OPTIONS)
-@click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
+@click.option(
+    "--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h."
+)
 @options(WORK_OPTIONS)
-@click.option("--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing.")
-@click.option("--continue", "go_on", is_flag=True, help="Go on with the last prewarm of TARGET that was stopped.")
-@click.option("--server", metavar="URL", help="Have a running server do it; its token: ISOGI_TOKEN.")
+@click.option(
+    "--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing."
+)
+@click.option(
+    "--continue",
+    "go_on",
+    is_flag=True,
+    help="Go on with the last prewarm of TARGET that was stopped.",
+)
+@click.option(
+    "--server", metavar="URL", help="Have a running server do it; its token: ISOGI_TOKEN."
+)
 @click.option("--detach", is_flag=True, help="Print the job's address, and leave the server to it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def prewarm(
-    scene: str, dry_run: bool, go_on: bool, server: str | None, detach: bool, as_json: bool, **given: Any
+    scene: str,
+    dry_run: bool,
+    go_on: bool,
+    server: str | None,
+    detach: bool,
+    as_json: bool,
+    **given: Any,
 ) -> int:
-    """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on (--continue)."""
-    work, workers, times = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}, given.pop("times")
+    """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on
+    (--continue).
+    """
+    work = module_of("prewarm")
+    workers = {name: given.pop(name) for name in WORK_OPTIONS}
+    times = given.pop("times")
     fields = work.fields_given(given)
     if go_on and (set(fields) - {"deadline"} or times or dry_run or server):
-        raise click.UsageError("--continue goes on with what was asked for: leave all but --deadline, --workers … out.")
+        raise click.UsageError(
+            "--continue goes on with what was asked for: leave all but --deadline, --workers … out."
+        )
     if detach and not server:
         raise click.UsageError("--detach leaves a server to it: say which by --server.")
     order = work.order_of(fields)
     if server is None:
         settings = settings_from(**workers)
-        rest = work.go_on(scene, settings, order.deadline) if go_on else None
-        done = [rest] if rest else work.prewarm_series(scene, times, order, settings, dry_run)
-    elif named := [name.replace("_", "-") for name, value in {"times": times, **workers}.items() if value is not None]:
-        raise click.UsageError(f"--{named[0]} is for this process alone: leave it out, or leave --server out.")
+        if go_on:
+            rest = work.go_on(scene, settings, order.deadline)
+        else:
+            rest = None
+        if rest:
+            done = [rest]
+        else:
+            done = work.prewarm_series(scene, times, order, settings, dry_run)
+    elif named := [
+        name.replace("_", "-")
+        for name, value in {"times": times, **workers}.items()
+        if value is not None
+    ]:
+        raise click.UsageError(
+            f"--{named[0]} is for this process alone: leave it out, or leave --server out."
+        )
     elif detach:
         address = work.detach(server, scene, order, dry_run)
         click.echo(json.dumps({"job": address}) if as_json else address)
@@ -214,8 +338,14 @@ def prewarm(
 @cli.command()
 @click.argument("target")
 @volume_options
-@click.option("--plan", is_flag=True, help="All facts: also the plan, the histogram, and how steep its surfaces are.")
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw how steep it is, .png.")
+@click.option(
+    "--plan",
+    is_flag=True,
+    help="All facts: also the plan, the histogram, and how steep its surfaces are.",
+)
+@click.option(
+    "--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw how steep it is, .png."
+)
 @AS_JSON
 def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> None:
     """Say what isogi makes of TARGET, a volume or a scene, in ten lines; with --plan, in full."""
@@ -225,10 +355,14 @@ def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> Non
 @cli.command()
 @click.argument("target")
 @raw_option
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A folder, .ome.zarr.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="A folder, .ome.zarr."
+)
 @AS_JSON
 def convert(target: str, output: Path, as_json: bool) -> None:
-    """Write the volume of TARGET as an OME-Zarr image, with coarser levels: what is slow to open, once for all."""
+    """Write the volume of TARGET as an OME-Zarr image, with coarser levels: what is slow to open,
+    once for all.
+    """
     work = module_of("convert")
     show(work.convert(target, output), work.converted, as_json)
 
@@ -236,12 +370,24 @@ def convert(target: str, output: Path, as_json: bool) -> None:
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
-@click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Its file.",
+)
+@click.option(
+    "--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last."
+)
 @options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
 @click.option("--exposure", callback=factor, help=KNOBS["exposure"].text)
 @click.option("--target-error", help="Relative error of pictures at which light is final.")
-@click.option("--coefficients", is_flag=True, help="Harmonics of the light too, into a .vti: see docs/export.md.")
+@click.option(
+    "--coefficients",
+    is_flag=True,
+    help="Harmonics of the light too, into a .vti: see docs/export.md.",
+)
 @options(WORK_OPTIONS)
 @AS_JSON
 def export(
@@ -256,10 +402,11 @@ def export(
 ) -> None:
     """Write TARGET with its light to OUTPUT.
 
-    An isosurface as a mesh (.ply, .glb, .obj, .usdz), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
-    A yaw as first:last:step makes a numbered file for each turn of the light.
+    An isosurface as a mesh (.ply, .glb, .obj, .usdz), or values and light as a volume (.vti, .nrrd,
+    .nii.gz, .zarr). A yaw as first:last:step makes a numbered file for each turn of the light.
     """
-    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    work = module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
     request = work.ExportRequest(output, isovalues, target_error, exposure, coefficients)
     show(work.export(scene, request, knobs, settings), work.exported, as_json)
@@ -268,24 +415,40 @@ def export(
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder."
+)
 @options(FILM_OPTIONS)
-@click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
+@click.option(
+    "--view",
+    "views",
+    multiple=True,
+    metavar="LINK|azimuth=40,…",
+    help="A keyframe; give two or more.",
+)
 @click.option("--views-file", type=EXISTING_FILE, help="Keyframes, in a file.")
 @click.option("--times", help="Steps of a series in time, in turn: all, 0:9 or 0:9:3.")
 @click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
-@click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
-@click.option("--target-error", callback=share_of_error, help="Relative error at which a frame is final.")
+@click.option(
+    "--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second."
+)
+@click.option(
+    "--target-error", callback=share_of_error, help="Relative error at which a frame is final."
+)
 @click.option("--time", "seconds", callback=duration, help="Longest time for a frame: 5, 5s or 1m.")
-@click.option("--deadline", callback=duration, help="Longest time for all frames together, shared evenly.")
+@click.option(
+    "--deadline", callback=duration, help="Longest time for all frames together, shared evenly."
+)
 @options(WORK_OPTIONS)
 @AS_JSON
 def film(scene: str, as_json: bool, **given: Any) -> None:
-    """Film TARGET: a whole turn, what is given as first:last, a way along views, or steps; stopped, it goes on.
+    """Film TARGET: a whole turn, what is given as first:last, a way along views, or steps; stopped,
+    it goes on.
 
     The suffix of the output chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs.
     """
-    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("film")
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    work = module_of("film")
     knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
     show(work.film(scene, work.FilmRequest(**given), knobs, settings), work.filmed, as_json)
 
@@ -293,20 +456,37 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="A folder.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="A folder.",
+)
 @options(GRID_OPTIONS)
-@click.option("--interactive", is_flag=True, help="Instead a page that draws by the visitor's graphics card.")
-@click.option("--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take.")
-@click.option("--target-error", callback=share_of_error, help="Relative error at which a picture is final.")
-@click.option("--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m.")
-@click.option("--deadline", callback=duration, help="Longest time for all pictures together, shared evenly.")
+@click.option(
+    "--interactive", is_flag=True, help="Instead a page that draws by the visitor's graphics card."
+)
+@click.option(
+    "--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take."
+)
+@click.option(
+    "--target-error", callback=share_of_error, help="Relative error at which a picture is final."
+)
+@click.option(
+    "--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m."
+)
+@click.option(
+    "--deadline", callback=duration, help="Longest time for all pictures together, shared evenly."
+)
 @options(WORK_OPTIONS)
 @AS_JSON
 def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
-    """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the same goes on.
+    """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the
+    same goes on.
 
-    What is given as first:last:step becomes a slider; with none, the azimuth. An interactive page draws by itself
-    whatever it is put to, of the isovalues first:last.
+    What is given as first:last:step becomes a slider; with none, the azimuth. An interactive page
+    draws by itself whatever it is put to, of the isovalues first:last.
     """
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("publish --interactive" if interactive else "publish")
@@ -318,10 +498,20 @@ def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
 @click.argument("target", required=False)
 @volume_options
 @click.option("--isovalue", type=float, help=KNOBS["isovalue"].text)
-@click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
-@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")
+@click.option(
+    "--size",
+    type=click.IntRange(1, 4096),
+    default=512,
+    show_default=True,
+    help="Pixels along each side.",
+)
+@click.option(
+    "--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def bench(target: str | None, isovalue: float | None, size: int, repeats: int, as_json: bool) -> None:
+def bench(
+    target: str | None, isovalue: float | None, size: int, repeats: int, as_json: bool
+) -> None:
     """Measure this machine with TARGET, a scene or a volume; with neither, a demo."""
     work = module_of("bench")
     show(work.bench(target, isovalue, size, repeats), work.table, as_json)
@@ -339,7 +529,9 @@ def store() -> None:
 
 
 def store_at(where: str | None) -> Any:
-    """The store that is named, else the one that the settings name. Raises StoreError where there is none."""
+    """The store that is named, else the one that the settings name. Raises StoreError where there
+    is none.
+    """
     return module_of("store").existing_store(settings_from(store=where))
 
 
@@ -356,7 +548,11 @@ def verify(where: str | None, as_json: bool) -> int:
 
 @store.command()
 @STORE_ARGUMENT
-@click.option("--delete", is_flag=True, help="Delete what is damaged, instead of moving it to STORE/quarantine.")
+@click.option(
+    "--delete",
+    is_flag=True,
+    help="Delete what is damaged, instead of moving it to STORE/quarantine.",
+)
 @AS_JSON
 def repair(where: str | None, delete: bool, as_json: bool) -> None:
     """Put damaged objects of a STORE away, so that they are baked again when they are needed."""
@@ -376,9 +572,19 @@ def stats(where: str | None, quick: bool, as_json: bool) -> None:
 
 @store.command()
 @STORE_ARGUMENT
-@click.option("--older-than", callback=age, help="Light that was neither baked nor read for so long: 30d, 12h.")
-@click.option("--keep-gb", type=click.FloatRange(0), help="The longest unused light beyond this number of gigabytes.")
-@click.option("--scene", help="Light of this scene or volume alone; with no other option, all of it.")
+@click.option(
+    "--older-than",
+    callback=age,
+    help="Light that was neither baked nor read for so long: 30d, 12h.",
+)
+@click.option(
+    "--keep-gb",
+    type=click.FloatRange(0),
+    help="The longest unused light beyond this number of gigabytes.",
+)
+@click.option(
+    "--scene", help="Light of this scene or volume alone; with no other option, all of it."
+)
 @click.option("--empty", is_flag=True, help="Layers that hold no light.")
 @click.option("--yes", is_flag=True, help="Delete it; without this, only list what would go.")
 @AS_JSON

@@ -1,6 +1,7 @@
 """``isogi export`` and ``isogi convert``: files for the tools that people already use.
 
-An isosurface or a whole volume with its light; and a volume as an OME-Zarr image, which opens quickly.
+An isosurface or a whole volume with its light; and a volume as an OME-Zarr image, which opens
+quickly.
 """
 
 from collections.abc import Iterable, Mapping
@@ -49,7 +50,9 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """A file with light that is asked for: its isovalues, when light is good enough, and whether with coefficients."""
+    """A file with light that is asked for: its isovalues, when light is good enough, and whether
+    with coefficients.
+    """
 
     output: Path
     isovalues: tuple[str, ...]
@@ -58,11 +61,13 @@ class ExportRequest:
     coefficients: bool = False
 
 
-def export(target: str, request: ExportRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def export(
+    target: str, request: ExportRequest, knobs: Mapping[str, str], settings: Settings
+) -> dict[str, Any]:
     """Bake what is lacking, write light to a file, and say what is in it and how good it is.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError, WorkersError and
-    OSError later.
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError,
+    WorkersError and OSError later.
     """
     suffix = checked_suffix(request.output)
     still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not request.coefficients
@@ -73,20 +78,35 @@ def export(target: str, request: ExportRequest, knobs: Mapping[str, str], settin
         check_coefficients(scene, suffix)
     isovalues = request.isovalues or (f"{scene.isovalue!r}",)
     levels = levels_of(isovalues).found_in(scene)
-    params = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
+    params = {
+        path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items())
+        for path, turn in files.items()
+    }
     views = {path: view_of(scene, each, settings) for path, each in params.items()}
     order = {"isovalues": isovalues, "all_directions": True, "target_error": request.target_error}
-    rung = MAX_SAMPLES if request.coefficients else FIRST_LEVEL
+    if request.coefficients:
+        rung = MAX_SAMPLES
+    else:
+        rung = FIRST_LEVEL
     given = order_of({name: value for name, value in order.items() if value})
     summary = prewarm_scene(scene, given, settings, rung=rung)
-    renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
-    exposure = scene.default_exposure if request.exposure is None else request.exposure
+    renderer = Renderer(
+        Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles()
+    )
+    if request.exposure is None:
+        exposure = scene.default_exposure
+    else:
+        exposure = request.exposure
     places = places_to_light(renderer, suffix, levels.spans)
     for path, view in views.items():
         with Progress(f"lighting {path.name}", "point") as bar:
             write_lit(renderer, path, view, places, exposure, bar.show, request.coefficients)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    about = {"file": str(request.output), "files": [str(path) for path in views], "scene": scene.name}
+    about = {
+        "file": str(request.output),
+        "files": [str(path) for path in views],
+        "scene": scene.name,
+    }
     return {**about, **size_facts(places, levels), **baked, "bytes": sum(map(size_of, views))}
 
 
@@ -98,20 +118,37 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
     yaw = knobs.get("yaw", "")
     if ":" not in yaw:
         return {output: dict(knobs)}
-    turns, suffix = values_in("yaw", yaw), suffix_of(output)
+    turns = values_in("yaw", yaw)
+    suffix = suffix_of(output)
     if len(turns) > MOST_TURNS:
-        raise ParameterError(f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw")
-    stem, digits = output.name[: -len(suffix)], len(str(len(turns)))
-    names = (f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}" for number in range(1, len(turns) + 1))
-    return {output.with_name(name): {**knobs, "yaw": repr(turn)} for name, turn in zip(names, turns, strict=True)}
+        raise ParameterError(
+            f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw"
+        )
+    stem = output.name[: -len(suffix)]
+    digits = len(str(len(turns)))
+    names = (
+        f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}"
+        for number in range(1, len(turns) + 1)
+    )
+    return {
+        output.with_name(name): {**knobs, "yaw": repr(turn)}
+        for name, turn in zip(names, turns, strict=True)
+    }
 
 
 def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) -> None:
-    """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
+    """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the
+    kind of file.
+    """
     scene.require_texels()
     suffix = suffix_of(request.output)
-    if suffix in MESHES and (len(request.isovalues) > 1 or any(":" in text for text in request.isovalues)):
-        raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
+    if suffix in MESHES and (
+        len(request.isovalues) > 1 or any(":" in text for text in request.isovalues)
+    ):
+        raise ViewError(
+            "A mesh is of one isovalue: give --isovalue once, or write a volume: "
+            f"{', '.join(WRITERS)}."
+        )
     if suffix in WRITERS:
         check_lattice(scene)
     if suffix == ".zarr":
@@ -123,19 +160,29 @@ def size_facts(places: Lit, levels: Levels) -> dict[str, Any]:
     """Which isovalues a file has, and the light of how many places."""
     if isinstance(places, Mesh):
         isovalue = levels.spans[0][0]
-        return {"isovalue": isovalue, "vertices": len(places.vertices), "triangles": 2 * len(places.quads)}
+        return {
+            "isovalue": isovalue,
+            "vertices": len(places.vertices),
+            "triangles": 2 * len(places.quads),
+        }
     return {"isovalues": [list(span) for span in levels.spans], "texels": len(places)}
 
 
 def exported(facts: Mapping[str, Any]) -> str:
     """What ``export`` did, for a person."""
     if "triangles" in facts:
-        what = f"{facts['vertices']:,} vertices and {facts['triangles']:,} triangles at {facts['isovalue']:g}"
+        what = (
+            f"{facts['vertices']:,} vertices and {facts['triangles']:,} triangles at "
+            f"{facts['isovalue']:g}"
+        )
     else:
         what = f"light at {facts['texels']:,} voxels"
     good = f"{facts['final']:.0%} final at a relative error of {facts['target_error']:g}"
     files = facts["files"]
-    named = files[0] if len(files) == 1 else f"{len(files)} files, {files[0]} to {files[-1]}"
+    if len(files) == 1:
+        named = files[0]
+    else:
+        named = f"{len(files)} files, {files[0]} to {files[-1]}"
     return f"{named}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"
 
 
@@ -145,7 +192,9 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     Raises SceneError and VolumeError, and ParameterError where the target or the output cannot be.
     """
     if output.suffix != ".zarr":
-        raise ParameterError(f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr.")
+        raise ParameterError(
+            f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr."
+        )
     settings = SceneSettings(find_source(target, {}))
     name = settings.text("volume", "")
     if not name or name.startswith("demo:"):
@@ -154,7 +203,12 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)
-    facts = {"file": str(output), "size": grid.shape[::-1], "dtype": grid.dtype.name, "bytes": size_of(output)}
+    facts = {
+        "file": str(output),
+        "size": grid.shape[::-1],
+        "dtype": grid.dtype.name,
+        "bytes": size_of(output),
+    }
     return {**facts, "read_as": grid.read_as, "notes": [*grid.notes, *lost]}
 
 

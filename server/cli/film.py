@@ -1,4 +1,5 @@
-"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie.
+"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a
+movie.
 
 Pillow writes GIF and WebP, FFmpeg MP4 and WebM.
 """
@@ -37,7 +38,10 @@ MOST_FRAMES = 100_000
 FRAME_FILE_NAME = "frame-%05d.png"
 """The names of a film's pictures, numbered from 1."""
 
-LOOPS: dict[str, dict[str, Any]] = {".gif": {"optimize": False}, ".webp": {"quality": 85, "method": 4}}
+LOOPS: dict[str, dict[str, Any]] = {
+    ".gif": {"optimize": False},
+    ".webp": {"quality": 85, "method": 4},
+}
 """Movies that Pillow writes, and how."""
 
 MOVIE_CODECS = {
@@ -46,8 +50,20 @@ MOVIE_CODECS = {
 }
 """Movies that FFmpeg writes: codec and quality."""
 
-MOVIE_COLOUR_OPTIONS = ["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-colorspace", "bt709"]
-MOVIE_COLOUR_OPTIONS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range", "tv"]
+MOVIE_COLOUR_OPTIONS = [
+    "-vf",
+    "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p",
+    "-colorspace",
+    "bt709",
+]
+MOVIE_COLOUR_OPTIONS += [
+    "-color_primaries",
+    "bt709",
+    "-color_trc",
+    "iec61966-2-1",
+    "-color_range",
+    "tv",
+]
 """What players need to know of the pictures: sRGB, by the matrix of BT.709."""
 
 
@@ -72,14 +88,18 @@ class FilmRequest(ReelRequest):
     @property
     def folder(self) -> Path:
         """Where the pictures are kept."""
-        return self.output.with_name(f"{self.output.name}.frames") if self.is_movie else self.output
+        if self.is_movie:
+            return self.output.with_name(f"{self.output.name}.frames")
+        return self.output
 
 
-def film(target: str, request: FilmRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def film(
+    target: str, request: FilmRequest, knobs: Mapping[str, str], settings: Settings
+) -> dict[str, Any]:
     """Render the frames that are not there yet, make the movie of all, and say how good they are.
 
-    Raises SceneError, VolumeError, LightError, ViewError and LibraryError before anything is begun, StoreError,
-    WorkersError and OSError later.
+    Raises SceneError, VolumeError, LightError, ViewError and LibraryError before anything is begun,
+    StoreError, WorkersError and OSError later.
     """
     check_folder(request.output)
     views = keyframes(request)
@@ -89,7 +109,9 @@ def film(target: str, request: FilmRequest, knobs: Mapping[str, str], settings: 
         check_movie(request.output, shots[0].width, shots[0].height)
     for shot in shots:
         view_of(scene, shot, settings)
-    reel = Reel(request.folder, scene, {FRAME_FILE_NAME % n: shot for n, shot in enumerate(shots, 1)})
+    reel = Reel(
+        request.folder, scene, {FRAME_FILE_NAME % n: shot for n, shot in enumerate(shots, 1)}
+    )
     reel.shoot(request, settings)
     if request.is_movie:
         write_movie(request.output, [reel.path(name) for name in reel.shots], request.fps)
@@ -99,7 +121,9 @@ def film(target: str, request: FilmRequest, knobs: Mapping[str, str], settings: 
 
 
 def keyframes(request: FilmRequest) -> list[dict[str, str]]:
-    """The parameters of each view that is given. Raises ParameterError where one is none, or alone."""
+    """The parameters of each view that is given. Raises ParameterError where one is none, or
+    alone.
+    """
     views = [view_in(text) for text in request.views]
     if request.views_file is not None:
         views += views_in(document_in(request.views_file, str.split))
@@ -109,13 +133,15 @@ def keyframes(request: FilmRequest) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The ``target`` in the environment, with the cut, at the time, of the material and without the labels that all
-    views name.
+    """The ``target`` in the environment, with the cut, at the time, of the material and without the
+    labels that all views name.
 
     ParameterError where one names other surfaces.
     """
     if any("surfaces" in view for view in views):
-        raise ParameterError("A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces")
+        raise ParameterError(
+            "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
+        )
     for key in ("environment", "cut", "time", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
@@ -126,21 +152,32 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
 def shots_of(
     scene: Scene, request: FilmRequest, views: Sequence[Mapping[str, str]], knobs: Mapping[str, str]
 ) -> list[FrameParams]:
-    """The parameters of each frame along the ``views``; ParameterError where frames are none, or too many."""
+    """The parameters of each frame along the ``views``; ParameterError where frames are none, or
+    too many.
+    """
     count = round(request.length * request.fps)
     if not 1 <= count <= MOST_FRAMES:
-        raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
+        raise ParameterError(
+            f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length"
+        )
     own = {name: str(value) for name, value in defaults(scene).items()}
     if not any(is_placed(view) for view in (knobs, *views)):
-        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.lighting.room.any))
+        own["azimuth"], own["elevation"] = map(
+            repr, front_of(scene.volume, scene.lighting.room.any)
+        )
     if scene.surfaces.colours is None:
         own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
     own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count, still=request.times is not None)
     if request.times is not None:
         steps = steps_in(request.times, scene)
-        path = [{**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)]
-    shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)
+        path = [
+            {**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)
+        ]
+    shots = (
+        read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items())
+        for shot in path
+    )
     return [smoothed(shot, "png") for shot in shots]
 
 
@@ -150,15 +187,21 @@ def filmed(facts: Mapping[str, Any]) -> str:
 
 
 def check_movie(output: Path, width: int, height: int) -> None:
-    """Raise ViewError where the file's name is that of no movie, or its size not one's, and LibraryError."""
+    """Raise ViewError where the file's name is that of no movie, or its size not one's, and
+    LibraryError.
+    """
     suffix = output.suffix.lower()
     if suffix in MOVIE_CODECS:
         encoder(suffix)
         if width % 2 or height % 2:
-            raise ViewError(f"A {suffix} needs even width and height, not {width} × {height}: change them.")
+            raise ViewError(
+                f"A {suffix} needs even width and height, not {width} × {height}: change them."
+            )
     elif suffix not in LOOPS:
         known = ", ".join((*LOOPS, *MOVIE_CODECS))
-        raise ViewError(f"{output} names no kind of film: end it in {known}, or name a folder for pictures.")
+        raise ViewError(
+            f"{output} names no kind of film: end it in {known}, or name a folder for pictures."
+        )
 
 
 def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
@@ -166,8 +209,17 @@ def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
     suffix = output.suffix.lower()
     if suffix in LOOPS:
         first, *others = (Image.open(path) for path in pictures)
-        data, frame = io.BytesIO(), round(1000.0 / fps)
-        first.save(data, suffix[1:], save_all=True, append_images=others, duration=frame, loop=0, **LOOPS[suffix])
+        data = io.BytesIO()
+        frame = round(1000.0 / fps)
+        first.save(
+            data,
+            suffix[1:],
+            save_all=True,
+            append_images=others,
+            duration=frame,
+            loop=0,
+            **LOOPS[suffix],
+        )
         write_whole(output, data.getvalue())
         return
     half = pictures[0].with_name(f"movie{suffix}")
@@ -182,7 +234,9 @@ def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
         *MOVIE_COLOUR_OPTIONS,
         str(half),
     ]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise LibraryError(f"FFmpeg wrote no {suffix}: {done.stderr.strip() or done.returncode}.")
     os.replace(half, output)
@@ -195,4 +249,6 @@ def encoder(suffix: str) -> str:
 
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ModuleNotFoundError, RuntimeError):
-        raise LibraryError(f"A film in a {suffix} needs FFmpeg: pip install 'isogi[film]'.") from None
+        raise LibraryError(
+            f"A film in a {suffix} needs FFmpeg: pip install 'isogi[film]'."
+        ) from None

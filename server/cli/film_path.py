@@ -37,46 +37,62 @@ ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
 def film_path(
     given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int, still: bool = False
 ) -> list[dict[str, str]]:
-    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as first:last, or around,
-    unless the camera is ``still``.
+    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as
+    first:last, or around, unless the camera is ``still``.
 
     ``scene`` are parameters that a view leaves to it. Raises ParameterError.
     """
-    given, views = untinted(given, scene), [untinted(view, scene) for view in views]
+    given = untinted(given, scene)
+    views = [untinted(view, scene) for view in views]
     swept = [name for name, text in given.items() if ":" in text]
     if views and swept:
-        raise ParameterError(f"{swept[0]}={given[swept[0]]} and views both say what moves: keep one.", swept[0])
+        raise ParameterError(
+            f"{swept[0]}={given[swept[0]]} and views both say what moves: keep one.", swept[0]
+        )
     if views:
         return along([{**given, **view} for view in views], scene, frames, short=True)
     if not swept and not still:
         start = given.get("azimuth", defaults(scene)["azimuth"])
-        given, swept = {**given, "azimuth": f"{start}:{finite_number('azimuth', start) + 360.0!r}"}, ["azimuth"]
+        given = {**given, "azimuth": f"{start}:{finite_number('azimuth', start) + 360.0!r}"}
+        swept = ["azimuth"]
     ends = [ends_of(name, given[name]) for name in swept]
-    keys = [{**given, **{name: end[k] for name, end in zip(swept, ends, strict=True)}} for k in (0, 1)]
+    keys = [
+        {**given, **{name: end[k] for name, end in zip(swept, ends, strict=True)}} for k in (0, 1)
+    ]
     return along(keys, scene, frames, short=False)
 
 
 def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list[dict[str, str]]:
-    """The views of so many frames along the ``keys``, which angles reach by the ``short`` way or as they are.
+    """The views of so many frames along the ``keys``, which angles reach by the ``short`` way or as
+    they are.
 
-    A path that ends where it began goes round evenly; any other begins and ends at rest. Raises ParameterError.
+    A path that ends where it began goes round evenly; any other begins and ends at rest. Raises
+    ParameterError.
     """
     names = list(dict.fromkeys(name for key in keys for name in key))
     usual = defaults(scene)
     whole = [{name: key.get(name, usual.get(name, "")) for name in names} for key in keys]
     fixed = {name: whole[0][name] for name in names if len({key[name] for key in whole}) == 1}
-    tracks = {name: track(name, [key[name] for key in whole], short) for name in names if name not in fixed}
+    tracks = {
+        name: track(name, [key[name] for key in whole], short)
+        for name in names
+        if name not in fixed
+    }
     closed = bool(tracks) and all(is_closed(name, rows) for name, rows in tracks.items())
     places = (len(keys) - 1) * np.arange(frames) / max(frames if closed else frames - 1, 1)
     moving = {name: eased(rows, places, closed) for name, rows in tracks.items()}
-    return [{**fixed, **{name: text_of(name, rows[n]) for name, rows in moving.items()}} for n in range(frames)]
+    return [
+        {**fixed, **{name: text_of(name, rows[n]) for name, rows in moving.items()}}
+        for n in range(frames)
+    ]
 
 
 def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
-    """Values at ``places`` (m,) from 0 to k-1 of a curve through ``rows`` (k, n), one row at each whole place.
+    """Values at ``places`` (m,) from 0 to k-1 of a curve through ``rows`` (k, n), one row at each
+    whole place.
 
-    A monotone cubic (Fritsch and Carlson 1980, with harmonic means as slopes): it passes no row's value on its way to
-    the next. Slopes at the ends of a path that is not ``closed`` are zero.
+    A monotone cubic (Fritsch and Carlson 1980, with harmonic means as slopes): it passes no row's
+    value on its way to the next. Slopes at the ends of a path that is not ``closed`` are zero.
     """
     steps = np.diff(rows, axis=0)
     rest = np.zeros_like(steps[:1])
@@ -92,35 +108,54 @@ def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
 
 
 def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
-    """The values of a parameter at the keyframes, (k, n). Raises ParameterError where it is none that can move."""
+    """The values of a parameter at the keyframes, (k, n). Raises ParameterError where it is none
+    that can move.
+    """
     if name in FIXED_PARAMETERS:
         raise ParameterError(f"{name} cannot change in a film: give all views the same.", name)
     if "" in texts:
-        raise ParameterError(f"{name} is given by some views and not by others: give it in all of them.", name)
+        raise ParameterError(
+            f"{name} is given by some views and not by others: give it in all of them.", name
+        )
     parts = [[finite_number(name, part) for part in text.split(",")] for text in texts]
     most = max(map(len, parts))
     if any(len(row) not in (1, most) for row in parts):
-        raise ParameterError(f"{name} has more numbers in some views than in others: give it alike.", name)
+        raise ParameterError(
+            f"{name} has more numbers in some views than in others: give it alike.", name
+        )
     rows = np.array([row if len(row) == most else row * most for row in parts])
     if name == "light":
-        rows[1:] *= np.cumprod(np.where(np.sum(rows[1:] * rows[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
-    return np.unwrap(rows, period=360.0, axis=0) if short and name in PERIODIC_ANGLES else rows
+        rows[1:] *= np.cumprod(np.where(np.sum(rows[1:] * rows[:-1], axis=1) < 0.0, -1.0, 1.0))[
+            :, None
+        ]
+    if short and name in PERIODIC_ANGLES:
+        return np.unwrap(rows, period=360.0, axis=0)
+    return rows
 
 
 def is_closed(name: str, rows: np.ndarray) -> bool:
     """Whether a parameter ends where it began, angles after whole turns."""
     way = np.abs(rows[-1] - rows[0])
-    return bool(np.all((np.minimum(way % 360.0, -way % 360.0) if name in PERIODIC_ANGLES else way) < 1e-9))
+    return bool(
+        np.all((np.minimum(way % 360.0, -way % 360.0) if name in PERIODIC_ANGLES else way) < 1e-9)
+    )
 
 
 def text_of(name: str, row: np.ndarray) -> str:
     """The values of a parameter as text."""
-    return ",".join(repr(math.fmod(value, 360.0) if name in PERIODIC_ANGLES else value) for value in row.tolist())
+    return ",".join(
+        repr(math.fmod(value, 360.0) if name in PERIODIC_ANGLES else value)
+        for value in row.tolist()
+    )
 
 
 def defaults(scene: Knobs) -> dict[str, str]:
     """What a view says that leaves a parameter out."""
-    usual = {name: field.default for name, field in FrameParams.model_fields.items() if field.default is not None}
+    usual = {
+        name: field.default
+        for name, field in FrameParams.model_fields.items()
+        if field.default is not None
+    }
     return {**{name: str(value) for name, value in usual.items()}, **scene}
 
 
@@ -141,17 +176,26 @@ def ends_of(name: str, text: str) -> tuple[str, str]:
 
 
 def view_in(text: str) -> dict[str, str]:
-    """The parameters in a link that the page shares, or in a text such as ``azimuth=40,elevation=30``."""
+    """The parameters in a link that the page shares, or in a text such as
+    ``azimuth=40,elevation=30``.
+    """
     if "://" in text or text.startswith("?"):
-        return {name: value for name, value in parse_qsl(urlsplit(text).query) if name not in ON_THE_PAGE}
+        return {
+            name: value
+            for name, value in parse_qsl(urlsplit(text).query)
+            if name not in ON_THE_PAGE
+        }
     pairs = [part.partition("=") for part in text.split(",")]
     if not all(name and equals for name, equals, _ in pairs):
-        raise ParameterError(f"view must be a link, or such as azimuth=40,elevation=30, not {shown(text)}.", "view")
+        raise ParameterError(
+            f"view must be a link, or such as azimuth=40,elevation=30, not {shown(text)}.", "view"
+        )
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
 def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
-    """A view whose ``tint``, the colour that a page's link has beside the albedo, is part of the albedo.
+    """A view whose ``tint``, the colour that a page's link has beside the albedo, is part of the
+    albedo.
 
     Raises ParameterError.
     """
@@ -161,22 +205,33 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
         return view
     if not HEX_COLOUR.fullmatch(tint):
         raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
-    most = max(finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(","))
+    most = max(
+        finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(",")
+    )
     return {**view, "albedo": ",".join(repr(most * share) for share in ground_of(tint))}
 
 
 def views_in(document: Any) -> list[dict[str, str]]:
-    """The views in a document: a list of links, or of tables of parameters. Raises ParameterError."""
-    found = document.get("views") if isinstance(document, dict) else document
+    """The views in a document: a list of links, or of tables of parameters. Raises
+    ParameterError.
+    """
+    if isinstance(document, dict):
+        found = document.get("views")
+    else:
+        found = document
     if not isinstance(found, list) or not found:
-        raise ParameterError('A file of views needs a list "views", such as [{"azimuth": 40}].', "views-file")
+        raise ParameterError(
+            'A file of views needs a list "views", such as [{"azimuth": 40}].', "views-file"
+        )
     return [view_in(each) if isinstance(each, str) else known(each) for each in found]
 
 
 def known(view: Any) -> dict[str, str]:
     """The parameters of a view in a document as text. Raises ParameterError."""
     if not isinstance(view, dict):
-        raise ParameterError(f"A view must be a link or a table of parameters, not {shown(view)}.", "views-file")
+        raise ParameterError(
+            f"A view must be a link or a table of parameters, not {shown(view)}.", "views-file"
+        )
     rows = {name: value if isinstance(value, list) else [value] for name, value in view.items()}
     return {name: ",".join(map(str, row)) for name, row in rows.items() if name not in ON_THE_PAGE}
 
@@ -186,20 +241,32 @@ STEPS_PATTERN = re.compile(r"(\d{1,7})(?::(\d{1,7})(?::0*([1-9]\d{0,6}))?)?", re
 
 
 def steps_in(text: str, scene: Scene) -> list[int]:
-    """The steps of the scene's series that a ``text`` names: all, one, first:last or first:last:step.
+    """The steps of the scene's series that a ``text`` names: all, one, first:last or
+    first:last:step.
 
     Raises ParameterError where it names none, or the scene's volume is no series that has them.
     """
     count = scene.volume.moment[1]
     if count < 2:
-        raise ParameterError(f"The volume '{scene.volume.name}' is no series in time: leave times out.", "times")
+        raise ParameterError(
+            f"The volume '{scene.volume.name}' is no series in time: leave times out.", "times"
+        )
     found = STEPS_PATTERN.fullmatch(text)
     if text != "all" and found is None:
-        raise ParameterError(f"times must be all, a step, or first:last:step, not {shown(text)}.", "times")
-    first, last, step = ("0", str(count - 1), "1") if found is None else found.groups()
+        raise ParameterError(
+            f"times must be all, a step, or first:last:step, not {shown(text)}.", "times"
+        )
+    if found is None:
+        first = "0"
+        last = str(count - 1)
+        step = "1"
+    else:
+        first, last, step = found.groups()
     steps = range(int(first), int(last or first) + 1, int(step or 1))
     if not steps or steps[-1] >= count:
-        raise ParameterError(f"times = {shown(text)}: the series has the steps 0 to {count - 1}.", "times")
+        raise ParameterError(
+            f"times = {shown(text)}: the series has the steps 0 to {count - 1}.", "times"
+        )
     return list(steps)
 
 
@@ -209,5 +276,8 @@ def at_step(time: int) -> Iterator[None]:
     try:
         yield
     except ViewError as error:
-        name = error.parameter if isinstance(error, ParameterError) else ""
+        if isinstance(error, ParameterError):
+            name = error.parameter
+        else:
+            name = ""
         raise ParameterError(f"Step {time} of the series: {error}", name) from None

@@ -22,14 +22,30 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "render": (
         ("isogi render engine.nhdr -o engine.png", "512 × 512 pixels"),
-        ("isogi render engine.toml -o a.webp --azimuth 40 --target-error 0.05", "until the error is 5 %"),
-        ("isogi render engine.toml -o a.npy --isovalue 70 --time 30s", "radiance, after 30 seconds"),
+        (
+            "isogi render engine.toml -o a.webp --azimuth 40 --target-error 0.05",
+            "until the error is 5 %",
+        ),
+        (
+            "isogi render engine.toml -o a.npy --isovalue 70 --time 30s",
+            "radiance, after 30 seconds",
+        ),
     ),
-    "reference": (("isogi reference engine.toml -o truth.npz --azimuth 40 --time 10m", "goes on where it stopped"),),
-    "report": (("isogi report engine.toml -o report --deadline 10m", "open report/index.html then"),),
+    "reference": (
+        (
+            "isogi reference engine.toml -o truth.npz --azimuth 40 --time 10m",
+            "goes on where it stopped",
+        ),
+    ),
+    "report": (
+        ("isogi report engine.toml -o report --deadline 10m", "open report/index.html then"),
+    ),
     "prewarm": (
         ("isogi prewarm engine.toml --isovalue 60:120:5 --views 12 --dry-run", "how long it takes"),
-        ("isogi prewarm engine.toml --isovalue 60:120:5 --views 12", "13 isovalues, 12 views of each"),
+        (
+            "isogi prewarm engine.toml --isovalue 60:120:5 --views 12",
+            "13 isovalues, 12 views of each",
+        ),
         ("isogi prewarm engine.toml --continue", "goes on where it was stopped"),
     ),
     "inspect": (
@@ -73,16 +89,37 @@ HELP_GROUPS = {
         *("volume_mb", "volume_cache", "volume_cache_mb"),
     ),
     "Who computes": (
-        *("workers", "scheduler", "scheduler_ca", "scheduler_cert", "scheduler_key", "insecure_scheduler"),
+        *(
+            "workers",
+            "scheduler",
+            "scheduler_ca",
+            "scheduler_cert",
+            "scheduler_key",
+            "insecure_scheduler",
+        ),
         *("render_threads", "render_queue", "queue_seconds", "jobs"),
     ),
     "Who may ask, and for how much": (
-        *("token_file", "tokens_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+        *(
+            "token_file",
+            "tokens_file",
+            "allowed_hosts",
+            "allowed_origins",
+            "max_pixels",
+            "max_paths",
+            "max_body_bytes",
+        ),
         *("trusted_proxies", "exports_mb", "hand_out_voxels"),
     ),
     "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
     "Connections": (
-        *("max_connections", "max_client_connections", "head_seconds", "body_seconds", "stall_seconds"),
+        *(
+            "max_connections",
+            "max_client_connections",
+            "head_seconds",
+            "body_seconds",
+            "stall_seconds",
+        ),
         *("max_unsent_mb", "idle_seconds", "shutdown_seconds"),
     ),
     "Streams": ("streams", "stream_bytes", "stream_rate", "stream_idle_seconds"),
@@ -110,7 +147,10 @@ class GroupedCommand(WithExamples):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, group by group."""
-        rows: dict[str, list[tuple[str, str]]] = {FIRST_HEADING: [], **{title: [] for title in HELP_GROUPS}}
+        rows: dict[str, list[tuple[str, str]]] = {
+            FIRST_HEADING: [],
+            **{title: [] for title in HELP_GROUPS},
+        }
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
             if record is not None and isinstance(param, click.Option):
@@ -140,7 +180,9 @@ class Commands(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where there is none."""
+        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where
+        there is none.
+        """
         word = args[0]
         if word in self.commands or word.startswith("-"):
             return super().resolve_command(ctx, args)
@@ -156,7 +198,9 @@ def names_target(word: str) -> bool:
 
 
 class SettingsCommand(GroupedCommand):
-    """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
+    """A command that takes all settings. Its help is made late, for settings load a library that
+    takes its time.
+    """
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The command's own parameters and the settings' options."""

@@ -1,4 +1,6 @@
-"""``isogi prewarm``: light baked ahead by workers of this process, or by a server whose job the command follows."""
+"""``isogi prewarm``: light baked ahead by workers of this process, or by a server whose job the
+command follows.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,16 @@ if TYPE_CHECKING:
     from isogi_client import Job
     from isogi_client import Progress as JobProgress
 
-__all__ = ["detach", "fields_given", "follow", "go_on", "order_of", "prewarm", "prewarm_series", "tell"]
+__all__ = [
+    "detach",
+    "fields_given",
+    "follow",
+    "go_on",
+    "order_of",
+    "prewarm",
+    "prewarm_series",
+    "tell",
+]
 
 
 COMMAND = Viewer("prewarm", patient=True)
@@ -48,8 +59,9 @@ PREWARM_STOPPED = "This was stopped, and what is baked is kept: the same with --
 def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = False) -> Summary:
     """Bake what is asked for in a scene or a volume, and sum it up; ``dry``: what it would take.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError and WorkersError
-    later. Whatever it ends with, what is baked stays, and the record in the store says what was asked.
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError
+    and WorkersError later. Whatever it ends with, what is baked stays, and the record in the store
+    says what was asked.
     """
     begun = time.monotonic()
     return prewarm_scene(open_scene(target, settings), order, settings, dry, begun)
@@ -58,22 +70,32 @@ def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = Fa
 def prewarm_series(
     target: str, times: str | None, order: PrewarmOrder, settings: Settings, dry: bool = False
 ) -> Iterator[Summary]:
-    """Do the work of ``prewarm`` at each step that ``times`` names of a series, in turn; at the scene's alone for None.
+    """Do the work of ``prewarm`` at each step that ``times`` names of a series, in turn; at the
+    scene's alone for None.
 
-    The order's deadline is that of all steps together: what is left of it is shared evenly. Raises what ``prewarm``
-    raises, and ParameterError for steps that are not there.
+    The order's deadline is that of all steps together: what is left of it is shared evenly. Raises
+    what ``prewarm`` raises, and ParameterError for steps that are not there.
     """
     if times is None:
         yield prewarm(target, order, settings, dry)
         return
-    begun, first = time.monotonic(), open_scene(target, settings)
+    begun = time.monotonic()
+    first = open_scene(target, settings)
     steps = steps_in(times, first)
     for done, step in enumerate(steps):
-        scene = first if step == first.volume.moment[0] else at_time(first, step, first.id)
+        if step == first.volume.moment[0]:
+            scene = first
+        else:
+            scene = at_time(first, step, first.id)
         now = time.monotonic()
-        left = None if order.deadline is None else max(begun + order.deadline - now, 0.0) / (len(steps) - done)
+        if order.deadline is None:
+            left = None
+        else:
+            left = max(begun + order.deadline - now, 0.0) / (len(steps) - done)
         with at_step(step):
-            summary = prewarm_scene(scene, order.model_copy(update={"deadline": left}), settings, dry, now)
+            summary = prewarm_scene(
+                scene, order.model_copy(update={"deadline": left}), settings, dry, now
+            )
         yield summary.model_copy(update={"time": step})
 
 
@@ -87,9 +109,11 @@ def prewarm_scene(
 ) -> Summary:
     """``prewarm`` of a scene that is open; time is counted from when it was ``begun``.
 
-    Texels of whole isosurfaces are to have as many samples as ``rung`` at least, those not good enough with fewer.
+    Texels of whole isosurfaces are to have as many samples as ``rung`` at least, those not good
+    enough with fewer.
     """
-    begun = time.monotonic() if begun is None else begun
+    if begun is None:
+        begun = time.monotonic()
     Views(order, scene, settings)
     record = Record(root_of(settings), scene, order, "command")
     with Progress() as bar:
@@ -103,7 +127,9 @@ def prewarm_scene(
                 return carry_out_dry(context, what)
             try:
                 with record.kept(context, PREWARM_STOPPED):
-                    return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+                    return record.close(
+                        carry_out(context, what, lambda ahead: record.keep(ahead=ahead))
+                    )
             except KeyboardInterrupt:
                 raise Cancelled(PREWARM_STOPPED) from None
 
@@ -124,21 +150,34 @@ def show(bar: Progress, step: Step) -> None:
 
 
 def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
-    """``prewarm`` with the order that came to no end last. Raises SceneError where there is none."""
+    """``prewarm`` with the order that came to no end last. Raises SceneError where there is
+    none.
+    """
 
-    scene, root = open_scene(target, settings), root_of(settings)
+    scene = open_scene(target, settings)
+    root = root_of(settings)
     document = last_unfinished(root, scene)
     if document is None:
-        raise SceneError(f"There is no unfinished prewarm of {scene.name} in {root.url}: say which light to bake.")
+        raise SceneError(
+            f"There is no unfinished prewarm of {scene.name} in {root.url}: say which light to "
+            "bake."
+        )
     return prewarm(target, document.order.model_copy(update={"deadline": deadline}), settings)
 
 
 def desk_of(
-    engine: RenderEngine, scene: Scene, order: PrewarmOrder, report: Callable[[Step], None], begun: float
+    engine: RenderEngine,
+    scene: Scene,
+    order: PrewarmOrder,
+    report: Callable[[Step], None],
+    begun: float,
 ) -> PrewarmContext:
     """What the command works with; its time began earlier."""
     target = order.target_error or scene.target_error
-    deadline = math.inf if order.deadline is None else begun + order.deadline
+    if order.deadline is None:
+        deadline = math.inf
+    else:
+        deadline = begun + order.deadline
     return PrewarmContext(
         engine,
         scene,
@@ -158,31 +197,45 @@ def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
     fields = {name: value for name, value in given.items() if value not in (None, ())}
     file = fields.pop("views_file", None)
     directions = [direction_in(text) for text in fields.pop("directions", ())]
-    directions += [] if file is None else directions_in(file)
+    if file is None:
+        directions += []
+    else:
+        directions += directions_in(file)
     orbits = [orbit_in(text) for text in fields.pop("orbits", ())]
-    return fields | {name: each for name, each in (("directions", directions), ("orbits", orbits)) if each}
+    return fields | {
+        name: each for name, each in (("directions", directions), ("orbits", orbits)) if each
+    }
 
 
 def direction_in(text: str) -> dict[str, str]:
     """The direction in a text such as ``azimuth=40,elevation=30``."""
     pairs = [part.partition("=") for part in text.split(",")]
     if not all(name and equals for name, equals, _ in pairs):
-        raise ParameterError(f"view must be such as azimuth=40,elevation=30, not '{text[:40]}'.", "view")
+        raise ParameterError(
+            f"view must be such as azimuth=40,elevation=30, not '{text[:40]}'.", "view"
+        )
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
 def orbit_in(text: str) -> dict[str, str]:
     """The orbit in a text such as ``36@20`` or ``36``."""
     count, at, elevation = text.partition("@")
-    return {"count": count, "elevation": elevation} if at else {"count": count}
+    if at:
+        return {"count": count, "elevation": elevation}
+    return {"count": count}
 
 
 def directions_in(file: Path) -> list[Any]:
     """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
     document = document_in(file, json.loads)
-    found = document.get("directions") if isinstance(document, dict) else document
+    if isinstance(document, dict):
+        found = document.get("directions")
+    else:
+        found = document
     if not isinstance(found, list) or not found:
-        raise ParameterError(f'{file.name} needs a list "directions", such as [{{"azimuth": 40}}].', "views-file")
+        raise ParameterError(
+            f'{file.name} needs a list "directions", such as [{{"azimuth": 40}}].', "views-file"
+        )
     return found
 
 
@@ -193,14 +246,18 @@ def detach(server: str, target: str, order: PrewarmOrder, dry: bool) -> str:
 
 
 def follow(server: str, target: str, order: PrewarmOrder, dry: bool) -> Summary:
-    """The summary of a server's job, once it has ended; a bar shows how far it is. Raises as ``posted`` does.
+    """The summary of a server's job, once it has ended; a bar shows how far it is. Raises as
+    ``posted`` does.
 
     An interrupt of the command dismisses the job.
     """
     with posted(server, target, order, dry) as job, Progress("prewarm", "percent") as bar:
 
         def show(done: JobProgress) -> None:
-            left = None if done.time_left is None else TimeLeft(*done.time_left)
+            if done.time_left is None:
+                left = None
+            else:
+                left = TimeLeft(*done.time_left)
             bar.show(done.progress, 100, left, done.message)
 
         try:
@@ -212,19 +269,24 @@ def follow(server: str, target: str, order: PrewarmOrder, dry: bool) -> Summary:
 
 @contextmanager
 def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator[Job]:
-    """The job that a server begins; the client's errors become the command's, in the server's words.
+    """The job that a server begins; the client's errors become the command's, in the server's
+    words.
 
-    Raises UnknownSceneError, ParameterError where the server refuses, IsogiError, and LibraryError where a library of
-    the client is missing.
+    Raises UnknownSceneError, ParameterError where the server refuses, IsogiError, and LibraryError
+    where a library of the client is missing.
     """
     try:
         import isogi_client as client  # noqa: PLC0415 (its libraries are an extra)
     except ModuleNotFoundError as error:
-        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
+        raise LibraryError(
+            f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'."
+        ) from None
     try:
         with client.Isogi(server) as isogi:
             scene = scene_named(target, [each["id"] for each in isogi.scenes()])
-            yield isogi.prewarm(scene, dry_run=dry, **order.model_dump(mode="json", exclude_defaults=True))
+            yield isogi.prewarm(
+                scene, dry_run=dry, **order.model_dump(mode="json", exclude_defaults=True)
+            )
     except client.NotFoundError as error:
         raise UnknownSceneError(error.detail) from None
     except client.RefusedError as error:
@@ -234,7 +296,9 @@ def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator
 
 
 def scene_named(target: str, scenes: list[str]) -> str:
-    """The scene that is meant: by its id, or the name of its file; UnknownSceneError where the server has none such."""
+    """The scene that is meant: by its id, or the name of its file; UnknownSceneError where the
+    server has none such.
+    """
     for name in (target, Path(target).stem.lower(), target.removeprefix("demo:")):
         if name in scenes:
             return name

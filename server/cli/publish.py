@@ -1,4 +1,6 @@
-"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and light, and a page for them."""
+"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and light, and a page for
+them.
+"""
 
 import itertools
 import json
@@ -42,18 +44,24 @@ class PageRequest(ReelRequest):
     megabytes: float | None = None
 
 
-def publish(target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def publish(
+    target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings
+) -> dict[str, Any]:
     """Render the pictures that are not there yet, write the page, and say how good they are.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError, WorkersError and
-    OSError later.
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError,
+    WorkersError and OSError later.
     """
     if request.megabytes is not None:
-        raise ParameterError("--megabytes is for a page that draws by itself: give --interactive too.", "megabytes")
+        raise ParameterError(
+            "--megabytes is for a page that draws by itself: give --interactive too.", "megabytes"
+        )
     check_folder(request.output)
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
-    shots = shots_of(sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)})
+    shots = shots_of(
+        sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)}
+    )
     for shot in shots.values():
         view_of(scene, shot, settings)
     reel = Reel(request.output, scene, shots)
@@ -65,7 +73,8 @@ def publish(target: str, request: PageRequest, knobs: Mapping[str, str], setting
 
 
 def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
-    """The values of each parameter that is given as first:last:step; azimuths all around where none is.
+    """The values of each parameter that is given as first:last:step; azimuths all around where none
+    is.
 
     Raises ParameterError.
     """
@@ -75,33 +84,52 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
     for values in sliders.values():
         count *= len(values)
         if count > MOST_PICTURES:
-            raise ParameterError(f"The grid has more than {MOST_PICTURES:,} pictures: ask for larger steps.")
+            raise ParameterError(
+                f"The grid has more than {MOST_PICTURES:,} pictures: ask for larger steps."
+            )
     return sliders
 
 
 def values_in(name: str, text: str) -> list[float]:
     """The numbers in a text such as 0:90:15. Raises ParameterError."""
     numbers = [finite(part) for part in text.split(":")]
-    sensible = len(numbers) == 3 and numbers[2] > 0.0 and 0.0 <= numbers[1] - numbers[0] < MOST_PICTURES * numbers[2]
+    sensible = (
+        len(numbers) == 3
+        and numbers[2] > 0.0
+        and 0.0 <= numbers[1] - numbers[0] < MOST_PICTURES * numbers[2]
+    )
     if not sensible:
-        raise ParameterError(f"{name} must be a number, or first:last:step such as 0:90:15, not {shown(text)}.", name)
+        raise ParameterError(
+            f"{name} must be a number, or first:last:step such as 0:90:15, not {shown(text)}.", name
+        )
     return [float(f"{value:.12g}") for value in stepped(*numbers)]
 
 
-def shots_of(sliders: Mapping[str, list[float]], knobs: Mapping[str, str]) -> dict[str, FrameParams]:
-    """The parameters of each picture of the grid, by the name of its file: the places of its sliders."""
+def shots_of(
+    sliders: Mapping[str, list[float]], knobs: Mapping[str, str]
+) -> dict[str, FrameParams]:
+    """The parameters of each picture of the grid, by the name of its file: the places of its
+    sliders.
+    """
     shots = {}
     for places in itertools.product(*(range(len(values)) for values in sliders.values())):
-        at = {name: repr(values[n]) for (name, values), n in zip(sliders.items(), places, strict=True)}
+        at = {
+            name: repr(values[n]) for (name, values), n in zip(sliders.items(), places, strict=True)
+        }
         name = f"pictures/{'-'.join(map(str, places))}.webp"
         shots[name] = smoothed(read(FrameParams, {**knobs, **at, "f": "webp"}.items()), "webp")
     return shots
 
 
 def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str:
-    """The page, with all that it shows but the pictures: it needs no server, nor another file of text."""
+    """The page, with all that it shows but the pictures: it needs no server, nor another file of
+    text.
+    """
     facts = reel.summary()
-    quality = f"{facts['final']:.0%} of the pictures final at a relative error of {facts['target_error']:g}"
+    quality = (
+        f"{facts['final']:.0%} of the pictures final at a relative error of "
+        f"{facts['target_error']:g}"
+    )
     document = {
         "name": scene.name,
         "width": reel.about["width"],
@@ -114,21 +142,33 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str
         ],
         "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
     }
-    return PAGE_TEMPLATE.read_text(encoding="utf-8").replace("{DATA}", json.dumps(document).replace("<", "\\u003c"))
+    return PAGE_TEMPLATE.read_text(encoding="utf-8").replace(
+        "{DATA}", json.dumps(document).replace("<", "\\u003c")
+    )
 
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
-    """The place of a slider where the page begins: the nearest to what the scene is seen with at first."""
-    front = dict(zip(("azimuth", "elevation"), front_of(scene.volume, scene.lighting.room.any), strict=True))
+    """The place of a slider where the page begins: the nearest to what the scene is seen with at
+    first.
+    """
+    front = dict(
+        zip(("azimuth", "elevation"), front_of(scene.volume, scene.lighting.room.any), strict=True)
+    )
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0
-    away, turn = np.abs(np.array(values) - usual), 360.0 if name in PERIODIC_ANGLES else math.inf
+    away = np.abs(np.array(values) - usual)
+    if name in PERIODIC_ANGLES:
+        turn = 360.0
+    else:
+        turn = math.inf
     return int(np.argmin(np.minimum(away, turn - away % turn)))
 
 
 def ground_colour(background: str) -> str:
-    """What is behind the surfaces of pictures as CSS has it: ``#rrggbb``, empty where that is the page itself."""
+    """What is behind the surfaces of pictures as CSS has it: ``#rrggbb``, empty where that is the
+    page itself.
+    """
     if background == "transparent":
         return ""
     return f"#{coded(np.array(ground_of(background))).tobytes().hex()}"

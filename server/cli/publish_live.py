@@ -1,4 +1,6 @@
-"""``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from static files."""
+"""``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from
+static files.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -39,10 +41,14 @@ from server.settings import Settings
 from server.views import isovalue_of, view_of
 
 LIGHT_TARGET_SHARE = 0.5
-"""The target that light is planned and baked for, over that of the page's pictures: no pixel has light of its own."""
+"""The target that light is planned and baked for, over that of the page's pictures: no pixel has
+light of its own.
+"""
 
 ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
-"""Errors by rounding that are tried, over the target: the first one whose files are small enough is taken."""
+"""Errors by rounding that are tried, over the target: the first one whose files are small enough is
+taken.
+"""
 
 TAKEN = (
     *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
@@ -72,14 +78,19 @@ class Offer:
         return float(self.facts["error"]["likely"])
 
 
-def publish(target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
-    """Bake the light of a range of isovalues, write a page that draws it, and say how large and how good it is.
+def publish(
+    target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings
+) -> dict[str, Any]:
+    """Bake the light of a range of isovalues, write a page that draws it, and say how large and how
+    good it is.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, and ViewError where the page
-    takes more than it may; StoreError, WorkersError and OSError later.
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, and ViewError
+    where the page takes more than it may; StoreError, WorkersError and OSError later.
     """
     if request.seconds is not None or request.deadline is not None:
-        raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
+        raise ParameterError(
+            "--time and --deadline are for pictures: leave them out with --interactive."
+        )
     check_folder(request.output)
     goal = request.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
@@ -87,17 +98,25 @@ def publish(target: str, request: PageRequest, knobs: Mapping[str, str], setting
     view = view_of(scene, params, settings)
     with at_work(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
-        offer = fitting(offers(context, params, view, span, goal, settings), request.megabytes, goal)
+        offer = fitting(
+            offers(context, params, view, span, goal, settings), request.megabytes, goal
+        )
     write_files(request.output, offer.files)
     facts = {"file": str(request.output), **offer.facts, "bytes": offer.nbytes}
     return {**facts, "seconds": request.passed}
 
 
 def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
-    """The isovalues that are asked for, and the view that the page begins with. Raises ParameterError."""
-    others = [name for name in knobs if name not in TAKEN or (":" in knobs[name] and name != "isovalue")]
+    """The isovalues that are asked for, and the view that the page begins with. Raises
+    ParameterError.
+    """
+    others = [
+        name for name in knobs if name not in TAKEN or (":" in knobs[name] and name != "isovalue")
+    ]
     if others:
-        raise ParameterError(f"--{others[0]} {knobs[others[0]]} is for pictures: leave it out with --interactive.")
+        raise ParameterError(
+            f"--{others[0]} {knobs[others[0]]} is for pictures: leave it out with --interactive."
+        )
     levels = levels_of([knobs.get("isovalue", f"{scene.isovalue!r}")])
     span = Span(min(levels.all), max(levels.all))
     start = min(max(scene.isovalue, span.low), span.high)
@@ -113,16 +132,22 @@ def ground_of(params: FrameParams) -> str:
     if "background" not in params.model_fields_set:
         return "page"
     if params.background not in PAGE_BACKGROUNDS:
-        raise ParameterError(f"background must be light or dark with --interactive, not {params.background}.")
+        raise ParameterError(
+            f"background must be light or dark with --interactive, not {params.background}."
+        )
     return params.background
 
 
 def refuse_obstacles(renderer: Renderer, view: View) -> None:
-    """Raise ViewError where a card cannot draw the scene, and SceneError where that keeps no light."""
+    """Raise ViewError where a card cannot draw the scene, and SceneError where that keeps no
+    light.
+    """
     renderer.prepared.scene.require_texels()
     if found := card_obstacles(renderer.prepared, view, True):
         reasons = " ".join(each.why for each in found)
-        raise ViewError(f"A page without a server cannot draw this scene: {reasons} Publish pictures of it.")
+        raise ViewError(
+            f"A page without a server cannot draw this scene: {reasons} Publish pictures of it."
+        )
 
 
 @contextmanager
@@ -135,19 +160,38 @@ def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmC
 
 
 def offers(
-    context: PrewarmContext, params: FrameParams, view: View, span: Span, goal: float, settings: Settings
+    context: PrewarmContext,
+    params: FrameParams,
+    view: View,
+    span: Span,
+    goal: float,
+    settings: Settings,
 ) -> Iterator[Offer]:
-    """The page with ever fewer bits of light, baked until pictures of the first one are at the ``goal``, an error."""
-    renderer, target = context.renderer, context.target
-    views = [replace(each, albedo=view.albedo) for each in views_of(context, span.low, span.high, settings)]
+    """The page with ever fewer bits of light, baked until pictures of the first one are at the
+    ``goal``, an error.
+    """
+    renderer = context.renderer
+    target = context.target
+    views = [
+        replace(each, albedo=view.albedo)
+        for each in views_of(context, span.low, span.high, settings)
+    ]
     codings = [coding_at(renderer, share * goal) for share in ROUNDING_SHARES]
     baked = bake_range(context, (span.low, span.high), codings[0], views, goal)
-    page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
+    page = page_files() | volume_files(renderer, span)
+    document = document_of(renderer, params, view, span)
     for coding in codings:
         light = light_files(renderer, span, coding, target)
-        facts = page_facts(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
+        facts = page_facts(
+            renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding)
+        )
         facts["target_error"] = goal
-        known = {"files": sorted(light), "steps": coding.steps.tolist(), "background": ground_of(params), **facts}
+        known = {
+            "files": sorted(light),
+            "steps": coding.steps.tolist(),
+            "background": ground_of(params),
+            **facts,
+        }
         yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
 
 
@@ -178,8 +222,13 @@ def page_facts(
 
 
 def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Offer:
-    """The first offer that takes no more than it may. Raises ViewError where its pictures would miss the target."""
-    most = math.inf if megabytes is None else 1e6 * megabytes
+    """The first offer that takes no more than it may. Raises ViewError where its pictures would
+    miss the target.
+    """
+    if megabytes is None:
+        most = math.inf
+    else:
+        most = 1e6 * megabytes
     best = offer = next(some)
     while offer.nbytes > most and (coarser := next(some, None)):
         offer = coarser
@@ -190,16 +239,25 @@ def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Of
 
 def too_large(best: Offer, smallest: Offer, most: float) -> str:
     """What to say where a page takes more bytes than the ``most``, and what would fit."""
-    sentence = f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, and may take less:"
+    sentence = (
+        f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "
+        "and may take less:"
+    )
     more = f"allow --megabytes {best.nbytes / 1e6 + 0.01:.2f}"
     if smallest.nbytes <= most:
-        at = f"--target-error {1.01 * smallest.error:.2g}, which takes {smallest.nbytes / 1e6:.2f} MB"
+        at = (
+            f"--target-error {1.01 * smallest.error:.2g}, which takes "
+            f"{smallest.nbytes / 1e6:.2f} MB"
+        )
         return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
     light = smallest.facts["light_bytes"]
     beside = smallest.nbytes - light
     if beside >= most:
         return f"{sentence} {more}. Its volume and its modules alone take {beside / 1e6:.2f} MB."
-    return f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these isovalues and a larger error."
+    return (
+        f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these "
+        "isovalues and a larger error."
+    )
 
 
 def published(facts: Mapping[str, Any]) -> str:
@@ -207,11 +265,14 @@ def published(facts: Mapping[str, Any]) -> str:
     low, high = facts["isovalues"]
     error = facts["error"]
     good = (
-        f"error {error['likely']:.4f} ({error['low']:.4f} to {error['high']:.4f}, measured in {facts['views']} views)"
+        f"error {error['likely']:.4f} ({error['low']:.4f} to {error['high']:.4f}, measured "
+        f"in {facts['views']} views)"
     )
-    good += f", above the target of {facts['target_error']:g}" if error["likely"] > facts["target_error"] else ""
+    if error["likely"] > facts["target_error"]:
+        good += f", above the target of {facts['target_error']:g}"
     parts = f"volume {facts['volume_bytes'] / 1e6:.1f}, light {facts['light_bytes'] / 1e6:.1f}"
     size = f"{facts['bytes'] / 1e6:.1f} MB ({parts})"
     return (
-        f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: open {facts['file']}/index.html on a server"
+        f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: open "
+        f"{facts['file']}/index.html on a server"
     )

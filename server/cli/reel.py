@@ -1,4 +1,6 @@
-"""Pictures of many views of a scene in a folder, each as good as asked; those that are there are not made again."""
+"""Pictures of many views of a scene in a folder, each as good as asked; those that are there are
+not made again.
+"""
 
 import json
 import math
@@ -27,7 +29,9 @@ from server.settings import Settings
 from server.views import view_of
 
 RECORD_WRITE_SECONDS = 1.0
-"""Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
+"""Seconds between two writings of what is known of the pictures; after a crash, the last ones are
+made again.
+"""
 
 
 OPEN_STEPS = 2
@@ -36,10 +40,11 @@ OPEN_STEPS = 2
 
 @dataclass(frozen=True)
 class ReelRequest:
-    """Pictures that a command is asked for: the file or folder that they go to, and when one of them is good enough.
+    """Pictures that a command is asked for: the file or folder that they go to, and when one of
+    them is good enough.
 
-    A picture ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, in seconds since the
-    work was ``begun``.
+    A picture ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``,
+    in seconds since the work was ``begun``.
     """
 
     output: Path
@@ -51,7 +56,10 @@ class ReelRequest:
 
     def share(self, pictures: int) -> float | None:
         """Seconds for the next picture where so many are left; None for as long as it takes."""
-        left = math.inf if self.deadline is None else max(self.deadline - self.passed, 0.0) / pictures
+        if self.deadline is None:
+            left = math.inf
+        else:
+            left = max(self.deadline - self.passed, 0.0) / pictures
         share = min(left, math.inf if self.seconds is None else self.seconds)
         return None if math.isinf(share) else share
 
@@ -62,12 +70,21 @@ class ReelRequest:
 
 
 class Reel:
-    """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there stay."""
+    """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there
+    stay.
+    """
 
     def __init__(self, folder: Path, scene: Scene, shots: Mapping[str, FrameParams]) -> None:
-        """Look at what is there of ``shots``, by the names of their files. Raises ViewError where it is another's."""
-        self.shots, self._folder, self._scene, self._list = shots, folder, scene, folder / "pictures.json"
-        moving = len({shot.time for shot in shots.values()}) > 1  # the whole box is seen: each step has its surface
+        """Look at what is there of ``shots``, by the names of their files. Raises ViewError where
+        it is another's.
+        """
+        self.shots = shots
+        self._folder = folder
+        self._scene = scene
+        self._list = folder / "pictures.json"
+        moving = (
+            len({shot.time for shot in shots.values()}) > 1
+        )  # the whole box is seen: each step has its surface
         self._placed = moving or any(is_placed(shot.model_fields_set) for shot in shots.values())
         asked = [[name, shot.model_dump(mode="json")] for name, shot in shots.items()]
         whole = [scene.digest, scene.default_exposure, self._placed, asked]
@@ -77,8 +94,13 @@ class Reel:
         if self._list.exists():
             kept = json.loads(self._list.read_text(encoding="utf-8"))
             if kept["asked"] != self._digest:
-                raise ViewError(f"{folder} holds pictures of something else: name another one, or delete that folder.")
-            self.facts = {name: facts for name, facts in kept["pictures"].items() if self.path(name).exists()}
+                raise ViewError(
+                    f"{folder} holds pictures of something else: name another one, or delete "
+                    "that folder."
+                )
+            self.facts = {
+                name: facts for name, facts in kept["pictures"].items() if self.path(name).exists()
+            }
         self._kept = len(self.facts)
 
     def path(self, name: str) -> Path:
@@ -99,11 +121,16 @@ class Reel:
             self._write_list()
 
     def _write_list(self) -> None:
-        write_whole(self._list, json.dumps({"asked": self._digest, "pictures": self.facts}, indent=1).encode())
+        write_whole(
+            self._list,
+            json.dumps({"asked": self._digest, "pictures": self.facts}, indent=1).encode(),
+        )
         self._written = time.monotonic()
 
     def summary(self) -> dict[str, Any]:
-        """How good the pictures are: the share that is final, the target, and the median and the worst error."""
+        """How good the pictures are: the share that is final, the target, and the median and the
+        worst error.
+        """
         errors = [facts["error"] for facts in self.facts.values()]
         target = next(iter(self.shots.values())).max_error or self._scene.target_error
         final = sum(facts["final"] for facts in self.facts.values()) / len(self.shots)
@@ -128,18 +155,26 @@ class Reel:
                 if self.facts:
                     self._write_list()
 
-    def _shoot(self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress) -> None:
-        missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=OPEN_STEPS)
+    def _shoot(
+        self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress
+    ) -> None:
+        missing = self.missing
+        shots = self.shots
+        variants = Variants(engine, lambda _: None, most=OPEN_STEPS)
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))
         for done, name in enumerate(missing):
-            shot, seconds = shots[name], request.share(len(missing) - done)
+            shot = shots[name]
+            seconds = request.share(len(missing) - done)
             scene = self._at(variants, shot.time)
             with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
                 view = view_of(scene, shot, settings)
             frame = awaited(engine, scene.id, view, shot.max_error, seconds)
-            exposure = self._scene.default_exposure if shot.exposure is None else shot.exposure
+            if shot.exposure is None:
+                exposure = self._scene.default_exposure
+            else:
+                exposure = shot.exposure
             picture = encode(frame, FORMAT_OF_SUFFIX[self.path(name).suffix], exposure, shot)
             self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
             bar.count(done + 1, len(missing))
@@ -147,11 +182,15 @@ class Reel:
     def _at(self, variants: Variants, time: int | None) -> Scene:
         """The scene at a step of its series; itself where none is named. Raises ParameterError."""
         variant = SceneVariant.of(self._scene, Change(time=time))
-        return variants.make(self._scene, variant, None) if variant.any else self._scene
+        if variant.any:
+            return variants.make(self._scene, variant, None)
+        return self._scene
 
 
 def said(facts: Mapping[str, Any], what: str) -> str:
     """How good the pictures of a summary are, for a person; ``what`` names and counts them."""
     size = f"{facts['pictures']} {what} of {facts['width']} × {facts['height']}"
     error = f"error {facts['error']['median']:.4f}, at worst {facts['error']['worst']:.4f}"
-    return f"{facts['file']}: {size}, {facts['final']:.0%} final at {facts['target_error']:g}, {error}"
+    return (
+        f"{facts['file']}: {size}, {facts['final']:.0%} final at {facts['target_error']:g}, {error}"
+    )

@@ -1,4 +1,6 @@
-"""``isogi render`` and ``isogi reference``: one view as a picture, from the cache or path-traced."""
+"""``isogi render`` and ``isogi reference``: one view as a picture, from the cache or
+path-traced.
+"""
 
 import math
 import tempfile
@@ -22,7 +24,14 @@ from isogi_core.model.view import View
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.reference import Goal, Reference, grow_reference, load_reference, save_reference, with_bounces
+from isogi_core.reference import (
+    Goal,
+    Reference,
+    grow_reference,
+    load_reference,
+    save_reference,
+    with_bounces,
+)
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import coverage_schema, fit
 from server.parameters import FrameParams, ViewParams, read
@@ -72,8 +81,12 @@ def render(
             [params] = seen_whole(engine.renderer(scene.id), [params], settings)
         view = view_of(scene, params, settings)
         frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
-        left, paths = engine.time_left(scene.id, frame, params.max_error), engine.baker.paths
-    exposure = scene.default_exposure if params.exposure is None else params.exposure
+        left = engine.time_left(scene.id, frame, params.max_error)
+        paths = engine.baker.paths
+    if params.exposure is None:
+        exposure = scene.default_exposure
+    else:
+        exposure = params.exposure
     write_whole(output, encode(frame, form, exposure, params))
     return {
         "file": str(output),
@@ -88,19 +101,29 @@ def render(
 
 
 def stopped_by(frame: Frame) -> str:
-    """What ended the rendering of a frame: its target, the samples that were asked for, or the time."""
+    """What ended the rendering of a frame: its target, the samples that were asked for, or the
+    time.
+    """
     if frame.final:
         return "target"
-    return "samples" if frame.view.shading == "path_traced" else "time"
+    if frame.view.shading == "path_traced":
+        return "samples"
+    return "time"
 
 
 def rendered(facts: Mapping[str, Any]) -> str:
     """What ``render`` did, for a person."""
     states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
-    quality = f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    quality = (
+        f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at "
+        f"{facts['target_error']:g}"
+    )
     if not facts["pixels"]["surface"]:
         quality = "no surface in view"
-    return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
+    return (
+        f"{facts['file']}: {facts['width']} × {facts['height']}, "
+        f"{states[facts['stopped']]}, {quality}"
+    )
 
 
 def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
@@ -111,7 +134,9 @@ def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
 
 @contextmanager
 def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[RenderEngine]:
-    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed at the end."""
+    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed
+    at the end.
+    """
     with closing(engine_for(scene, settings, hire)) as engine:
         with compiling(lambda: engine.kernels.progress):
             engine.start(hire=hire)
@@ -119,9 +144,13 @@ def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[Ren
 
 
 def format_of(output: Path) -> str:
-    """The format that the file's suffix names; ViewError for others and where the folder is missing."""
+    """The format that the file's suffix names; ViewError for others and where the folder is
+    missing.
+    """
     if output.suffix.lower() not in FORMAT_OF_SUFFIX:
-        raise ViewError(f"{output} names no picture format: end it in {', '.join(FORMAT_OF_SUFFIX)}.")
+        raise ViewError(
+            f"{output} names no picture format: end it in {', '.join(FORMAT_OF_SUFFIX)}."
+        )
     check_folder(output)
     return FORMAT_OF_SUFFIX[output.suffix.lower()]
 
@@ -131,8 +160,12 @@ def is_placed(given: Iterable[str]) -> bool:
     return not PLACED.isdisjoint(given)
 
 
-def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Settings) -> list[FrameParams]:
-    """The ``shots`` with one target and one distance for all of them, from the directions that they give."""
+def seen_whole(
+    renderer: Renderer, shots: Sequence[FrameParams], settings: Settings
+) -> list[FrameParams]:
+    """The ``shots`` with one target and one distance for all of them, from the directions that they
+    give.
+    """
     scene = renderer.prepared.scene
     turned = [from_front(scene, shot) for shot in shots]
     few = np.unique(np.linspace(0, len(turned) - 1, LOOKED_AT).round().astype(int))
@@ -142,10 +175,14 @@ def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Setti
 
 
 def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
-    """The ``shot`` from the angles that it gives, and where it gives none, from the scene's front."""
+    """The ``shot`` from the angles that it gives, and where it gives none, from the scene's
+    front.
+    """
     azimuth, elevation = front_of(scene.volume, scene.lighting.room.any)
     front = {"azimuth": azimuth, "elevation": elevation}
-    return shot.model_copy(update={name: angle for name, angle in front.items() if name not in shot.model_fields_set})
+    return shot.model_copy(
+        update={name: angle for name, angle in front.items() if name not in shot.model_fields_set}
+    )
 
 
 def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
@@ -154,15 +191,26 @@ def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
     return Stand(view, shot.azimuth, shot.elevation)
 
 
-def draw_refined(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never runs back."""
-    begun, shown = time.monotonic(), 0.0
+def draw_refined(
+    engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None
+) -> Frame:
+    """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never
+    runs back.
+    """
+    begun = time.monotonic()
+    shown = 0.0
     with Progress("lighting", "") as bar:
 
         def show(frame: Frame) -> None:
             nonlocal shown
-            left, passed = engine.time_left(scene, frame, max_error), time.monotonic() - begun
-            done = 1.0 if frame.final else passed / (passed + left.likely) if left and passed else 0.0
+            left = engine.time_left(scene, frame, max_error)
+            passed = time.monotonic() - begun
+            if frame.final:
+                done = 1.0
+            elif left and passed:
+                done = passed / (passed + left.likely)
+            else:
+                done = 0.0
             shown = max(shown, done)
             bar.show(int(100 * shown), 100, left)
 
@@ -179,11 +227,14 @@ def awaited(
 ) -> Frame:
     """The frame once it is final or the time is spent; those on the way are shown.
 
-    A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where the workers fail,
-    or nothing has changed for as long as a ``Patience`` lasts.
+    A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where
+    the workers fail, or nothing has changed for as long as a ``Patience`` lasts.
     """
     patience = Patience(clock=time.monotonic)
-    deadline = math.inf if seconds is None else time.monotonic() + seconds
+    if seconds is None:
+        deadline = math.inf
+    else:
+        deadline = time.monotonic() + seconds
     while True:
         left = max(0.0, deadline - time.monotonic())
         frame = engine.frame(scene, view, max_error=max_error, wait=min(FRAME_SECONDS, left))
@@ -206,10 +257,12 @@ def reference(
     bounces: int | None,
     goal: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Grow the reference of a view, named by ``knobs``, in the file ``output``, and say how good it is.
+    """Grow the reference of a view, named by ``knobs``, in the file ``output``, and say how good it
+    is.
 
-    It is written after each round, and gone on from where it is there already. ``goal`` are a Goal's. Raises
-    SceneError, VolumeError, LightError and ViewError before anything is begun, ReportError and OSError later.
+    It is written after each round, and gone on from where it is there already. ``goal`` are a
+    Goal's. Raises SceneError, VolumeError, LightError and ViewError before anything is begun,
+    ReportError and OSError later.
     """
     check_file(output)
     scene = open_scene(target, settings)
@@ -228,21 +281,35 @@ def check_file(output: Path) -> None:
 def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, Any]:
     """Grow the reference in ``output`` to its goal, with a bar; its facts."""
 
-    former = load_reference(output, scene, view) if output.exists() else None
+    if output.exists():
+        former = load_reference(output, scene, view)
+    else:
+        former = None
     found = former
-    with tempfile.TemporaryDirectory(prefix="isogi-reference-") as store, tqdm(unit="path", unit_scale=True) as bar:
+    with (
+        tempfile.TemporaryDirectory(prefix="isogi-reference-") as store,
+        tqdm(unit="path", unit_scale=True) as bar,
+    ):
         renderer = Renderer(Caches(PreparedScene(scene), store, REFERENCE_BYTES), Tiles())
         for found in grow_reference(renderer, view, goal, former, progress=bar.update):
             save_reference(output, found, scene, view)
             show_noise(bar, found, goal)
     assert found is not None, "one round is made in any case"
-    return {"file": str(output), "scene": scene.name, "bounces": scene.bounces, **reference_facts(found)}
+    return {
+        "file": str(output),
+        "scene": scene.name,
+        "bounces": scene.bounces,
+        **reference_facts(found),
+    }
 
 
 def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
     """Put on the bar how good a reference is, and how many paths are still to come."""
     foreseen = goal.foresee(found)
-    bar.total = None if foreseen is None else bar.n + int(found.on.sum()) * (foreseen - found.samples)
+    if foreseen is None:
+        bar.total = None
+    else:
+        bar.total = bar.n + int(found.on.sum()) * (foreseen - found.samples)
     bar.set_postfix(samples=found.samples, noise=f"{found.noise:.2%}")
 
 
@@ -256,4 +323,7 @@ def reference_facts(found: Reference) -> dict[str, Any]:
 def grown(facts: Mapping[str, Any]) -> str:
     """What ``reference`` did, for a person."""
     size = f"{facts['width']} × {facts['height']}, {facts['samples']} paths per pixel"
-    return f"{facts['file']}: {size}, noise {facts['noise']:.5f}, {facts['seconds']:.1f} seconds of the processor"
+    return (
+        f"{facts['file']}: {size}, noise {facts['noise']:.5f}, {facts['seconds']:.1f} "
+        "seconds of the processor"
+    )

@@ -28,7 +28,8 @@ EXIT_SECONDS = 3.0
 """Seconds that a stopping process has left for itself once its requests had theirs."""
 
 HAND_OVER = 0.0005
-"""Seconds after which a thread that holds the interpreter lets another have it; a tenth of what Python has by itself.
+"""Seconds after which a thread that holds the interpreter lets another have it; a tenth of what
+Python has by itself.
 
 Each step of a picture asks for it again, next to threads that load light and answer requests.
 """
@@ -36,16 +37,18 @@ Each step of a picture asks for it again, next to threads that load light and an
 UNLIT_NOTE = " (without light until all is compiled)"
 
 EXPOSED_WARNING = (
-    "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
+    "Others can reach {host}, so that a token is needed: put one of 16 characters or more into "
+    "ISOGI_TOKEN or the"
     " configuration file, name a file of tokens by --tokens-file, or listen on 127.0.0.1."
 )
 
 
 def serve(target: str | None, settings: Settings) -> None:
-    """Serve one scene until SIGTERM or SIGINT. The workers start while the app is made and the kernels are loaded.
+    """Serve one scene until SIGTERM or SIGINT. The workers start while the app is made and the
+    kernels are loaded.
 
-    Raises UsageError where others could reach it without a token, and IsogiError where the scene, the port or the
-    engine fails.
+    Raises UsageError where others could reach it without a token, and IsogiError where the scene,
+    the port or the engine fails.
     """
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED_WARNING.format(host=settings.host))
@@ -62,12 +65,16 @@ def serve(target: str | None, settings: Settings) -> None:
 
 def listen(host: str, port: int) -> socket.socket:
     """A listening socket; IsogiError where the address cannot be had."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    if ":" in host:
+        family = socket.AF_INET6
+    else:
+        family = socket.AF_INET
     try:
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
         raise IsogiError(
-            f"Cannot listen on {host} port {port}: {os.strerror(error.errno) if error.errno else error}."
+            f"Cannot listen on {host} port {port}: "
+            f"{os.strerror(error.errno) if error.errno else error}."
         ) from error
 
 
@@ -84,7 +91,9 @@ class Server(uvicorn.Server):
     """Serves an app that ``create_app`` made; when it stops, requests come to their end first."""
 
     def __init__(self, app: FastAPI, stopping: Callable[[], None] = lambda: None) -> None:
-        """Be ready to serve under the app's settings; ``stopping`` is called when it begins to stop."""
+        """Be ready to serve under the app's settings; ``stopping`` is called when it begins to
+        stop.
+        """
         settings: Settings = app.state.settings
         super().__init__(ServerConfig(app, settings, app.state.metrics))
         self.closing: Closing = app.state.closing
@@ -92,7 +101,9 @@ class Server(uvicorn.Server):
         self.stopping = stopping
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Take the connections that wait and no more, answer what was asked, and then close the app."""
+        """Take the connections that wait and no more, answer what was asked, and then close the
+        app.
+        """
         self.stopping()
         self.closing.begin()
         last = [each for listener in sockets or () for each in queued(listener)]
@@ -115,7 +126,9 @@ class Server(uvicorn.Server):
 
 
 async def run(app: FastAPI, listener: socket.socket) -> None:
-    """Serve the app, say where once it is ready, and end with the engine's error where it did not start."""
+    """Serve the app, say where once it is ready, and end with the engine's error where it did not
+    start.
+    """
     service: Service = app.state.service
 
     def stopping() -> None:
@@ -130,11 +143,14 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     startup = service.startup
     watching = asyncio.create_task(startup.ready())
     await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
-    stopped = server.should_exit  # by a signal: what fails after that, such as workers that are gone, is no failure
+    stopped = (
+        server.should_exit
+    )  # by a signal: what fails after that, such as workers that are gone, is no failure
     if startup.failure:
         server.should_exit = True
     elif watching.done():
-        gc.freeze()  # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
+        # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
+        gc.freeze()
         say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT_NOTE}")
     watching.cancel()
     await serving
@@ -143,7 +159,8 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
 
 
 def leave_within(seconds: float) -> None:
-    """End the process after so long at the latest: compiling and reading a slow store cannot be stopped.
+    """End the process after so long at the latest: compiling and reading a slow store cannot be
+    stopped.
 
     All clients have their answers by then, and the store is whole at any time.
     """
@@ -153,7 +170,9 @@ def leave_within(seconds: float) -> None:
 
 
 def stop_on_signals(server: uvicorn.Server) -> None:
-    """Let SIGTERM and SIGINT end the server and not the process, before uvicorn listens to them and after."""
+    """Let SIGTERM and SIGINT end the server and not the process, before uvicorn listens to them and
+    after.
+    """
 
     def stop(*_: Any) -> None:
         server.should_exit = True
@@ -165,4 +184,6 @@ def stop_on_signals(server: uvicorn.Server) -> None:
 def address(listener: socket.socket) -> str:
     """The URL of a listening socket."""
     host, port = listener.getsockname()[:2]
-    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
+    if ":" in host:
+        return f"http://[{host}]:{port}/"
+    return f"http://{host}:{port}/"

@@ -13,16 +13,21 @@ from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
 SECRET_SETTINGS = ("token",)
 """Settings without an option: what a command is given, all users of the machine can see."""
 
-CONFIG = "A TOML file with settings, such as port = 8080; options and the environment come before it."
+CONFIG = (
+    "A TOML file with settings, such as port = 8080; options and the environment come before it."
+)
 
 
 def settings_from(config: Path | None = None, **given: Any) -> Settings:
-    """The settings: options first, then the environment, then a file; UsageError names what is wrong.
+    """The settings: options first, then the environment, then a file; UsageError names what is
+    wrong.
 
     The token is taken out of the environment, which workers inherit.
     """
     try:
-        settings = read_settings(config, **{name: value for name, value in given.items() if value is not None})
+        settings = read_settings(
+            config, **{name: value for name, value in given.items() if value is not None}
+        )
         os.environ.pop(variable("token"), None)
         return settings
     except ValidationError as error:
@@ -31,8 +36,13 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
         name = str(first["loc"][0])
         if first["type"] == "extra_forbidden":
-            raise click.UsageError(f"There is no setting '{name}': {advice(name, Settings.model_fields)}") from None
-        value = "" if name in SECRET_SETTINGS else f", not {first['input']!r}"
+            raise click.UsageError(
+                f"There is no setting '{name}': {advice(name, Settings.model_fields)}"
+            ) from None
+        if name in SECRET_SETTINGS:
+            value = ""
+        else:
+            value = f", not {first['input']!r}"
         raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
@@ -40,11 +50,18 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
 
 def setting_options() -> list[click.Parameter]:
     """An option for each setting that may have one, and for the file of settings."""
-    file = click.Option(["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG)
+    file = click.Option(
+        ["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG
+    )
     names = [name for name in Settings.model_fields if name not in SECRET_SETTINGS]
     former = [click.Option([flag(name)], hidden=True) for name in FORMER_SETTING_NAMES]
     own = [
-        click.Option([flag(name)], is_flag=switched(name), default=None, help=f"{described(name)} [{variable(name)}]")
+        click.Option(
+            [flag(name)],
+            is_flag=switched(name),
+            default=None,
+            help=f"{described(name)} [{variable(name)}]",
+        )
         for name in names
     ]
     return [file, *own, *former]
@@ -64,8 +81,15 @@ def described(name: str) -> str:
     """What a setting is for, with its default where the description does not name it."""
     field = Settings.model_fields[name]
     text = field.description or ""
-    complete = switched(name) or field.default_factory is not None or field.default in (None, ()) or "default:" in text
-    return text if complete else f"{text.removesuffix('.')}; default: {field.default}."
+    complete = (
+        switched(name)
+        or field.default_factory is not None
+        or field.default in (None, ())
+        or "default:" in text
+    )
+    if complete:
+        return text
+    return f"{text.removesuffix('.')}; default: {field.default}."
 
 
 def flag(name: str) -> str:
@@ -80,5 +104,11 @@ def variable(name: str) -> str:
 
 def rows() -> list[str]:
     """One row of a Markdown table for each setting, as docs/settings.md has them."""
-    options = {name: "–" if name in SECRET_SETTINGS else f"`{flag(name)}`" for name in Settings.model_fields}
-    return [f"| `{name}` | {option} | `{variable(name)}` | {described(name)} |" for name, option in options.items()]
+    options = {
+        name: "–" if name in SECRET_SETTINGS else f"`{flag(name)}`"
+        for name in Settings.model_fields
+    }
+    return [
+        f"| `{name}` | {option} | `{variable(name)}` | {described(name)} |"
+        for name, option in options.items()
+    ]

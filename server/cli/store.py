@@ -22,7 +22,18 @@ from server.progress import Progress
 from server.render.workforce import existing_store
 from server.values import span
 
-__all__ = ["existing_store", "prune", "pruned", "repair", "repaired", "rule_of", "stats", "table", "verified", "verify"]
+__all__ = [
+    "existing_store",
+    "prune",
+    "pruned",
+    "repair",
+    "repaired",
+    "rule_of",
+    "stats",
+    "table",
+    "verified",
+    "verify",
+]
 
 
 def stats(root: Store, texels: bool) -> dict[str, Any]:
@@ -31,11 +42,16 @@ def stats(root: Store, texels: bool) -> dict[str, Any]:
         census = census_of(root, texels, bar.count)
     layers = [layer_facts(count, root.now()) for count in census.counts.values()]
     if not texels:
-        layers = [{key: value for key, value in layer.items() if key not in ("texels", "paths")} for layer in layers]
+        layers = [
+            {key: value for key, value in layer.items() if key not in ("texels", "paths")}
+            for layer in layers
+        ]
     return {
         "store": str(root.url),
         "bytes": sum(count.files.size for count in census.counts.values()),
-        "layers": sorted(layers, key=lambda layer: (layer["volume"], layer["scene"] or "", layer["kind"])),
+        "layers": sorted(
+            layers, key=lambda layer: (layer["volume"], layer["scene"] or "", layer["kind"])
+        ),
         "bakes": [bake_facts(layers, census) for layers in census.costs],
         "quarantined_bytes": sum(found.size for found in census.inventory.quarantined),
         "unreadable_layers": len(census.inventory.layers) - len(census.counts),
@@ -44,7 +60,9 @@ def stats(root: Store, texels: bool) -> dict[str, Any]:
 
 def layer_facts(count: Count, now: float) -> dict[str, Any]:
     """One layer."""
-    own, layer, files = count.facts.attributes, count.facts.layer, count.files
+    own = count.facts.attributes
+    layer = count.facts.layer
+    files = count.files
     written = max((found.written for found in files.chunks.values()), default=math.nan)
     return {
         "digest": files.digest,
@@ -66,33 +84,50 @@ def layer_facts(count: Count, now: float) -> dict[str, Any]:
 
 def by_samples(count: Count) -> dict[str, int]:
     """Texels with light by the samples that they took."""
-    return {str(samples): texels for samples, texels in sorted(count.samples.items()) if samples > 0}
+    return {
+        str(samples): texels for samples, texels in sorted(count.samples.items()) if samples > 0
+    }
 
 
 def seconds_or_none(seconds: float) -> float | None:
     """Seconds as JSON may have them; None where they are unknown."""
-    return None if math.isnan(seconds) else max(seconds, 0.0)
+    if math.isnan(seconds):
+        return None
+    return max(seconds, 0.0)
 
 
 def bake_facts(layers: tuple[str, ...], census: Census) -> dict[str, Any]:
     """What one bake took."""
     cost = census.costs[layers]
-    return {"layers": list(layers), "seconds": cost.seconds, "paths": cost.paths, "texels": cost.texels}
+    return {
+        "layers": list(layers),
+        "seconds": cost.seconds,
+        "paths": cost.paths,
+        "texels": cost.texels,
+    }
 
 
 def table(facts: Mapping[str, Any]) -> str:
     """What a store holds, for a person: each volume, and under it its layers."""
-    lines, volume = [], None
+    lines = []
+    volume = None
     for layer in facts["layers"]:
         if layer["volume"] != volume:
             volume = layer["volume"]
             lines.append(f"{volume}, {' × '.join(map(str, reversed(layer['lattice'])))} texels")
         lines.append(f"  {layer_line(layer, facts)}")
     if facts["unreadable_layers"]:
-        lines.append(f"{facts['unreadable_layers']:,} layers cannot be read: see `isogi store verify`")
+        lines.append(
+            f"{facts['unreadable_layers']:,} layers cannot be read: see `isogi store verify`"
+        )
     if facts["quarantined_bytes"]:
         lines.append(f"{facts['quarantined_bytes'] / 1e6:,.1f} MB in quarantine")
-    return "\n".join([*lines, f"{facts['store']}: {len(facts['layers']):,} layers, {facts['bytes'] / 1e6:,.1f} MB"])
+    return "\n".join(
+        [
+            *lines,
+            f"{facts['store']}: {len(facts['layers']):,} layers, {facts['bytes'] / 1e6:,.1f} MB",
+        ]
+    )
 
 
 def layer_line(layer: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
@@ -101,16 +136,24 @@ def layer_line(layer: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
     parts = [what, f"{layer['chunks']:,} chunks", f"{layer['bytes'] / 1e6:,.1f} MB"]
     if "texels" in layer:
         parts.append(f"{layer['texels']['lit']:,} texels lit, {layer['texels']['void']:,} void")
-    parts += [f"{layer['damaged']:,} damaged"] if layer["damaged"] else []
+    if layer["damaged"]:
+        parts += [f"{layer['damaged']:,} damaged"]
     seconds = [bake["seconds"] for bake in facts["bakes"] if bake["layers"][0] == layer["digest"]]
-    parts += [f"{span(sum(seconds))} of processors with what it was baked with"] if seconds else []
-    parts += [f"used {span(layer['used_ago'], 2)} ago"] if layer["used_ago"] is not None else []
+    if seconds:
+        parts += [f"{span(sum(seconds))} of processors with what it was baked with"]
+    if layer["used_ago"] is not None:
+        parts += [f"used {span(layer['used_ago'], 2)} ago"]
     return ", ".join(parts)
 
 
-def rule_of(older_than: float | None, keep_gb: float | None, scene: str | None, empty: bool) -> PruneRule:
+def rule_of(
+    older_than: float | None, keep_gb: float | None, scene: str | None, empty: bool
+) -> PruneRule:
     """What the options say is to go."""
-    age = math.inf if older_than is None else older_than
+    if older_than is None:
+        age = math.inf
+    else:
+        age = older_than
     return PruneRule(age, math.inf if keep_gb is None else 1e9 * keep_gb, scene, empty)
 
 
@@ -126,7 +169,9 @@ def prune(root: Store, rule: PruneRule, delete: bool) -> dict[str, Any]:
 def plan_facts(plan: PrunePlan, now: float) -> dict[str, Any]:
     """What goes, and what would if it were not being written to."""
     names = ("digest", "scene", "volume", "kind", "chunks", "bytes", "used_ago")
-    going, busy = ([layer_facts(count, now) for count in counts] for counts in (plan.going, plan.busy))
+    going, busy = (
+        [layer_facts(count, now) for count in counts] for counts in (plan.going, plan.busy)
+    )
     return {
         "bytes": plan.size,
         "layers": [{name: layer[name] for name in names} for layer in going],
@@ -136,11 +181,19 @@ def plan_facts(plan: PrunePlan, now: float) -> dict[str, Any]:
 
 def pruned(facts: Mapping[str, Any]) -> str:
     """What went, or would, for a person."""
-    verb = "deleted" if facts["deleted"] else "would be deleted"
+    if facts["deleted"]:
+        verb = "deleted"
+    else:
+        verb = "would be deleted"
     lines = [f"{prune_line(layer)}: {verb}" for layer in facts["layers"]]
     lines += [f"{prune_line(layer)}: left, for it is being written to" for layer in facts["busy"]]
     size = f"{len(facts['layers']):,} layers, {facts['bytes'] / 1e6:,.1f} MB"
-    return "\n".join([*lines, f"{facts['store']}: {size} {verb}{'' if facts['deleted'] else '; add --yes to do it'}"])
+    return "\n".join(
+        [
+            *lines,
+            f"{facts['store']}: {size} {verb}{'' if facts['deleted'] else '; add --yes to do it'}",
+        ]
+    )
 
 
 def prune_line(layer: Mapping[str, Any]) -> str:
@@ -182,19 +235,35 @@ def facts_of(audit: Audit, root: Store) -> dict[str, Any]:
 def verified(facts: Mapping[str, Any]) -> str:
     """What was found, for a person."""
     damaged = facts["damaged"]
-    lines = [f"{each['key']}: {each['why']}" for each in damaged[:MAX_LISTED_OBJECTS]] + more(damaged)
+    lines = [f"{each['key']}: {each['why']}" for each in damaged[:MAX_LISTED_OBJECTS]] + more(
+        damaged
+    )
     if facts["unread"]:
-        lines.append(f"{facts['unread']:,} chunks could not be checked, for the metadata of their layer is damaged")
-    lines += [f"{key}: left over" for key in facts["leftovers"][:MAX_LISTED_OBJECTS]] + more(facts["leftovers"])
-    lines += [f"{key}: not isogi's" for key in facts["foreign"][:MAX_LISTED_OBJECTS]] + more(facts["foreign"])
-    size = f"{facts['chunks']:,} chunks in {facts['layers']:,} layers, {facts['bytes'] / 1e6:,.1f} MB"
-    state = "all whole" if facts["sound"] else f"{len(damaged):,} damaged: `isogi store repair` puts them away"
+        lines.append(
+            f"{facts['unread']:,} chunks could not be checked, for the metadata of their layer "
+            "is damaged"
+        )
+    lines += [f"{key}: left over" for key in facts["leftovers"][:MAX_LISTED_OBJECTS]] + more(
+        facts["leftovers"]
+    )
+    lines += [f"{key}: not isogi's" for key in facts["foreign"][:MAX_LISTED_OBJECTS]] + more(
+        facts["foreign"]
+    )
+    size = (
+        f"{facts['chunks']:,} chunks in {facts['layers']:,} layers, {facts['bytes'] / 1e6:,.1f} MB"
+    )
+    if facts["sound"]:
+        state = "all whole"
+    else:
+        state = f"{len(damaged):,} damaged: `isogi store repair` puts them away"
     return "\n".join([*lines, f"{facts['store']}: {size}, {state}"])
 
 
 def more(names: Sequence[Any]) -> list[str]:
     """How many were not listed."""
-    return [f"… and {len(names) - MAX_LISTED_OBJECTS:,} more"] if len(names) > MAX_LISTED_OBJECTS else []
+    if len(names) > MAX_LISTED_OBJECTS:
+        return [f"… and {len(names) - MAX_LISTED_OBJECTS:,} more"]
+    return []
 
 
 def repair(root: Store, delete: bool) -> dict[str, Any]:
@@ -216,11 +285,18 @@ def repaired(facts: Mapping[str, Any]) -> str:
         f"{each['key']}: {'deleted' if each['to'] is None else 'now ' + each['to']}"
         for each in moved[:MAX_LISTED_OBJECTS]
     ]
-    missing = [each["key"] for each in facts["damaged"] if each["key"] not in {one["key"] for one in moved}]
+    missing = [
+        each["key"] for each in facts["damaged"] if each["key"] not in {one["key"] for one in moved}
+    ]
     lines += [
         *more(moved),
-        *(f"{key}: made again when its scene is next served" for key in missing[:MAX_LISTED_OBJECTS]),
+        *(
+            f"{key}: made again when its scene is next served"
+            for key in missing[:MAX_LISTED_OBJECTS]
+        ),
     ]
     done = f"{len(moved):,} damaged objects put away, {len(facts['removed']):,} leftovers removed"
-    rest = f"{facts['whole']:,} chunks are whole, and what is missing is baked again when it is wanted"
+    rest = (
+        f"{facts['whole']:,} chunks are whole, and what is missing is baked again when it is wanted"
+    )
     return "\n".join([*lines, f"{facts['store']}: {done}; {rest}"])

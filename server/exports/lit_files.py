@@ -1,6 +1,8 @@
-"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that their names say.
+"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that
+their names say.
 
-A volume may also have what its light is the product of: coefficients of transfer and of the turned environment.
+A volume may also have what its light is the product of: coefficients of transfer and of the turned
+environment.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +46,9 @@ TEXTURE = "light.png"
 
 
 def usdz_bytes(mesh: LitMesh) -> bytes:
-    """A package of USD: the mesh, and its light as a texture. Raises VolumeError where that is too large."""
+    """A package of USD: the mesh, and its light as a texture. Raises VolumeError where that is too
+    large.
+    """
     texture = compress(light_texture(mesh), "png")
     return usdz_package({"isosurface.usda": usd_layer(mesh, TEXTURE), TEXTURE: texture})
 
@@ -60,11 +64,15 @@ MESHES: dict[str, Callable[[LitMesh], bytes]] = {
 
 def suffix_of(output: Path) -> str:
     """The ending of a file's name that says its kind; empty for others."""
-    return next((suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), "")
+    return next(
+        (suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), ""
+    )
 
 
 def checked_suffix(output: Path) -> str:
-    """The suffix of a file that can be written; ViewError for others, and where its folder is missing."""
+    """The suffix of a file that can be written; ViewError for others, and where its folder is
+    missing.
+    """
     suffix = suffix_of(output)
     if not suffix:
         known = ", ".join((*MESHES, *WRITERS))
@@ -76,11 +84,18 @@ def checked_suffix(output: Path) -> str:
 
 
 def check_coefficients(scene: Scene, suffix: str) -> None:
-    """Raise ViewError where files of this kind hold no coefficients, SceneError where a scene's light is no such."""
+    """Raise ViewError where files of this kind hold no coefficients, SceneError where a scene's
+    light is no such.
+    """
     if suffix != VTI:
-        raise ViewError(f"Coefficients go into {VTI} alone: export to such a file, or leave them out.")
+        raise ViewError(
+            f"Coefficients go into {VTI} alone: export to such a file, or leave them out."
+        )
     if scene.surfaces.colours is not None:
-        raise SceneError("Coefficients are of one albedo, and this scene has colours by data: export without them.")
+        raise SceneError(
+            "Coefficients are of one albedo, and this scene has colours by data: export "
+            "without them."
+        )
 
 
 def with_colour(lit: LitVolume) -> LitVolume:
@@ -103,8 +118,12 @@ Lit = Mesh | np.ndarray
 
 
 def places_to_light(renderer: Renderer, suffix: str, spans: Spans) -> Lit:
-    """What a file of this kind has the light of, for isovalues in ``spans``; ViewError where a mesh is empty."""
-    return surface_mesh(renderer, spans[0][0]) if suffix in MESHES else lit_voxels(renderer, spans)
+    """What a file of this kind has the light of, for isovalues in ``spans``; ViewError where a mesh
+    is empty.
+    """
+    if suffix in MESHES:
+        return surface_mesh(renderer, spans[0][0])
+    return lit_voxels(renderer, spans)
 
 
 def write_lit(
@@ -116,9 +135,11 @@ def write_lit(
     report: Report,
     coefficients: bool = False,
 ) -> None:
-    """Write an isosurface, or values at all voxels, with the light of a view at ``places`` to a file.
+    """Write an isosurface, or values at all voxels, with the light of a view at ``places`` to a
+    file.
 
-    A volume also has the ``coefficients`` of its light where these are asked for. Raises VolumeError and OSError.
+    A volume also has the ``coefficients`` of its light where these are asked for. Raises
+    VolumeError and OSError.
     """
     suffix = suffix_of(output)
     if isinstance(places, Mesh):
@@ -142,12 +163,15 @@ def no_surface(isovalue: float) -> ViewError:
     return ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
 
 
-def lit_mesh(renderer: Renderer, view: View, mesh: Mesh, exposure: float, report: Report) -> LitMesh:
+def lit_mesh(
+    renderer: Renderer, view: View, mesh: Mesh, exposure: float, report: Report
+) -> LitMesh:
     """A mesh in the world, with the light of a view at its vertices."""
     scene = renderer.prepared.scene
     colours, normals = (np.empty_like(mesh.vertices) for _ in range(2))
     for rows, frame, towards in lit_pieces(renderer, view, mesh.vertices, report):
-        colours[rows], normals[rows] = frame.radiance[0], towards
+        colours[rows] = frame.radiance[0]
+        normals[rows] = towards
     place = scene.volume.orientation
     points = place.to_world(mesh.vertices.astype(np.float64) * np.array(scene.volume.spacing))
     return LitMesh(points, normals @ place.matrix.T, exposure * colours, mesh.quads, place.unit)
@@ -156,27 +180,41 @@ def lit_mesh(renderer: Renderer, view: View, mesh: Mesh, exposure: float, report
 def check_lattice(scene: Scene) -> None:
     """Raise SceneError where texels are not voxels, so that a volume cannot hold their light."""
     if scene.lattice_shape != scene.volume.shape:
-        raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
+        raise SceneError(
+            "A volume with light has a texel at each voxel: set lattice = 1 in the scene."
+        )
 
 
 def lit_voxels(renderer: Renderer, spans: Spans) -> np.ndarray:
-    """Indices z, y, x (m, 3) of the voxels whose light isosurfaces read that are in the ``spans`` of isovalues."""
+    """Indices z, y, x (m, 3) of the voxels whose light isosurfaces read that are in the ``spans``
+    of isovalues.
+    """
     prepared = renderer.prepared
-    volume, lattice = prepared.scene.volume, prepared.lattice
+    volume = prepared.scene.volume
+    lattice = prepared.lattice
     ranges = [volume.normalise_span(*span) for span in spans]
     texels = surface_texels(volume.voxels, prepared.shape, lattice.chunk, ranges)
-    return np.concatenate([lattice.positions(index, offsets) for index, offsets in texels] or [np.zeros((0, 3), int)])
+    return np.concatenate(
+        [lattice.positions(index, offsets) for index, offsets in texels] or [np.zeros((0, 3), int)]
+    )
 
 
 def lit_volume(
-    renderer: Renderer, view: View, voxels: np.ndarray, exposure: float, report: Report, coefficients: bool = False
+    renderer: Renderer,
+    view: View,
+    voxels: np.ndarray,
+    exposure: float,
+    report: Report,
+    coefficients: bool = False,
 ) -> LitVolume:
     """Values and light at all voxels; light is zero but in ``voxels``: see ``lit_voxels``.
 
-    With ``coefficients``, the harmonics that make it up too, and what comes straight from lobes beside them.
+    With ``coefficients``, the harmonics that make it up too, and what comes straight from lobes
+    beside them.
     """
     volume = renderer.prepared.scene.volume
-    light, lobes = np.zeros((*volume.shape, 3), np.float32), {}
+    light = np.zeros((*volume.shape, 3), np.float32)
+    lobes = {}
     if coefficients and renderer.caches.spec(view.shading).lobes:
         lobes["lobes"] = np.zeros_like(light)
     for rows, frame, _ in lit_pieces(renderer, view, voxels[:, ::-1].astype(np.float32), report):
@@ -187,7 +225,8 @@ def lit_volume(
     for z, layer in enumerate(volume.voxels):
         values[z] = volume.offset + volume.scale * layer.astype(np.float64)
     place = volume.orientation
-    arrays, fields = {"value": values, "light": light, **lobes}, {}
+    arrays = {"value": values, "light": light, **lobes}
+    fields = {}
     if coefficients:
         arrays |= coefficients_at(renderer, view, voxels)
         fields = environments(renderer, view, exposure)
@@ -208,12 +247,17 @@ def lit_pieces(
 SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
 """Bytes of a mesh's file for each vertex and its face, about."""
 
-FILE_BYTES_PER_VOXEL, FILE_BYTES_PER_NUMBER = 19, 4
-"""Bytes of a volume's file for each voxel, at most: value, light and colour; and of each number besides."""
+FILE_BYTES_PER_VOXEL = 19
+FILE_BYTES_PER_NUMBER = 4
+"""Bytes of a volume's file for each voxel, at most: value, light and colour; and of each number
+besides.
+"""
 
 
 def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, numbers: int = 0) -> int:
-    """How large the file of an isosurface, or of the volume around it, will be; with ``numbers`` more a voxel."""
+    """How large the file of an isosurface, or of the volume around it, will be; with ``numbers``
+    more a voxel.
+    """
     volume = prepared.scene.volume
     if suffix in WRITERS:
         return (FILE_BYTES_PER_VOXEL + FILE_BYTES_PER_NUMBER * numbers) * volume.voxels.size
@@ -227,7 +271,9 @@ COLOUR_CHANNELS = ("red", "green", "blue")
 
 
 def term_names(spec: BakeSpec) -> list[str]:
-    """A name for each term of a bake spec: direct or reflected light, numbered where kept for several albedos."""
+    """A name for each term of a bake spec: direct or reflected light, numbered where kept for
+    several albedos.
+    """
     kinds = [spec.plan.layers[term.layers[0]].kind for term in spec.terms]
     return [
         LIGHT_KIND_WORDS.get(kind, kind) + ("" if term.node is None else str(term.node + 1))
@@ -236,7 +282,9 @@ def term_names(spec: BakeSpec) -> list[str]:
 
 
 def columns_of(spec: BakeSpec) -> dict[str, slice]:
-    """The columns of each band of each term in the transfer of a spec's texels, by the names of arrays."""
+    """The columns of each band of each term in the transfer of a spec's texels, by the names of
+    arrays.
+    """
     return {
         f"{name}_band{band}": slice(int(first) + band**2, int(first) + (band + 1) ** 2)
         for name, term, first in zip(term_names(spec), spec.terms, spec.firsts, strict=True)
@@ -245,12 +293,16 @@ def columns_of(spec: BakeSpec) -> dict[str, slice]:
 
 
 def coefficient_count(spec: BakeSpec) -> int:
-    """Numbers that a voxel has besides its light: its coefficients, and what comes straight from lobes."""
+    """Numbers that a voxel has besides its light: its coefficients, and what comes straight from
+    lobes.
+    """
     return spec.channels * spec.columns + (len(COLOUR_CHANNELS) if spec.lobes else 0)
 
 
 def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, np.ndarray]:
-    """What each term's coefficients are multiplied by for red, green and blue, (3, n²): see ``coefficients_at``."""
+    """What each term's coefficients are multiplied by for red, green and blue, (3, n²): see
+    ``coefficients_at``.
+    """
     spec = renderer.caches.spec(view.shading)
     reflected = exposure * RotatedLight(spec, view).reflected
     return {
@@ -260,14 +312,19 @@ def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, n
 
 
 def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[str, np.ndarray]:
-    """Arrays of the transfer of texels at ``voxels`` (m, 3; z, y, x), zero elsewhere: (nz, ny, nx, 2 l + 1) for band l.
+    """Arrays of the transfer of texels at ``voxels`` (m, 3; z, y, x), zero elsewhere: (nz, ny, nx,
+    2 l + 1) for band l.
 
-    One for each band, and for each colour where these differ. Radiance without what comes straight from lobes is the
-    sum over terms and bands of coefficients times those of ``environments``.
+    One for each band, and for each colour where these differ. Radiance without what comes straight
+    from lobes is the sum over terms and bands of coefficients times those of ``environments``.
     """
-    caches, shape = renderer.caches, renderer.prepared.scene.volume.shape
+    caches = renderer.caches
+    shape = renderer.prepared.scene.volume.shape
     spec = caches.spec(view.shading)
-    colours = [f"_{colour}" for colour in COLOUR_CHANNELS] if spec.channels == len(COLOUR_CHANNELS) else [""]
+    if spec.channels == len(COLOUR_CHANNELS):
+        colours = [f"_{colour}" for colour in COLOUR_CHANNELS]
+    else:
+        colours = [""]
     columns = columns_of(spec)
     arrays = {
         f"{name}{colour}": np.zeros((*shape, own.stop - own.start), np.float32)
@@ -282,10 +339,16 @@ def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[
     return arrays
 
 
-def transfers(caches: Caches, shading: str, voxels: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Some of the ``voxels`` at a time, by their numbers: the transfer of their texels (k, channels, columns)."""
-    loader, lattice = caches.of(shading), caches.prepared.lattice
-    chunks, bits = voxels // lattice.chunk, lattice.bits
+def transfers(
+    caches: Caches, shading: str, voxels: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Some of the ``voxels`` at a time, by their numbers: the transfer of their texels (k,
+    channels, columns).
+    """
+    loader = caches.of(shading)
+    lattice = caches.prepared.lattice
+    chunks = voxels // lattice.chunk
+    bits = lattice.bits
     z, y, x = (voxels % lattice.chunk).T
     offsets = (z << 2 * bits) + (y << bits) + x
     found, groups = np.unique(chunks, axis=0, return_inverse=True)

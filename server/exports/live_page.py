@@ -1,4 +1,6 @@
-"""A page that draws a scene by itself, as static files: its modules, the volume, and light of a range of isovalues."""
+"""A page that draws a scene by itself, as static files: its modules, the volume, and light of a
+range of isovalues.
+"""
 
 import gzip
 import json
@@ -40,7 +42,8 @@ class Span:
 
 def page_files() -> dict[str, bytes]:
     """The page and all its modules, by their places in the folder."""
-    names, waiting = {FIRST_PAGE_MODULE}, [FIRST_PAGE_MODULE]
+    names = {FIRST_PAGE_MODULE}
+    waiting = [FIRST_PAGE_MODULE]
     while waiting:
         name = waiting.pop()
         found = {
@@ -65,10 +68,15 @@ def compressed(content: bytes) -> bytes:
 
 
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
-    """The codes of the volume's voxels, slab by slab, those alike that no isosurface of the ``span`` is drawn by."""
-    codes, volume = renderer.prepared.voxel_codes, renderer.prepared.scene.volume
+    """The codes of the volume's voxels, slab by slab, those alike that no isosurface of the
+    ``span`` is drawn by.
+    """
+    codes = renderer.prepared.voxel_codes
+    volume = renderer.prepared.scene.volume
     voxels = IdleVoxels(volume.voxels, *volume.normalise_span(span.low, span.high))
-    slabs = ((slab_name(a, b), codes.code(voxels.flattened(a, b)).tobytes()) for a, b in codes.slabs)
+    slabs = (
+        (slab_name(a, b), codes.code(voxels.flattened(a, b)).tobytes()) for a, b in codes.slabs
+    )
     return {name: compressed(content) for name, content in slabs}
 
 
@@ -82,12 +90,16 @@ def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -
 
     It is filtered where it is noisier than a ``target`` error. Raises StoreError.
     """
-    prepared, volume = renderer.prepared, renderer.prepared.scene.volume
+    prepared = renderer.prepared
+    volume = renderer.prepared.scene.volume
     ends = volume.normalise_span(span.low, span.high)
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
-    chunks, files = [index for index, _ in texels], {}
+    chunks = [index for index, _ in texels]
+    files = {}
     for first in range(0, len(chunks), CHUNKS):
-        blocks = coded_chunks(renderer, chunks[first : first + CHUNKS], target, coding, renderer.tiles)
+        blocks = coded_chunks(
+            renderer, chunks[first : first + CHUNKS], target, coding, renderer.tiles
+        )
         files[f"light/{first // CHUNKS}.bin"] = compressed(b"".join(blocks))
     return files
 
@@ -95,32 +107,47 @@ def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -
 def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
     """What the page draws by besides light: the scene, and what its card needs."""
     card = card_scene(renderer, view, ())
-    slabs = [CardSlab(first=a, last=b, href=slab_name(a, b)) for a, b in renderer.prepared.voxel_codes.slabs]
+    slabs = [
+        CardSlab(first=a, last=b, href=slab_name(a, b))
+        for a, b in renderer.prepared.voxel_codes.slabs
+    ]
     volume = card.volume.model_copy(update={"slabs": slabs})
-    own = card.model_copy(update={"volume": volume}).model_dump(mode="json", exclude={"links", "limits"})
+    own = card.model_copy(update={"volume": volume}).model_dump(
+        mode="json", exclude={"links", "limits"}
+    )
     return {"scene": scene_of(renderer, params, view, span), "card": own}
 
 
 def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
-    """The scene as its document has it on a server, for what the page can draw: one albedo, and one shading.
+    """The scene as its document has it on a server, for what the page can draw: one albedo, and one
+    shading.
 
-    Its ``start`` has the knobs that the page starts with: a camera that sees the surface whole, and what was given.
+    Its ``start`` has the knobs that the page starts with: a camera that sees the surface whole, and
+    what was given.
     """
     schema: SceneSchema = scene_schema(renderer.prepared.scene)
     schema.ranges["isovalue"] = Range(min=span.low, max=span.high)
-    schema.shadings, schema.environments, schema.albedos, schema.cuts = ["gi"], [], None, False
+    schema.shadings = ["gi"]
+    schema.environments = []
+    schema.albedos = None
+    schema.cuts = False
     schema.stops = [stop for stop in schema.stops if span.low <= stop <= span.high]
     placed = params.model_fields_set
-    azimuth, elevation = (getattr(params, name) if name in placed else None for name in ("azimuth", "elevation"))
+    azimuth, elevation = (
+        getattr(params, name) if name in placed else None for name in ("azimuth", "elevation")
+    )
     camera = camera_schema(renderer, view, azimuth, elevation, params.projection)
-    schema.defaults |= {"projection": params.projection} if params.projection else {}
+    if params.projection:
+        schema.defaults |= {"projection": params.projection}
     given = params.model_dump(mode="json", include=placed & START_PARAMETERS, exclude_none=True)
     start = {**camera.model_dump(mode="json"), "isovalue": view.isovalue, **given}
     return {**schema.model_dump(mode="json"), "start": start}
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> int:
-    """Write files into a folder, the page last; their bytes. Light and voxels of a page before go. Raises OSError."""
+    """Write files into a folder, the page last; their bytes. Light and voxels of a page before go.
+    Raises OSError.
+    """
     for name in sorted(files, key=lambda each: each == "index.html"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])

@@ -1,4 +1,6 @@
-"""The picture of an inspection, drawn with matplotlib, which is an extra: a plain install has all but this module."""
+"""The picture of an inspection, drawn with matplotlib, which is an extra: a plain install has all
+but this module.
+"""
 
 import re
 from pathlib import Path
@@ -20,7 +22,9 @@ DPI = 150
 MAX_SHARE_SHOWN = 1.2
 """How far the axis of shares goes: beyond all of a surface there is room for the legend."""
 
-INK, SOFT_STAND_IN, LINE_STAND_IN = "#010101", "#020202", "#030303"
+INK = "#010101"
+SOFT_STAND_IN = "#020202"
+LINE_STAND_IN = "#030303"
 """Colours that stand for a name of the scheme while matplotlib draws."""
 
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2), (3, 3), (9, 3))
@@ -46,7 +50,11 @@ SCHEME = (Path(__file__).parent / "scheme.css").read_text(encoding="utf-8")
 SCHEME_COLOURS = dict(reversed(re.findall(r"--([\w-]+): (#\w{6})", SCHEME)))
 """The reports' colours on paper, by their names: a name's first one is that of the light scheme."""
 
-INKS = {INK: SCHEME_COLOURS["ink"], SOFT_STAND_IN: SCHEME_COLOURS["soft"], LINE_STAND_IN: SCHEME_COLOURS["line"]}
+INKS = {
+    INK: SCHEME_COLOURS["ink"],
+    SOFT_STAND_IN: SCHEME_COLOURS["soft"],
+    LINE_STAND_IN: SCHEME_COLOURS["line"],
+}
 
 SHARE_CURVES = ("steep", "plateau", "noisy", "holes")
 """Shares that are drawn; the last one only where there are any."""
@@ -56,7 +64,9 @@ def save_picture(path: Path, facts: InspectionSchema) -> None:
     """Draw the stiffness of a scene's volume to a PNG file. Raises OSError."""
     style: Any = {name: INKS.get(value, value) for name, value in STYLE.items()}
     with mpl.rc_context(style):
-        figure = Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained", facecolor=SCHEME_COLOURS["paper"])
+        figure = Figure(
+            figsize=FIGURE_INCHES, dpi=DPI, layout="constrained", facecolor=SCHEME_COLOURS["paper"]
+        )
         upper, lower = figure.subplots(2, sharex=True, height_ratios=(5, 3))
         figure.suptitle(f"How stiff is {facts.volume.name}?", x=0.01, ha="left", fontsize=12)
         draw_histogram(upper.twinx(), facts)
@@ -72,7 +82,8 @@ def save_picture(path: Path, facts: InspectionSchema) -> None:
 def key_of(facts: InspectionSchema) -> str:
     """What the marks of the picture mean."""
     return (
-        f"Share of the surface's cells, by isovalue; grey: voxels (logarithmic); line: the scene's {own_of(facts):.6g}"
+        "Share of the surface's cells, by isovalue; grey: voxels (logarithmic); line: the "
+        f"scene's {own_of(facts):.6g}"
     )
 
 
@@ -83,8 +94,11 @@ def own_of(facts: InspectionSchema) -> float:
 
 def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
     """The volume's values, behind all else; logarithmic."""
-    counts, edges = np.log1p(facts.histogram.counts), np.array(facts.histogram.edges)
-    axes.fill_between(edges, np.append(counts, counts[-1]), step="post", color=SCHEME_COLOURS["line"], linewidth=0)
+    counts = np.log1p(facts.histogram.counts)
+    edges = np.array(facts.histogram.edges)
+    axes.fill_between(
+        edges, np.append(counts, counts[-1]), step="post", color=SCHEME_COLOURS["line"], linewidth=0
+    )
     axes.set_ylim(0.0, MAX_SHARE_SHOWN * max(counts.max(), 1.0))
     axes.set_axis_off()
     axes.set_zorder(-1)
@@ -106,12 +120,20 @@ def draw_shares(axes: Axes, facts: InspectionSchema) -> None:
 def draw_error(axes: Axes, facts: InspectionSchema) -> None:
     """The error that is expected, and the range that it is likely in."""
     seen = [surface for surface in facts.stiffness.surfaces if surface.error is not None]
-    errors = [(each.error.low, each.error.likely, each.error.high) for each in seen if each.error is not None]
+    errors = [
+        (each.error.low, each.error.likely, each.error.high)
+        for each in seen
+        if each.error is not None
+    ]
     low, likely, high = np.array(errors or np.empty((0, 3))).T
     axes.fill_between(isovalues(seen), low, high, color=SCHEME_COLOURS["line"], linewidth=0)
     axes.plot(isovalues(seen), likely, **mark_of(4))
     axes.set_ylim(0.0)
-    axes.set_title("Error of interpolated light that is to be expected, and its range", fontsize=9.5, loc="left")
+    axes.set_title(
+        "Error of interpolated light that is to be expected, and its range",
+        fontsize=9.5,
+        loc="left",
+    )
 
 
 def isovalues(surfaces: list[SurfaceSchema]) -> list[float]:
@@ -121,12 +143,19 @@ def isovalues(surfaces: list[SurfaceSchema]) -> list[float]:
 
 def mark_of(i: int) -> dict[str, Any]:
     """How curve ``i`` is drawn."""
-    return {"color": SCHEME_COLOURS[f"curve-{i + 1}"], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
+    return {
+        "color": SCHEME_COLOURS[f"curve-{i + 1}"],
+        "linewidth": 1.5,
+        "marker": "o",
+        "markersize": 3.2,
+    }
 
 
 def frame(axes: Axes, facts: InspectionSchema) -> None:
     """Grid, ticks and the line of the scene's isovalue."""
-    axes.axvline(own_of(facts), ymax=1.0 / MAX_SHARE_SHOWN, color=SCHEME_COLOURS["accent"], linewidth=1.0)
+    axes.axvline(
+        own_of(facts), ymax=1.0 / MAX_SHARE_SHOWN, color=SCHEME_COLOURS["accent"], linewidth=1.0
+    )
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid(color=SCHEME_COLOURS["line"], linewidth=0.7)
     axes.set_axisbelow(True)

@@ -1,1 +1,3 @@
-"""Prewarming: light of many views, or of whole isosurfaces, baked ahead; from the command line and over HTTP."""
+"""Prewarming: light of many views, or of whole isosurfaces, baked ahead; from the command line and
+over HTTP.
+"""

@@ -1,4 +1,5 @@
-"""The baking of a prewarm: what it works with, a few chunks at a time, and the rehearsal that forecasts its cost.
+"""The baking of a prewarm: what it works with, a few chunks at a time, and the rehearsal that
+forecasts its cost.
 
 Of what is rehearsed nothing is kept: it measures what ``worker.progress`` estimates by.
 """
@@ -57,7 +58,8 @@ from worker.tasks import BakeTask, cost_of, load_kernels, results_of, sample_tex
 
 @dataclass(frozen=True)
 class Step:
-    """How far a prewarm is: ``done`` of ``total`` ``unit``s of ``what`` it does now, and the time that the rest takes.
+    """How far a prewarm is: ``done`` of ``total`` ``unit``s of ``what`` it does now, and the time
+    that the rest takes.
 
     ``share`` is the share of all its work that is done.
     """
@@ -78,9 +80,9 @@ class Step:
 class Batch:
     """What is baked together: texels of one bake, until they have ``enough`` samples.
 
-    They are projected onto an isosurface where one is ``shown``, finer than the plan's by ``fineness`` steps, and of
-    the ``side`` of several surfaces whose light has this digest, kept in ``caches``; of the scene's own where it is
-    empty.
+    They are projected onto an isosurface where one is ``shown``, finer than the plan's by
+    ``fineness`` steps, and of the ``side`` of several surfaces whose light has this digest, kept in
+    ``caches``; of the scene's own where it is empty.
     """
 
     shown: Isovalue | None
@@ -92,7 +94,13 @@ class Batch:
     @property
     def order(self) -> tuple[bool, float, int, str, int]:
         """Sorts batches: texels on their own isosurfaces first, and the fewest samples first."""
-        return self.shown is not None, float(self.shown or 0.0), self.fineness, self.side, self.enough
+        return (
+            self.shown is not None,
+            float(self.shown or 0.0),
+            self.fineness,
+            self.side,
+            self.enough,
+        )
 
     @property
     def usual(self) -> bool:
@@ -104,11 +112,12 @@ class Batch:
 class PrewarmContext:
     """What a prewarm of one ``scene`` to a ``target`` error works with, for a ``viewer``.
 
-    ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of the check of its
-    picture, which weighs its ways at given prices, and says whether there was one. ``report`` takes each step, and
-    ``cancelled`` stops it. Baking ends at ``deadline``, and the workers are taken for broken after ``patience`` seconds
-    without anything new. Texels of whole isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is
-    told when they are to have more.
+    ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of
+    the check of its picture, which weighs its ways at given prices, and says whether there was one.
+    ``report`` takes each step, and ``cancelled`` stops it. Baking ends at ``deadline``, and the
+    workers are taken for broken after ``patience`` seconds without anything new. Texels of whole
+    isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is told when they are
+    to have more.
     """
 
     engine: RenderEngine
@@ -136,7 +145,9 @@ class PrewarmContext:
         return caches.chunk_store_of(batch.shown)
 
     def bake_of(self, batch: Batch, demands: Iterable[Demand]) -> tuple[str, Stage]:
-        """The name of the bake that a batch is of, and the stage that has these ``demands`` of it baked."""
+        """The name of the bake that a batch is of, and the stage that has these ``demands`` of it
+        baked.
+        """
         stage = Stage(tuple(demands), self.target, batch.enough, batch.caches)
         return self.engine.bake_at(self.scene.id, "gi", stage, batch.fineness), stage
 
@@ -164,7 +175,8 @@ class PrewarmContext:
 REPORT_SECONDS = 1.0
 """Seconds between two reports of how far the baking is."""
 
-CHUNKS_PER_PART, PARTS_AT_ONCE = 64, 3
+CHUNKS_PER_PART = 64
+PARTS_AT_ONCE = 3
 """Chunks that are asked for together, at least, and how many such parts at once."""
 
 ASSUMED_TIME_RATIOS = (0.6, 0.8, 1.0, 1.25, 1.6)
@@ -176,7 +188,8 @@ Wish = tuple[Batch, Demand]
 
 @dataclass(frozen=True)
 class Expected:
-    """How long a round of baking is expected to take, and the rounds ``later``: seconds of all workers together.
+    """How long a round of baking is expected to take, and the rounds ``later``: seconds of all
+    workers together.
 
     ``span`` is where in all of the work the round begins and ends, as shares of it.
     """
@@ -189,17 +202,22 @@ class Expected:
 class Baking:
     """One round: has what is wanted baked, chunks first of which most is seen, batch after batch.
 
-    It ends at ``end``, by the monotonic clock; ``done`` chunks are baked or given up by then, and ``failures`` says why
-    the latter were.
+    It ends at ``end``, by the monotonic clock; ``done`` chunks are baked or given up by then, and
+    ``failures`` says why the latter were.
     """
 
-    def __init__(self, context: PrewarmContext, wishes: Iterable[Wish], expected: Expected, end: float) -> None:
+    def __init__(
+        self, context: PrewarmContext, wishes: Iterable[Wish], expected: Expected, end: float
+    ) -> None:
         """Ask for nothing yet."""
         self.wishes = sorted(wishes, key=lambda wish: (wish[0].order, -wish[1].weight))
         self.failures: dict[Index, str] = {}
         self.done = 0
-        self._context, self._end, self._expected = context, end, expected
-        self._estimator, self._pace = TimeEstimator(prior=ASSUMED_TIME_RATIOS), Pace(time.monotonic)
+        self._context = context
+        self._end = end
+        self._expected = expected
+        self._estimator = TimeEstimator(prior=ASSUMED_TIME_RATIOS)
+        self._pace = Pace(time.monotonic)
         self._worked = 0.0
         self._open: list[tuple[Batch, BackgroundBake]] = []
         self._waiting: deque[tuple[Batch, list[Demand]]] = deque()
@@ -214,11 +232,14 @@ class Baking:
     @property
     def spent(self) -> Cost:
         """The paths and the seconds of the processor that these chunks took meanwhile."""
-        now, before = self._cost(), self._before
+        now = self._cost()
+        before = self._before
         return Cost(now.seconds - before.seconds, now.paths - before.paths)
 
     def run(self) -> None:
-        """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError, and Cancelled."""
+        """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError,
+        and Cancelled.
+        """
         self._waiting.extend(self._parts())
         try:
             while not self.late and self._filled():
@@ -238,19 +259,27 @@ class Baking:
     def _filled(self) -> bool:
         """Ask for more where there is room; whether anything is asked for.
 
-        A batch begins when the one before has ended: together, texels of a chunk would be taken to the samples of that
-        which wants more.
+        A batch begins when the one before has ended: together, texels of a chunk would be taken to
+        the samples of that which wants more.
         """
-        context, waiting = self._context, self._waiting
-        while waiting and len(self._open) < PARTS_AT_ONCE and all(batch == waiting[0][0] for batch, _ in self._open):
+        context = self._context
+        waiting = self._waiting
+        while (
+            waiting
+            and len(self._open) < PARTS_AT_ONCE
+            and all(batch == waiting[0][0] for batch, _ in self._open)
+        ):
             batch, demands = waiting.popleft()
             bake, stage = context.bake_of(batch, demands)
             self._open.append((batch, context.engine.bake(bake, stage, context.viewer)))
         return bool(self._open)
 
     def _wait(self) -> None:
-        """Wait for the oldest part, not long. Raises Cancelled, and WorkersError where nothing comes."""
-        context, now = self._context, time.monotonic()
+        """Wait for the oldest part, not long. Raises Cancelled, and WorkersError where nothing
+        comes.
+        """
+        context = self._context
+        now = time.monotonic()
         context.check()
         engine = context.engine
         if engine.workforce.missing:
@@ -267,20 +296,27 @@ class Baking:
 
     def _report(self) -> None:
         """Say how far it is, and what the rest takes."""
-        total, open_now = len(self.wishes), [baking for _, baking in self._open]
+        total = len(self.wishes)
+        open_now = [baking for _, baking in self._open]
         done = self.done + sum(len(each.chunks) - each.waiting() for each in open_now)
-        (first, last), share = self._expected.span, done / max(total, 1)
-        self._context.report(Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share)))
+        (first, last) = self._expected.span
+        share = done / max(total, 1)
+        self._context.report(
+            Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share))
+        )
 
     def _left(self, share: float) -> TimeLeft:
         """The time that the rest takes once a ``share`` is done, at the pace of late."""
         workers = self._context.engine.baker.workers
-        round_seconds, later = self._expected.seconds / workers, self._expected.later / workers
+        round_seconds = self._expected.seconds / workers
+        later = self._expected.later / workers
         worked = share * round_seconds
         self._pace.working(1)
         self._pace.spent(worked - self._worked)
         self._worked = worked
-        return self._estimator.estimate("baking", round_seconds - worked + later, worked).times(self._pace.value)
+        return self._estimator.estimate("baking", round_seconds - worked + later, worked).times(
+            self._pace.value
+        )
 
     def _cost(self) -> Cost:
         chunks: dict[str, set[Index]] = {}
@@ -298,11 +334,17 @@ UNREACHED_ERROR = 1e-9
 """A target error that the first paths do not reach."""
 
 SCHEDULED = Path("/proc/thread-self/schedstat")
-"""Where Linux counts the nanoseconds that a thread ran, and those that it could have run but had no core."""
+"""Where Linux counts the nanoseconds that a thread ran, and those that it could have run but had no
+core.
+"""
 
 
-def rehearse(renderer: Renderer, demand: Demand, until: Until, most: float, cancelled: threading.Event) -> ChunkCost:
-    """Bake what a chunk lacks ``until`` then, and measure it; beyond ``most`` seconds the cost is extrapolated."""
+def rehearse(
+    renderer: Renderer, demand: Demand, until: Until, most: float, cancelled: threading.Event
+) -> ChunkCost:
+    """Bake what a chunk lacks ``until`` then, and measure it; beyond ``most`` seconds the cost is
+    extrapolated.
+    """
     store = renderer.caches.chunk_store_of(demand.shown)
     spec = store.spec
     texels = spec.prepared.lattice.positions(demand.index, demand.offsets)
@@ -310,19 +352,27 @@ def rehearse(renderer: Renderer, demand: Demand, until: Until, most: float, canc
     chunk = store.load(demand.index).with_texels(demand.offsets)
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
-    begun, processor = ready_time(), time.thread_time()
-    tasks, paths = climb_all(light, texels, spec, demand, until, (time.perf_counter() + most, cancelled))
+    begun = ready_time()
+    processor = time.thread_time()
+    tasks, paths = climb_all(
+        light, texels, spec, demand, until, (time.perf_counter() + most, cancelled)
+    )
     more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *until).left / max(paths, 1)
-    seconds, processor = ready_time() - begun, time.thread_time() - processor
+    seconds = ready_time() - begun
+    processor = time.thread_time() - processor
     chunk.light.put(rows, light)
     begun = ready_time()
     stored = stored_size(store, chunk)
     seconds += tasks * (ready_time() - begun)
-    return ChunkCost(len(texels), more * seconds, more * processor, tasks * more, max(maps, 0.0), stored)
+    return ChunkCost(
+        len(texels), more * seconds, more * processor, tasks * more, max(maps, 0.0), stored
+    )
 
 
 def ready_time() -> float:
-    """Seconds that this thread ran, or could have run; on systems that do not say, those by the clock."""
+    """Seconds that this thread ran, or could have run; on systems that do not say, those by the
+    clock.
+    """
     try:
         ran, waited, *_ = SCHEDULED.read_text(encoding="ascii").split()
     except OSError:
@@ -338,24 +388,32 @@ def climb_all(
     until: Until,
     limit: tuple[float, threading.Event],
 ) -> tuple[int, int]:
-    """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its ``limit``."""
-    effort, tasks, paths = demand.effort, 0, 0
+    """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its
+    ``limit``.
+    """
+    effort = demand.effort
+    tasks = 0
+    paths = 0
     while True:
         place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
         what = demand.offsets, demand.footprints, next_until(effort), until.target
         task = BakeTask(*place, *what, enough=until.enough)
-        before, since = light.samples, time.thread_time()
+        before = light.samples
+        since = time.thread_time()
         sample_texels(light, texels, spec, task)
         cost = cost_of(light.samples, before, time.thread_time() - since)
         result = replace(results_of(light, spec, [task])[0], cost=cost)
-        tasks, paths = tasks + 1, paths + cost.paths
+        tasks = tasks + 1
+        paths = paths + cost.paths
         if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
             return tasks, paths
         effort = result.effort
 
 
 def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
-    """Seconds that the first paths of texels take; maps that they need are made, where they are not kept."""
+    """Seconds that the first paths of texels take; maps that they need are made, where they are not
+    kept.
+    """
     begun = ready_time()
     refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_ERROR)
     return ready_time() - begun
@@ -367,7 +425,8 @@ def stored_size(store: ChunkStore, chunk: Chunk) -> int:
     return sum(len(layer.encode(chunk.index, chunk.offsets, part)) for layer, part in pairs)
 
 
-MOST_TRIED, FEWEST_TRIED = 48, 8
+MOST_TRIED = 48
+FEWEST_TRIED = 8
 """Chunks that are rehearsed, at most, and before it may be called enough."""
 
 SUFFICIENT_RELATIVE_ERROR = 0.04
@@ -395,12 +454,16 @@ def forecast(
     if not demands:
         return CostEstimate()
     load_kernels(renderer.caches.spec("gi").kinds)
-    threads, chosen = min(workers, cores()), stratified(demands)
+    threads = min(workers, cores())
+    chosen = stratified(demands)
     tried = Tried(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
-        for ended in [pool.submit(tried.go_through, renderer, chosen, until) for _ in range(threads)]:
+        for ended in [
+            pool.submit(tried.go_through, renderer, chosen, until) for _ in range(threads)
+        ]:
             ended.result()
-    texels, per_task = sum(len(demand.offsets) for demand in demands), PER_TASK + DISPATCH * (workers >= cores())
+    texels = sum(len(demand.offsets) for demand in demands)
+    per_task = PER_TASK + DISPATCH * (workers >= cores())
     return extrapolated(tried.all, texels, len(tried.all) == len(demands), per_task)
 
 
@@ -410,7 +473,9 @@ class Tried:
     def __init__(self, budget: float, cancelled: threading.Event) -> None:
         """Have tried nothing yet."""
         self.all: list[ChunkCost] = []
-        self._each, self._end, self._cancelled = budget / 4.0, time.monotonic() + budget, cancelled
+        self._each = budget / 4.0
+        self._end = time.monotonic() + budget
+        self._cancelled = cancelled
         self._lock = threading.Lock()
 
     def go_through(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
@@ -429,13 +494,17 @@ class Tried:
         with self._lock:
             known = (
                 len(self.all) >= FEWEST_TRIED
-                and relative_standard_error(seconds_per_texel(self.all)) <= SUFFICIENT_RELATIVE_ERROR
+                and relative_standard_error(seconds_per_texel(self.all))
+                <= SUFFICIENT_RELATIVE_ERROR
             )
-        return known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
+        return (
+            known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
+        )
 
 
 def stratified(demands: Sequence[Demand]) -> Iterator[Demand]:
-    """At most MOST_TRIED demands, spread evenly over all texels, so that large chunks come more often than small ones.
+    """At most MOST_TRIED demands, spread evenly over all texels, so that large chunks come more
+    often than small ones.
 
     All of them where they are few.
     """

@@ -1,4 +1,6 @@
-"""What is asked of a prewarm: isovalues, directions and target, from the command line, HTTP or a file."""
+"""What is asked of a prewarm: isovalues, directions and target, from the command line, HTTP or a
+file.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ Direction = tuple[float, float]
 def all_sides(count: int) -> list[Direction]:
     """``count`` points spread evenly over a sphere: a Fibonacci lattice."""
     heights = (1.0 - (2 * n + 1) / count for n in range(count))
-    return [(n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)]
+    return [
+        (n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)
+    ]
 
 
 def orbit(count: int, elevation: float) -> list[Direction]:
@@ -48,14 +52,16 @@ MOST_ISOVALUES = 10_000
 """Isovalues that are given with a step or one by one, at most."""
 
 VALUES_EXPECTED = (
-    f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, first:last for"
+    f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of "
+    "them, first:last for"
     " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
 )
 
 
 @dataclass(frozen=True)
 class Levels:
-    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one to another.
+    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one
+    to another.
 
     And how many are to be ``sampled`` from a scene's own range, by which of SAMPLINGS.
     """
@@ -66,8 +72,12 @@ class Levels:
 
     def found_in(self, scene: Scene) -> Levels:
         """The levels, with the isovalues that are to be sampled from the range of a ``scene``."""
-        volume, ends = scene.volume, scene.isovalues
-        sets = (sample_range(volume, ends, count, way, CELLS_WAITED_FOR).levels for way, count in self.sampled)
+        volume = scene.volume
+        ends = scene.isovalues
+        sets = (
+            sample_range(volume, ends, count, way, CELLS_WAITED_FOR).levels
+            for way, count in self.sampled
+        )
         found = (float(f"{level:.12g}") for levels in sets for level in levels)
         return Levels(tuple(dict.fromkeys((*self.single, *found))), self.ranges)
 
@@ -97,12 +107,16 @@ def levels_of(texts: Sequence[str]) -> Levels:
         else:
             single |= dict.fromkeys(float(f"{level:.12g}") for level in stepped(*numbers))
         if len(single) > MOST_ISOVALUES:
-            raise ParameterError(f"isovalues are more than {MOST_ISOVALUES:,} together: ask for fewer.", "isovalues")
+            raise ParameterError(
+                f"isovalues are more than {MOST_ISOVALUES:,} together: ask for fewer.", "isovalues"
+            )
     return Levels(tuple(single), tuple(ranges), tuple(sampled))
 
 
 def sampled_count(text: str) -> int:
-    """How many isovalues a text such as adaptive:20 asks for; ParameterError where it does not say."""
+    """How many isovalues a text such as adaptive:20 asks for; ParameterError where it does not
+    say.
+    """
     count = text.partition(":")[2]
     if not re.fullmatch(r"[1-9]\d{0,4}", count, re.ASCII) or int(count) > MOST_ISOVALUES:
         raise ParameterError(f"isovalue must be {VALUES_EXPECTED}, not {shown(text)}.", "isovalues")
@@ -131,11 +145,15 @@ def sensible(numbers: Sequence[float]) -> bool:
 
 def stepped(first: float, last: float | None = None, step: float = 1.0) -> list[float]:
     """The numbers from ``first`` to ``last``; the first alone where no last is given."""
-    steps = 0 if last is None else math.floor((last - first) / step + 1e-9)
+    if last is None:
+        steps = 0
+    else:
+        steps = math.floor((last - first) / step + 1e-9)
     return [first + step * n for n in range(steps + 1)]
 
 
-MOST_DIRECTIONS, MOST_VIEWS = 10_000, 100_000
+MOST_DIRECTIONS = 10_000
+MOST_VIEWS = 100_000
 """Directions of one kind, and views of all isovalues and directions together, at most."""
 
 MOST_GIVEN = 1000
@@ -148,7 +166,10 @@ VIEW_FIELDS = ("views", "directions", "orbits")
 """Fields that say where views look from."""
 
 Level = Annotated[
-    str, BeforeValidator(str), WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}), Field(max_length=64)
+    str,
+    BeforeValidator(str),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
+    Field(max_length=64),
 ]
 Count = Annotated[int, Span(1, MOST_DIRECTIONS, whole=True)]
 
@@ -173,25 +194,38 @@ class PrewarmOrder(NoParams):
     isovalues: tuple[Level, ...] = Field(
         (),
         max_length=MOST_GIVEN,
-        description="Numbers, ranges with a step (60:120:5), or ranges that mean every isovalue between (60:120), which"
-        " takes all_directions, or so many of the scene's range, evenly (uniform:20) or so that the surfaces are evenly"
+        description="Numbers, ranges with a step (60:120:5), or ranges that mean every "
+        "isovalue between (60:120), which"
+        " takes all_directions, or so many of the scene's range, evenly (uniform:20) or so "
+        "that the surfaces are evenly"
         " spaced (adaptive:20); default: the scene's isovalue.",
     )
     views: Count | None = Field(
         None,
-        description=f"Directions, spread evenly over all sides; default: {USUAL_DIRECTIONS} if no others are given.",
+        description=(
+            f"Directions, spread evenly over all sides; default: {USUAL_DIRECTIONS} if "
+            "no others are given."
+        ),
     )
-    directions: tuple[From, ...] = Field((), max_length=MOST_GIVEN, description="Directions, one by one.")
-    orbits: tuple[Orbit, ...] = Field((), max_length=MOST_GIVEN, description="Directions around the object.")
+    directions: tuple[From, ...] = Field(
+        (), max_length=MOST_GIVEN, description="Directions, one by one."
+    )
+    orbits: tuple[Orbit, ...] = Field(
+        (), max_length=MOST_GIVEN, description="Directions around the object."
+    )
     all_directions: StrictBool = Field(
-        False, description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever."
+        False,
+        description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever.",
     )
     distance: float = knob("distance")
     fov: float = knob("fov")
     width: int = knob("width")
     height: int = knob("height")
     target_error: Annotated[float, KNOBS["max_error"].kind] | None = Field(
-        None, description="Total relative error that pictures are to reach; default: the scene's target_error."
+        None,
+        description=(
+            "Total relative error that pictures are to reach; default: the scene's target_error."
+        ),
     )
     deadline: Annotated[float, Span(0, LONGEST_SECONDS)] | None = Field(
         None, description="Seconds after which it ends, whatever is baked by then; default: none."
@@ -201,7 +235,9 @@ class PrewarmOrder(NoParams):
     @classmethod
     def without_nulls(cls, given: Any) -> Any:
         """What is null is as if it were left out."""
-        return {name: value for name, value in given.items() if value is not None} if isinstance(given, dict) else given
+        if isinstance(given, dict):
+            return {name: value for name, value in given.items() if value is not None}
+        return given
 
     @model_validator(mode="after")
     def one_way(self) -> Self:
@@ -212,7 +248,10 @@ class PrewarmOrder(NoParams):
         if self.levels.ranges and not self.all_directions:
             first, last = self.levels.ranges[0]
             meaning = f"isovalues {first:g}:{last:g} means every isovalue between"
-            raise ValueError(f"{meaning}, which takes all_directions; for views give a step: {first:g}:{last:g}:5.")
+            raise ValueError(
+                f"{meaning}, which takes all_directions; for views give a step: "
+                f"{first:g}:{last:g}:5."
+            )
         return self
 
     @cached_property
@@ -225,12 +264,22 @@ class PrewarmOrder(NoParams):
         """The directions, each once."""
         single = [(each.azimuth, each.elevation) for each in self.directions]
         around = [each for path in self.orbits for each in orbit(path.count, path.elevation)]
-        count = self.views if self.views is not None else 0 if single or around else USUAL_DIRECTIONS
+        if self.views is not None:
+            count = self.views
+        elif single or around:
+            count = 0
+        else:
+            count = USUAL_DIRECTIONS
         return list(dict.fromkeys([*(all_sides(count) if count else ()), *single, *around]))
 
     def isovalues_of(self, scene: Scene) -> Levels:
-        """The isovalues, the scene's own where none is given; ParameterError where the scene does not allow one."""
-        levels = self.levels.found_in(scene) if self.isovalues else Levels((scene.isovalue,))
+        """The isovalues, the scene's own where none is given; ParameterError where the scene does
+        not allow one.
+        """
+        if self.isovalues:
+            levels = self.levels.found_in(scene)
+        else:
+            levels = Levels((scene.isovalue,))
         for level in {min(levels.all), max(levels.all)}:
             isovalue_of(scene, read(ViewParams, [("isovalue", level)]))
         return levels
@@ -238,13 +287,17 @@ class PrewarmOrder(NoParams):
     def digest(self, scene: Scene) -> str:
         """Hex name of all that decides which light is baked in a scene; not of when that ends."""
         asked = self.model_dump(exclude={"deadline"})
-        return hashlib.blake2b(json.dumps([scene.digest, asked]).encode(), digest_size=12).hexdigest()
+        return hashlib.blake2b(
+            json.dumps([scene.digest, asked]).encode(), digest_size=12
+        ).hexdigest()
 
 
 class PrewarmRequest(PrewarmOrder):
     """An order, or the question what it would take."""
 
-    dry_run: StrictBool = Field(False, description="Bake nothing: say how much there is, and how long it takes.")
+    dry_run: StrictBool = Field(
+        False, description="Bake nothing: say how much there is, and how long it takes."
+    )
 
     @property
     def order(self) -> PrewarmOrder:
@@ -253,20 +306,30 @@ class PrewarmRequest(PrewarmOrder):
 
 
 class Views:
-    """The views of an order in a ``scene``, made one by one; none where whole isosurfaces are asked for.
+    """The views of an order in a ``scene``, made one by one; none where whole isosurfaces are asked
+    for.
 
-    Raises ViewError where one is not allowed, or they are too many, and SceneError where the scene keeps no light.
+    Raises ViewError where one is not allowed, or they are too many, and SceneError where the scene
+    keeps no light.
     """
 
     def __init__(self, order: PrewarmOrder, scene: Scene, settings: Settings) -> None:
-        """Make one of each isovalue and of each direction, so that errors come before anything is begun."""
+        """Make one of each isovalue and of each direction, so that errors come before anything is
+        begun.
+        """
         scene.require_texels()
-        self._scene, self._settings = scene, settings
-        self._knobs = {name: getattr(order, name) for name in ("distance", "fov", "width", "height")}
+        self._scene = scene
+        self._settings = settings
+        self._knobs = {
+            name: getattr(order, name) for name in ("distance", "fov", "width", "height")
+        }
         self._levels = () if order.all_directions else order.isovalues_of(scene).single
         self._directions = order.looks_from
         if len(self) > MOST_VIEWS:
-            asked = f"{len(self._directions):,} views of each of {len(self._levels):,} isovalues are {len(self):,}"
+            asked = (
+                f"{len(self._directions):,} views of each of {len(self._levels):,} "
+                f"isovalues are {len(self):,}"
+            )
             raise ParameterError(f"{asked}: ask for {MOST_VIEWS:,} views at most.", "isovalues")
         for level in self._levels[:1]:
             self._view(level, self._directions[0])
@@ -279,22 +342,45 @@ class Views:
 
     def _view(self, level: float, direction: Direction) -> View:
         place = {"isovalue": level, "azimuth": direction[0], "elevation": direction[1]}
-        view = view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
-        return view if self._scene.surfaces.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
+        view = view_of(
+            self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings
+        )
+        return (
+            view if self._scene.surfaces.shine is None else replace(view, shine=DULL)
+        )  # nothing is baked for shine
 
 
-SURFACE_VIEWS, SURFACE_VIEW_PIXELS, MAX_VIEWED_ISOVALUES = 6, 192, 4
-"""Views that stand for a whole isosurface, from all sides, their pixels a side, and of how many isovalues at most."""
+SURFACE_VIEWS = 6
+SURFACE_VIEW_PIXELS = 192
+MAX_VIEWED_ISOVALUES = 4
+"""Views that stand for a whole isosurface, from all sides, their pixels a side, and of how many
+isovalues at most.
+"""
 
 
 def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Settings) -> Views:
-    """The views that stand for the whole isosurfaces of ``levels``: of the lowest, the highest and some between."""
+    """The views that stand for the whole isosurfaces of ``levels``: of the lowest, the highest and
+    some between.
+    """
     every = sorted(set(levels.all))
-    chosen = {every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))] for n in range(MAX_VIEWED_ISOVALUES)}
+    chosen = {
+        every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))]
+        for n in range(MAX_VIEWED_ISOVALUES)
+    }
     isovalues = tuple(map(repr, sorted(chosen)))
-    around = {"all_directions": False, "views": SURFACE_VIEWS, "directions": (), "orbits": (), "isovalues": isovalues}
+    around = {
+        "all_directions": False,
+        "views": SURFACE_VIEWS,
+        "directions": (),
+        "orbits": (),
+        "isovalues": isovalues,
+    }
     return Views(
-        order_of(order.model_dump() | around | {"width": SURFACE_VIEW_PIXELS, "height": SURFACE_VIEW_PIXELS}),
+        order_of(
+            order.model_dump()
+            | around
+            | {"width": SURFACE_VIEW_PIXELS, "height": SURFACE_VIEW_PIXELS}
+        ),
         scene,
         settings,
     )

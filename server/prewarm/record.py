@@ -31,7 +31,9 @@ MOST_FAILURES = 100
 
 
 class Errors(BaseModel):
-    """The total relative errors of the pictures: of the views, or of those that stand for whole isosurfaces."""
+    """The total relative errors of the pictures: of the views, or of those that stand for whole
+    isosurfaces.
+    """
 
     worst: float
     mean: float
@@ -47,13 +49,14 @@ class Failure(BaseModel):
 class Summary(BaseModel):
     """What a prewarm had to do, and what it did.
 
-    ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before compression are what was
-    lacking at the start; ``stored_bytes`` is what these chunks take in the store. ``final`` is the share of the views'
-    surface that is final, or the share of the texels of whole isosurfaces that have as many samples as pictures of it
-    need; ``error`` is the worst of ``errors``. ``paths``
-    and ``processor_seconds`` were spent on these chunks, ``seconds`` passed meanwhile; ``time_left`` is the
-    forecast at the start. ``stopped`` says what ended it. A dry run forecasts ``stored_bytes`` and
-    ``processor_seconds``. ``time`` is the step of a series that was gone through.
+    ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before
+    compression are what was lacking at the start; ``stored_bytes`` is what these chunks take in the
+    store. ``final`` is the share of the views' surface that is final, or the share of the texels of
+    whole isosurfaces that have as many samples as pictures of it need; ``error`` is the worst of
+    ``errors``. ``paths`` and ``processor_seconds`` were spent on these chunks, ``seconds`` passed
+    meanwhile; ``time_left`` is the forecast at the start. ``stopped`` says what ended it. A dry run
+    forecasts ``stored_bytes`` and ``processor_seconds``. ``time`` is the step of a series that was
+    gone through.
     """
 
     scene: str
@@ -83,14 +86,25 @@ class Summary(BaseModel):
 
     def __str__(self) -> str:
         """For a person, on one line."""
-        what = f"{self.views:,} views" if self.views else "whole isosurfaces"
+        if self.views:
+            what = f"{self.views:,} views"
+        else:
+            what = "whole isosurfaces"
         share = f"{what}, {self.final:.1%} of their {'surface' if self.views else 'texels'} final"
-        step = "" if self.time is None else f"step {self.time}: "
+        if self.time is None:
+            step = ""
+        else:
+            step = f"step {self.time}: "
         quality = f"{step}{share} at {self.target_error:g}"
-        return f"{quality}; {self._ahead()}" if self.stopped == "dry run" else f"{quality}, {self._done()}"
+        if self.stopped == "dry run":
+            return f"{quality}; {self._ahead()}"
+        return f"{quality}, {self._done()}"
 
     def _ahead(self) -> str:
-        size = f"{self.bytes / 1e6:.1f} MB before compression, about {self.stored_bytes / 1e6:.1f} MB after"
+        size = (
+            f"{self.bytes / 1e6:.1f} MB before compression, about "
+            f"{self.stored_bytes / 1e6:.1f} MB after"
+        )
         rest = f"and {self.refined:,} to be refined, in {self.chunks:,} chunks"
         left = left_text(TimeLeft(**self.time_left.model_dump()))
         lacking = f"to bake: {self.texels:,} texels without light ({size}) {rest}"
@@ -98,8 +112,14 @@ class Summary(BaseModel):
 
     def _done(self) -> str:
         forecast = span(self.time_left.likely, digits=2)
-        done = f"{self.paths:,} paths in {span(self.seconds)} (forecast: {forecast}), worst error {self.error:.2g}"
-        wrong = f"; {self.failed:,} chunks cannot be baked: {self.failures[0].reason}" if self.failures else ""
+        done = (
+            f"{self.paths:,} paths in {span(self.seconds)} (forecast: {forecast}), worst "
+            f"error {self.error:.2g}"
+        )
+        if self.failures:
+            wrong = f"; {self.failed:,} chunks cannot be baked: {self.failures[0].reason}"
+        else:
+            wrong = ""
         return f"{done}{wrong}" + (f"; {self.file}" if self.file else "")
 
 
@@ -124,12 +144,12 @@ OPEN_STATES = (Status.ACCEPTED, Status.RUNNING)
 
 
 class RecordDocument(BaseModel):
-    """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` is the last process at it.
-    ``owner`` names the token that asked for it.
+    """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` is the last
+    process at it. ``owner`` names the token that asked for it.
 
-    ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent`` are the seconds that
-    this worker has worked on it. Texels of whole isosurfaces are to have as many samples as ``rung``, as far as
-    pictures have told.
+    ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent``
+    are the seconds that this worker has worked on it. Texels of whole isosurfaces are to have as
+    many samples as ``rung``, as far as pictures have told.
     """
 
     format: Literal[1] = 1
@@ -153,23 +173,31 @@ class RecordDocument(BaseModel):
     @property
     def unfinished(self) -> bool:
         """Whether there is something to go on with."""
-        return self.status is not Status.SUCCESSFUL or (self.summary is not None and self.summary.stopped != "target")
+        return self.status is not Status.SUCCESSFUL or (
+            self.summary is not None and self.summary.stopped != "target"
+        )
 
     @property
     def rest(self) -> PrewarmOrder:
         """The order, with what is left of its time."""
         if self.order.deadline is None:
             return self.order
-        return self.order.model_copy(update={"deadline": max(self.order.deadline - self.spent, 0.0)})
+        return self.order.model_copy(
+            update={"deadline": max(self.order.deadline - self.spent, 0.0)}
+        )
 
     @property
     def left(self) -> bool:
-        """Whether its process is known to have ended before the prewarm did, without being asked to stop."""
+        """Whether its process is known to have ended before the prewarm did, without being asked to
+        stop.
+        """
         return self.status in OPEN_STATES and gone(self.worker)
 
 
 def gone(worker: str) -> bool:
-    """Whether a worker is a process of this machine that ended; False where that cannot be known."""
+    """Whether a worker is a process of this machine that ended; False where that cannot be
+    known.
+    """
     machine, number, _ = worker.split("/")
     if machine != socket.gethostname():
         return False
@@ -195,13 +223,17 @@ class Record:
         by: Literal["command", "server"],
         owner: str = "",
     ) -> None:
-        """Write nothing yet. A deadline is not part of the name, which is the same for the same light."""
+        """Write nothing yet. A deadline is not part of the name, which is the same for the same
+        light.
+        """
         digest = order.digest(scene)
         self.document = RecordDocument(
             id=digest, scene=scene.id, scene_digest=scene.digest, by=by, owner=owner, order=order
         )
-        self._store, self._documents = store, Documents(store, RECORDS_FOLDER)
-        self._begun, self._written = time.monotonic(), -BEAT
+        self._store = store
+        self._documents = Documents(store, RECORDS_FOLDER)
+        self._begun = time.monotonic()
+        self._written = -BEAT
 
     @property
     def place(self) -> str:
@@ -209,8 +241,12 @@ class Record:
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Go on where an earlier prewarm of this order was, and keep how far this one climbs. Raises StoreError."""
-        former = [each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id]
+        """Go on where an earlier prewarm of this order was, and keep how far this one climbs.
+        Raises StoreError.
+        """
+        former = [
+            each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id
+        ]
         context.rung = max(context.rung, *former, FIRST_LEVEL)
         context.climbed = lambda rung: self.keep(rung=rung)
         self.document = self.document.model_copy(update={"rung": context.rung})
@@ -221,7 +257,8 @@ class Record:
     ) -> Iterator[None]:
         """Keep how far a prewarm is meanwhile, and why it ended where that is early.
 
-        Of one that was ``stopped`` it keeps this message, or nothing where it is ``lasting``: the next server goes on.
+        Of one that was ``stopped`` it keeps this message, or nothing where it is ``lasting``: the
+        next server goes on.
         """
         self.follow(context)
         self.keep(status=Status.RUNNING)
@@ -244,7 +281,9 @@ class Record:
             raise
 
     def report(self, step: Step) -> None:
-        """Say how far it is; kept when some time has passed. A store that does not take it costs no more than that."""
+        """Say how far it is; kept when some time has passed. A store that does not take it costs no
+        more than that.
+        """
         if time.monotonic() - self._written >= BEAT:
             try:
                 self.keep(status=Status.RUNNING, message=str(step), progress=int(100 * step.share))
@@ -255,7 +294,10 @@ class Record:
     def close(self, summary: Summary) -> Summary:
         """Write the end down; the summary with its place. Raises StoreError."""
         summary = summary.model_copy(update={"file": self.place})
-        status = Status.FAILED if summary.failed else Status.SUCCESSFUL
+        if summary.failed:
+            status = Status.FAILED
+        else:
+            status = Status.SUCCESSFUL
         self.keep(status=status, message=str(summary), progress=100, summary=summary)
         return summary
 
@@ -268,16 +310,24 @@ class Record:
 
 
 def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
-    """The prewarms recorded in a store; records that cannot be read are logged and left out. Raises StoreError."""
+    """The prewarms recorded in a store; records that cannot be read are logged and left out. Raises
+    StoreError.
+    """
     documents = Documents(store, RECORDS_FOLDER)
     for name in documents.names():
         try:
             yield RecordDocument.model_validate(documents.read(name))
         except (StoreError, ValidationError) as error:
-            log.warning("The record of a prewarm, %s, cannot be read: %s", documents.path_of(name), error)
+            log.warning(
+                "The record of a prewarm, %s, cannot be read: %s", documents.path_of(name), error
+            )
 
 
 def last_unfinished(store: StoreLike, scene: Scene) -> RecordDocument | None:
     """The latest prewarm of a scene that did not end; None where there is none."""
-    found = [each for each in recorded_prewarms(store) if each.scene_digest == scene.digest and each.unfinished]
+    found = [
+        each
+        for each in recorded_prewarms(store)
+        if each.scene_digest == scene.digest and each.unfinished
+    ]
     return max(found, key=lambda each: each.updated, default=None)

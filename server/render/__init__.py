@@ -1,1 +1,3 @@
-"""Rendering for many clients: the engine, its workers, and the order in which clients are served."""
+"""Rendering for many clients: the engine, its workers, and the order in which clients are
+served.
+"""

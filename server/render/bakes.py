@@ -1,4 +1,6 @@
-"""Bakes of a scene as the workers know them, bakes of other texels and sides, background bakes, and patience."""
+"""Bakes of a scene as the workers know them, bakes of other texels and sides, background bakes, and
+patience.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,18 @@ from worker.tasks import Whole
 
 
 def bake_name(scene: str, spec: str) -> str:
-    """The name of a scene's bake by a spec, among all bakes; the scene's own name for the scene's own spec."""
-    return scene if spec == "gi" else f"{scene} ({spec})"
+    """The name of a scene's bake by a spec, among all bakes; the scene's own name for the scene's
+    own spec.
+    """
+    if spec == "gi":
+        return scene
+    return f"{scene} ({spec})"
 
 
 def sent(scene: Scene, store: Store) -> SceneAssets | None:
-    """What joined workers read in place of the scene's files; None where the store takes nothing."""
+    """What joined workers read in place of the scene's files; None where the store takes
+    nothing.
+    """
     with suppress(StoreReadOnlyError, StoreFullError):
         return send_assets(scene, store)
     return None
@@ -60,14 +68,17 @@ def make_bake(
     shown: Isovalue | None = None,
     whole: Whole | None = None,
 ) -> Bake:
-    """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read the ``assets``.
+    """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read
+    the ``assets``.
 
-    Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut from a ``whole``.
-    Nothing of the ``caches`` is kept: ``arrived`` is called with the spec's name, a chunk that has new light, and the
-    isosurface.
+    Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut
+    from a ``whole``. Nothing of the ``caches`` is kept: ``arrived`` is called with the spec's name,
+    a chunk that has new light, and the isosurface.
     """
-    spec, store = replace(caches.spec(name), shown=shown), caches.store
-    scene, plan = spec.prepared.scene, replace(spec.plan, left_out=(), notes=())
+    spec = replace(caches.spec(name), shown=shown)
+    store = caches.store
+    scene = spec.prepared.scene
+    plan = replace(spec.plan, left_out=(), notes=())
     layers = frozenset(scene.layer_digest(layer, shown) for layer in plan.layers)
     costs = Costs(store, spec.digest)
     costs.read()
@@ -75,7 +86,9 @@ def make_bake(
     def note(index: Index) -> None:
         arrived(name, index, shown)
 
-    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole)
+    return Bake(
+        scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole
+    )
 
 
 BACKGROUND_VIEWER = Viewer("background", patient=True)
@@ -83,16 +96,26 @@ BACKGROUND_VIEWER = Viewer("background", patient=True)
 
 
 class BackgroundBake:
-    """Light that is baked while no frame waits: what a ``stage`` demands of one ``bake``, by its name."""
+    """Light that is baked while no frame waits: what a ``stage`` demands of one ``bake``, by its
+    name.
+    """
 
-    def __init__(self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> None:
-        """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not given up before."""
-        self._baker, self._viewer = baker, viewer
-        self.bake, self.chunks = bake, [demand.index for demand in stage.demands]
+    def __init__(
+        self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER
+    ) -> None:
+        """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not
+        given up before.
+        """
+        self._baker = baker
+        self._viewer = viewer
+        self.bake = bake
+        self.chunks = [demand.index for demand in stage.demands]
         self.coming = baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def waiting(self) -> int:
-        """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays wanted."""
+        """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays
+        wanted.
+        """
         return self._baker.open(self.bake, self.chunks, self._viewer)
 
     def failures(self) -> dict[Index, str]:
@@ -109,38 +132,51 @@ class BackgroundBake:
 
 
 MAX_BAKES = 32
-"""Bakes of projected or finer texels, and of sides, of all scenes, that may be at work: those asked for last."""
+"""Bakes of projected or finer texels, and of sides, of all scenes, that may be at work: those asked
+for last.
+"""
 
 
 class SideBakes:
-    """The bakes of projected or finer texels, and of surfaces' sides, that a ``baker`` knows. Safe to use from many
-    threads.
+    """The bakes of projected or finer texels, and of surfaces' sides, that a ``baker`` knows. Safe
+    to use from many threads.
     """
 
     def __init__(self, baker: Baker, store: Store, most: int) -> None:
-        """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
-        self._baker, self._store, self._most = baker, store, most
+        """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected
+        texels.
+        """
+        self._baker = baker
+        self._store = store
+        self._most = most
         self._names: OrderedDict[str, str] = OrderedDict()
         self._readers = weakref.WeakValueDictionary[str, Caches]()
         self._lit: set[tuple[str, float]] = set()
         self._lock = threading.Lock()
         self._trimmer: threading.Thread | None = None
 
-    def name(self, scene: str, shown: Isovalue | None, fineness: int, make: Callable[[], Bake]) -> str:
+    def name(
+        self, scene: str, shown: Isovalue | None, fineness: int, make: Callable[[], Bake]
+    ) -> str:
         """The name of a bake of a scene's texels, made where it is new.
 
-        They are finer than its own by ``fineness`` steps, and projected onto the isosurface ``shown``, where one is.
+        They are finer than its own by ``fineness`` steps, and projected onto the isosurface
+        ``shown``, where one is.
         """
-        return self._named(f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make)
+        return self._named(
+            f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make
+        )
 
     def side(self, scene: str, spec: str, stage: Stage, send: bool) -> str:
-        """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's surfaces; made where it
-        is new. Its assets are put into the store where they are to be ``sent``. The caches that asked last are told of
-        its light: those before them may have been let go.
+        """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's
+        surfaces; made where it is new. Its assets are put into the store where they are to be
+        ``sent``. The caches that asked last are told of its light: those before them may have been
+        let go.
         """
         if stage.caches is None:
             raise ValueError("A stage of the scene's own light has a bake already.")
-        caches, own = stage.caches, stage.caches.prepared.scene
+        caches = stage.caches
+        own = stage.caches.prepared.scene
         name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
         self._readers[name] = caches
 
@@ -149,7 +185,9 @@ class SideBakes:
                 held.refresh(spec, index, shown)
 
         def make() -> Bake:
-            return make_bake(caches, spec, sent(own, self._store) if send else None, arrived, stage.shown)
+            return make_bake(
+                caches, spec, sent(own, self._store) if send else None, arrived, stage.shown
+            )
 
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 
@@ -179,7 +217,9 @@ class SideBakes:
         with self._lock:
             if self._trimmer is None or not self._trimmer.is_alive():
                 trimmed = self._store, self._most
-                self._trimmer = threading.Thread(target=trim_projected, args=trimmed, name="trimming", daemon=True)
+                self._trimmer = threading.Thread(
+                    target=trim_projected, args=trimmed, name="trimming", daemon=True
+                )
                 self._trimmer.start()
 
     def settle(self) -> None:
@@ -188,7 +228,9 @@ class SideBakes:
             self._trimmer.join()
 
     def scene(self, bake: str) -> str:
-        """The name of the bake that views read besides one of projected or finer texels; any other is its own."""
+        """The name of the bake that views read besides one of projected or finer texels; any other
+        is its own.
+        """
         return self._names.get(bake, bake)
 
     def forget(self, scene: str) -> None:
@@ -207,21 +249,29 @@ STALLED_SECONDS = 120.0
 
 
 class Patience:
-    """How long to wait for light: so many ``seconds`` without anything new, while workers can bake."""
+    """How long to wait for light: so many ``seconds`` without anything new, while workers can
+    bake.
+    """
 
-    def __init__(self, seconds: float = STALLED_SECONDS, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, seconds: float = STALLED_SECONDS, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         """Begin now."""
-        self._seconds, self._clock = seconds, clock
-        self._since, self._seen = clock(), None
+        self._seconds = seconds
+        self._clock = clock
+        self._since = clock()
+        self._seen = None
 
     def check(self, progress: Any, preparing: str, reasons: Iterable[str]) -> None:
-        """Go on where ``progress`` is another value than before, or workers are ``preparing``: they start or compile.
+        """Go on where ``progress`` is another value than before, or workers are ``preparing``: they
+        start or compile.
 
         Raises WorkersError, with the ``reasons`` that are known, once the patience has ended.
         """
         now = self._clock()
         if preparing or progress != self._seen:
-            self._since, self._seen = now, progress
+            self._since = now
+            self._seen = progress
         elif now - self._since > self._seconds:
             why = " ".join(reasons) or "The workers bake nothing new."
             raise WorkersError(f"No light came for {self._seconds:g} seconds. {why}")
@@ -229,10 +279,11 @@ class Patience:
 
 @dataclass(eq=False)
 class Pending:
-    """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all`` with the last.
+    """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all``
+    with the last.
 
-    The last update of a chunk says that no more of it is going to be baked: it is final or given up. ``lit`` is set
-    with ``all``, and once each of those that were ``dark`` has had an update.
+    The last update of a chunk says that no more of it is going to be baked: it is final or given
+    up. ``lit`` is set with ``all``, and once each of those that were ``dark`` has had an update.
     """
 
     bake: str
@@ -268,7 +319,9 @@ class UpdateBus:
         self._pending: set[Pending] = set()
 
     def publish(self, bake: str, index: Index, more: bool) -> None:
-        """Say that a chunk of a bake has new light, or its task failed, and whether ``more`` is coming. Any thread."""
+        """Say that a chunk of a bake has new light, or its task failed, and whether ``more`` is
+        coming. Any thread.
+        """
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._note, bake, index, more)
 
@@ -280,7 +333,9 @@ class UpdateBus:
     def pending(
         self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
     ) -> Iterator[Pending]:
-        """Watch ``chunks`` of a bake, some of which are ``dark``, from the update after number ``since`` on."""
+        """Watch ``chunks`` of a bake, some of which are ``dark``, from the update after number
+        ``since`` on.
+        """
         pending = Pending(bake, set(chunks), set(dark))
         for index in chunks:
             number, more = self._last.get((bake, index), (0, True))
@@ -325,13 +380,18 @@ def background_viewer() -> Viewer:
 
 
 async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
-    """The answer to a request. Once its client has left, the answer is cancelled and Cancelled raised."""
+    """The answer to a request. Once its client has left, the answer is cancelled and Cancelled
+    raised.
+    """
     return await until(answer, gone(request))
 
 
 async def until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
-    """What some work comes to, or raises; where the ``end`` comes first, it is cancelled and Cancelled raised."""
-    working, ending = asyncio.ensure_future(work), asyncio.ensure_future(end)
+    """What some work comes to, or raises; where the ``end`` comes first, it is cancelled and
+    Cancelled raised.
+    """
+    working = asyncio.ensure_future(work)
+    ending = asyncio.ensure_future(end)
     try:
         await asyncio.wait({working, ending}, return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
@@ -360,7 +420,9 @@ MAX_WAITING_PICTURES = 64
 
 @dataclass(frozen=True)
 class Picture:
-    """A view of a scene whose total error is to reach a ``target``; nobody wants it once it is ``cancelled``."""
+    """A view of a scene whose total error is to reach a ``target``; nobody wants it once it is
+    ``cancelled``.
+    """
 
     scene: str
     view: View
@@ -376,8 +438,11 @@ class PictureChecks:
     """Checks pictures step by step, the one asked for last first. Safe to use from many threads."""
 
     def __init__(self, step: Step, notify: Listener) -> None:
-        """Take each ``step`` that there is; ``notify`` hears of it, and whether ``more`` are to come."""
-        self._step, self._notify = step, notify
+        """Take each ``step`` that there is; ``notify`` hears of it, and whether ``more`` are to
+        come.
+        """
+        self._step = step
+        self._notify = notify
         self._wanted: OrderedDict[Viewer, Picture] = OrderedDict()
         self._changed = threading.Condition()
         self._closed = False
@@ -427,7 +492,10 @@ class PictureChecks:
                 log.debug("a picture is not checked: %s", error)
                 more = False
             except Exception:
-                log.exception("The check of a picture failed: it keeps the error that it has, others are checked.")
+                log.exception(
+                    "The check of a picture failed: it keeps the error that it has, others are "
+                    "checked."
+                )
                 more = False
             if not more:
                 self._done(viewer, picture)
@@ -437,7 +505,9 @@ class PictureChecks:
         """The newest picture that is wanted, once there is one; None when closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._wanted or self._closed)
-            return None if self._closed else next(reversed(self._wanted.items()))
+            if self._closed:
+                return None
+            return next(reversed(self._wanted.items()))
 
     def _done(self, viewer: Viewer, picture: Picture) -> None:
         with self._changed:

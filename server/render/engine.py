@@ -27,10 +27,25 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store, StoreLike
 from server.errors import UnknownSceneError
-from server.render.bakes import BACKGROUND_VIEWER, CHECK, BackgroundBake, PictureChecks, SideBakes, bake_name, make_bake
+from server.render.bakes import (
+    BACKGROUND_VIEWER,
+    CHECK,
+    BackgroundBake,
+    PictureChecks,
+    SideBakes,
+    bake_name,
+    make_bake,
+)
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
 from server.render.scene_variant import SceneVariant
-from server.render.workforce import SceneKernels, Workforce, root_of, scheduler_of, shared, whereabouts
+from server.render.workforce import (
+    SceneKernels,
+    Workforce,
+    root_of,
+    scheduler_of,
+    shared,
+    whereabouts,
+)
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
@@ -40,26 +55,36 @@ WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
 
 
-def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]) -> TimeLeft:
-    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its stages' seconds.
+def time_of_paths(
+    left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]
+) -> TimeLeft:
+    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its
+    stages' seconds.
 
-    Before the first path of a pixel one takes a share of a texel's, for all of which so much was ``spent``.
+    Before the first path of a pixel one takes a share of a texel's, for all of which so much was
+    ``spent``.
     """
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
+    return TimeLeft.of(
+        work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD)
+    )
 
 
 MAX_TIME_LEFT_RATIO = 1.1
-"""How many times as long as before the time left of a picture may become from one answer to the next."""
+"""How many times as long as before the time left of a picture may become from one answer to the
+next.
+"""
 
 MAX_KEPT_PICTURES = 256
 """Pictures whose last answers are kept."""
 
 
 class Promises:
-    """The times left that were reported of pictures: no time leaps up before those that wait. Any thread may use it."""
+    """The times left that were reported of pictures: no time leaps up before those that wait. Any
+    thread may use it.
+    """
 
     def __init__(self) -> None:
         """None reported yet."""
@@ -67,8 +92,8 @@ class Promises:
         self._lock = threading.Lock()
 
     def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """The time to report of a ``picture`` with an estimate of what is ``left``: at most MAX_TIME_LEFT_RATIO times
-        the last one.
+        """The time to report of a ``picture`` with an estimate of what is ``left``: at most
+        MAX_TIME_LEFT_RATIO times the last one.
         """
         with self._lock:
             before = self._told.pop(picture, None)
@@ -83,7 +108,10 @@ class Promises:
 REMEMBERED = 4096
 """Variants whose change is known after they made way: those made last."""
 
-READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
+READ_ONLY = (
+    "The store at {store} can only be read: what is baked there is shown, and nothing "
+    "more is baked."
+)
 
 SCENES_MEMORY_BYTES = 1 << 30
 """Bytes of light, views and maps that all scenes together may keep in memory."""
@@ -93,7 +121,9 @@ PROJECTED_TEXEL_BYTES = 4 << 30
 
 
 class RenderEngine:
-    """Renders frames of its scenes and has a ``baker`` bake what they lack. Safe to use from many threads."""
+    """Renders frames of its scenes and has a ``baker`` bake what they lack. Safe to use from many
+    threads.
+    """
 
     def __init__(
         self,
@@ -105,13 +135,17 @@ class RenderEngine:
         baker: Baker | None = None,
         projected: int = PROJECTED_TEXEL_BYTES,
     ) -> None:
-        """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster to join.
+        """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster
+        to join.
 
-        ``baker`` bakes the light, one for so many workers by default; the store may keep so many bytes of
-        ``projected`` texels.
+        ``baker`` bakes the light, one for so many workers by default; the store may keep so many
+        bytes of ``projected`` texels.
         """
         self.scenes = {scene.id: scene for scene in scenes}
-        self.store = store if isinstance(store, Store) else Store(whereabouts(StoreUrl.of(store or default_store())))
+        if isinstance(store, Store):
+            self.store = store
+        else:
+            self.store = Store(whereabouts(StoreUrl.of(store or default_store())))
         self._memory = shared(memory)
         self._loaded = LoadedScenes(self._load, memory)
         self._bakes: dict[str, str] = {}
@@ -130,14 +164,17 @@ class RenderEngine:
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
     def start(self, hire: bool = True) -> None:
-        """``open`` the engine, and have all that pictures with ``light`` call. Raises StoreError."""
+        """``open`` the engine, and have all that pictures with ``light`` call. Raises
+        StoreError.
+        """
         self.open(hire)
         self.light(hire)
 
     def open(self, hire: bool = True) -> None:
         """Open stores and scenes: pictures without light can be drawn then. Raises StoreError.
 
-        Workers to ``hire`` come meanwhile, or after kernels are compiled; without them nothing is baked.
+        Workers to ``hire`` come meanwhile, or after kernels are compiled; without them nothing is
+        baked.
         """
         self.workforce.late = self.kernels.progress is not None
         if hire and not self.workforce.late:
@@ -149,25 +186,33 @@ class RenderEngine:
             self.store.check_writable()
         for scene in list(self.scenes.values()):
             self._loaded.at(scene)
-        threading.Thread(target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True).start()
+        threading.Thread(
+            target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True
+        ).start()
 
     def light(self, hire: bool = True) -> None:
-        """Have kernels of light here, compiled while pictures without light are drawn; then workers to ``hire``."""
+        """Have kernels of light here, compiled while pictures without light are drawn; then workers
+        to ``hire``.
+        """
         self.kernels.light()
         if hire and not self._stopped.is_set():
             self.hire()
 
     def stop(self) -> None:
-        """Have ``start``, if it is at work in another thread, return without an engine that can be used."""
+        """Have ``start``, if it is at work in another thread, return without an engine that can be
+        used.
+        """
         self._stopped.set()
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire(self.kernels.kinds, next((each.source for each in self.scenes.values()), None))
+        self.workforce.hire(
+            self.kernels.kinds, next((each.source for each in self.scenes.values()), None)
+        )
 
     def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
-        """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded when it is first
-        looked at.
+        """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded
+        when it is first looked at.
         """
         self.kernels.admit(scene)
         with self._changing:
@@ -188,22 +233,30 @@ class RenderEngine:
         return [each for each in self.scenes.values() if each.id not in self._variants]
 
     def planned(self, scene: str) -> Scene:
-        """A scene with the plan of the light that its store has. Raises StoreError and UnknownSceneError."""
+        """A scene with the plan of the light that its store has. Raises StoreError and
+        UnknownSceneError.
+        """
         return self._find(scene).scene
 
     def dismiss(self, scene: str) -> None:
-        """Show a scene no more, nor its variants: frames that are drawn come to their end, and nothing more is baked.
+        """Show a scene no more, nor its variants: frames that are drawn come to their end, and
+        nothing more is baked.
 
         Their light stays in the store.
         """
-        for each in [scene, *(name for name in self.scenes if name != scene and self.variant(name).base == scene)]:
+        for each in [
+            scene,
+            *(name for name in self.scenes if name != scene and self.variant(name).base == scene),
+        ]:
             self._dismiss(each)
 
     def _dismiss(self, scene: str) -> None:
         """Show one scene no more."""
         with self._changing:
             self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
-            known = [bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)]
+            known = [
+                bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)
+            ]
         for bake in known:
             self.baker.forget(bake)
         self._beside.forget(scene)
@@ -219,10 +272,12 @@ class RenderEngine:
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
     ) -> Frame:
-        """The frame of a view with the light baked so far, after at most ``wait`` seconds of baking more.
+        """The frame of a view with the light baked so far, after at most ``wait`` seconds of baking
+        more.
 
-        ``max_error`` is the relative error at which light is final, the scene's target by default; ``watch`` takes
-        the time of all stages. Raises ViewError, StoreError, and Cancelled once ``cancelled`` is set.
+        ``max_error`` is the relative error at which light is final, the scene's target by default;
+        ``watch`` takes the time of all stages. Raises ViewError, StoreError, and Cancelled once
+        ``cancelled`` is set.
         """
         watch = watch or Stopwatch()
         deadline = time.monotonic() + wait
@@ -248,7 +303,8 @@ class RenderEngine:
         watch: Stopwatch | None = None,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; none that it lacks is requested: see ``Renderer.render``.
+        """The frame of a view with the light baked so far; none that it lacks is requested: see
+        ``Renderer.render``.
 
         Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
         """
@@ -257,8 +313,12 @@ class RenderEngine:
         finally:
             self._loaded.settle()
 
-    def unlit_frame(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
-        """The frame of a new view with none of its light, before it is drawn; see ``frame.unlit_view``."""
+    def unlit_frame(
+        self, scene: str, view: View, target: float, cancelled: threading.Event
+    ) -> Frame | None:
+        """The frame of a new view with none of its light, before it is drawn; see
+        ``frame.unlit_view``.
+        """
         return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
     def check(
@@ -269,14 +329,21 @@ class RenderEngine:
         cancelled: threading.Event | None = None,
         prices: Prices = AWAITED,
     ) -> bool:
-        """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
-        tiles = self._checking.cancelled_by(cancelled) if cancelled else self._checking
+        """Check a picture, one step further; whether there was one to take. Raises as ``frame``
+        does.
+        """
+        if cancelled:
+            tiles = self._checking.cancelled_by(cancelled)
+        else:
+            tiles = self._checking
         return self._find(scene).check(view, target, tiles, prices)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked.
+        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to
+        be baked.
 
-        The picture of one that lacks none is checked, and walls that lag are lit beside texels: CHECK stands for both.
+        The picture of one that lacks none is checked, and walls that lag are lit beside texels:
+        CHECK stands for both.
         """
         beside = frozenset({CHECK} if frame.refinable else ())
         if beside:
@@ -292,29 +359,38 @@ class RenderEngine:
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
 
-        Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks none, however far it is
-        from its target.
+        Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks
+        none, however far it is from its target.
         """
         frame = frame.quality.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
-        return self.bake_at(scene, spec_name(frame.view.shading), stage, frame.quality.fineness), stage
+        return self.bake_at(
+            scene, spec_name(frame.view.shading), stage, frame.quality.fineness
+        ), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
-        """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by ``fineness`` steps."""
+        """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by
+        ``fineness`` steps.
+        """
         if stage.caches is not None and scene in self.scenes:
             return self._beside.side(scene, spec, stage, self.workforce.joins)
         if scene not in self.scenes or (stage.shown is None and not fineness):
             return bake_name(scene, spec)
-        loaded, arrived = self._find(scene).level(fineness), partial(self._arrived, scene, fineness)
+        loaded = self._find(scene).level(fineness)
+        arrived = partial(self._arrived, scene, fineness)
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
         return self._beside.name(scene, stage.shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
-        return (found := self.lacking(scene, frame))[0], [demand.index for demand in found[1].demands]
+        return (found := self.lacking(scene, frame))[0], [
+            demand.index for demand in found[1].demands
+        ]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
-        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants stays wanted."""
+        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants
+        stays wanted.
+        """
         return self.baker.open(*self._chunks(scene, frame), viewer)
 
     def leave(self, viewer: Viewer) -> None:
@@ -323,20 +399,28 @@ class RenderEngine:
         self.baker.leave(viewer)
 
     def listen(self, listener: Listener) -> None:
-        """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see ``bake_of``.
+        """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see
+        ``bake_of``.
 
-        Projected and finer texels are reported as the scene's own, and the check of a picture as CHECK.
+        Projected and finer texels are reported as the scene's own, and the check of a picture as
+        CHECK.
         """
         self._listeners.append(listener)
         self.baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
 
-    def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
-        """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
+    def time_left(
+        self, scene: str, frame: Frame, max_error: float | None = None
+    ) -> TimeLeft | None:
+        """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker
+        is at it.
+        """
         if frame.final:
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
-        target, (bake, chunks) = max_error or loaded.scene.target_error, self._chunks(scene, frame)
-        subject, later = (scene, surface_key(frame.view), target), (frame.quality.finer or frame).stages[1:]
+        target = max_error or loaded.scene.target_error
+        (bake, chunks) = self._chunks(scene, frame)
+        subject = (scene, surface_key(frame.view), target)
+        later = (frame.quality.finer or frame).stages[1:]
         baking = self.baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
@@ -344,15 +428,24 @@ class RenderEngine:
         if lacking := frame.quality.lacking:
             spent = self.baker.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
-        return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
+        if baking.high > 0.0:
+            return self._promises.kept((scene, frame.view, target), baking)
+        return None
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
-        """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the store is only read."""
-        wanted = replace(stage, demands=()) if self.store.only_read() else stage
+        """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the
+        store is only read.
+        """
+        if self.store.only_read():
+            wanted = replace(stage, demands=())
+        else:
+            wanted = stage
         return BackgroundBake(self.baker, bake, wanted, viewer)
 
     def renderer(self, scene: str, fineness: int = 0) -> Renderer:
-        """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where it was dismissed."""
+        """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where
+        it was dismissed.
+        """
         return self._find(scene).level(fineness).renderer
 
     def bake_of(self, scene: str, view: View) -> str:
@@ -360,7 +453,8 @@ class RenderEngine:
         return bake_name(scene, spec_name(view.shading))
 
     def trouble(self) -> str:
-        """Why light will not be baked: the store is only read, there are no workers, or a chunk was given up.
+        """Why light will not be baked: the store is only read, there are no workers, or a chunk was
+        given up.
 
         Empty when all is well.
         """
@@ -369,15 +463,23 @@ class RenderEngine:
         return self.workforce.missing or self.baker.trouble()
 
     def unready(self) -> list[str]:
-        """Reasons why frames would not become final; none when all is well, or nothing is baked on purpose."""
+        """Reasons why frames would not become final; none when all is well, or nothing is baked on
+        purpose.
+        """
         if self.store.read_only:
             return []
         why = self.trouble() or self.baker.paused() or self.workforce.trouble
         return [why] if why else []
 
     def notes(self) -> list[str]:
-        """What a person should know though all goes as it should: what is compiled, or that the store is only read."""
-        return [note for note in (self.kernels.compiling, self.trouble() if self.store.read_only else "") if note]
+        """What a person should know though all goes as it should: what is compiled, or that the
+        store is only read.
+        """
+        return [
+            note
+            for note in (self.kernels.compiling, self.trouble() if self.store.read_only else "")
+            if note
+        ]
 
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next wanted."""
@@ -390,7 +492,9 @@ class RenderEngine:
         self._checking.close()
 
     def _checked(self, scene: str, view: View, more: bool) -> None:
-        """Say that a picture was checked one step further; what walls keep for its isovalue may be too much."""
+        """Say that a picture was checked one step further; what walls keep for its isovalue may be
+        too much.
+        """
         named = self.scenes.get(scene)
         if not more and named is not None and named.lighting.room.any:
             self._beside.lit(scene, view.isovalue)
@@ -401,17 +505,22 @@ class RenderEngine:
         """Request the light that a frame lacks; whether any of it is going to be baked."""
         with watch.stage("demand"):
             return bool(
-                self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST_VIEWER) - {CHECK}
+                self.lacking(scene, frame)[1].demands
+                and self.want(scene, frame, target, GUEST_VIEWER) - {CHECK}
             )
 
     def _find(self, scene: str) -> LoadedScene:
-        """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError, UnknownSceneError."""
+        """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError,
+        UnknownSceneError.
+        """
         named = self.scenes.get(scene) or self.again(scene)
         if named is not None:
             loaded = self._loaded.at(named)
             if scene not in self.scenes:
                 self._loaded.drop(scene)
-            if self.variant(scene).base in self.scenes:  # a variant that made way meanwhile is drawn to its end
+            if (
+                self.variant(scene).base in self.scenes
+            ):  # a variant that made way meanwhile is drawn to its end
                 return loaded
         raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
 
@@ -421,9 +530,14 @@ class RenderEngine:
         beside = next(filter(None, map(self._loaded.held, kin)), None)
         variant = self.variant(scene.id)
         lenders = [name for name in self.scenes if self.variant(name).may_lend(variant)]
-        whole = self._loaded.held(variant.whole.id) if variant.cut is not None else self._loaded.latest(lenders)
+        if variant.cut is not None:
+            whole = self._loaded.held(variant.whole.id)
+        else:
+            whole = self._loaded.latest(lenders)
         send = self.workforce.joins
-        loaded = load_scene_parts(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
+        loaded = load_scene_parts(
+            scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole
+        )
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
         arrived = partial(self._arrived, scene.id, 0)
         bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]
@@ -438,14 +552,23 @@ class RenderEngine:
                 self.scenes = {**self.scenes, scene.id: loaded.scene}
         return loaded
 
-    def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
+    def _arrived(
+        self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None
+    ) -> None:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
-        if (loaded := self._loaded.held(scene)) is not None and (level := loaded.held(fineness)) is not None:
+        if (loaded := self._loaded.held(scene)) is not None and (
+            level := loaded.held(fineness)
+        ) is not None:
             level.renderer.caches.refresh(spec, index, shown)
 
 
 def engine_for(scene: Scene, settings: Settings, hire: bool = True) -> RenderEngine:
-    """An engine of a ``scene`` under a command's settings; it joins a cluster only where it is to ``hire`` workers."""
-    scheduler, memory = scheduler_of(settings) if hire else None, settings.memory_mb << 20
+    """An engine of a ``scene`` under a command's settings; it joins a cluster only where it is to
+    ``hire`` workers.
+    """
+    scheduler = scheduler_of(settings) if hire else None
+    memory = settings.memory_mb << 20
     projected = settings.projected_mb << 20
-    return RenderEngine([scene], root_of(settings), settings.workers, scheduler, memory, projected=projected)
+    return RenderEngine(
+        [scene], root_of(settings), settings.workers, scheduler, memory, projected=projected
+    )

@@ -1,7 +1,8 @@
-"""Jobs: work that goes on when its request has been answered. They live in memory, as long as the server does.
+"""Jobs: work that goes on when its request has been answered. They live in memory, as long as the
+server does.
 
-Files that exports have made are kept meanwhile, within a quota. Prewarms besides have records beside the light, by
-which a server that starts takes them up.
+Files that exports have made are kept meanwhile, within a quota. Prewarms besides have records
+beside the light, by which a server that starts takes them up.
 """
 
 from __future__ import annotations
@@ -65,10 +66,11 @@ def now() -> datetime:
 
 @dataclass(eq=False)
 class Job:
-    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of. It belongs to its ``owner``.
+    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of. It belongs
+    to its ``owner``.
 
-    ``progress`` is in percent and never falls. Work says how far it is by ``report``; a ``document`` that it leaves
-    is the job's own result.
+    ``progress`` is in percent and never falls. Work says how far it is by ``report``; a
+    ``document`` that it leaves is the job's own result.
     """
 
     process: str
@@ -89,27 +91,36 @@ class Job:
     @property
     def expires(self) -> datetime | None:
         """When it is forgotten; None before its end."""
-        return None if self.finished is None else self.finished + ENDED_JOB_TIME
+        if self.finished is None:
+            return None
+        return self.finished + ENDED_JOB_TIME
 
     def report(self, share: float, message: str, left: TimeLeft | None = None) -> None:
         """Say that so large a share is done, and the time that the rest takes."""
         self.progress = max(self.progress, int(100 * share))
-        self.message, self.time_left, self.updated = message, left, now()
+        self.message = message
+        self.time_left = left
+        self.updated = now()
 
     def begin(self) -> None:
         """Mark the job as running."""
-        self.status, self.started = Status.RUNNING, now()
+        self.status = Status.RUNNING
+        self.started = now()
 
     def end(self, status: Status, message: str, results: Iterable[Result] = ()) -> None:
         """No more is done for it. The first end counts."""
         if self.finished is not None:
             return
         self.report(1.0 if status is Status.SUCCESSFUL else 0.0, message)
-        self.status, self.finished, self.results = status, self.updated, tuple(results)
+        self.status = status
+        self.finished = self.updated
+        self.results = tuple(results)
 
 
 Work = Callable[[Job], Coroutine[Any, Any, Iterable[Result]]]
-"""What a job does, and its results. It is cancelled when the job is dismissed, and what it raises is why it failed."""
+"""What a job does, and its results. It is cancelled when the job is dismissed, and what it raises
+is why it failed.
+"""
 
 
 class Jobs:
@@ -123,19 +134,29 @@ class Jobs:
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
     def begin(
-        self, process: str, title: str, work: Work, key: str | None = None, client: tuple[str, str] = ("", "")
+        self,
+        process: str,
+        title: str,
+        work: Work,
+        key: str | None = None,
+        client: tuple[str, str] = ("", ""),
     ) -> Job:
-        """A new job, whose work begins once the caller waits for something. Raises BusyError where there are enough.
+        """A new job, whose work begins once the caller waits for something. Raises BusyError where
+        there are enough.
 
-        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then, whoever its
-        owner is. The ``client`` that asks for it, its owner's name first, may take the place of another client's job,
-        which is dismissed.
+        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer
+        then, whoever its owner is. The ``client`` that asks for it, its owner's name first, may
+        take the place of another client's job, which is dismissed.
         """
         if (running := self.running(key)) is not None:
             return running
-        place, owner = self._limit.enter(client), client[0]
+        place = self._limit.enter(client)
+        owner = client[0]
         self._forget()
-        job = Job(process, title, owner=owner) if key is None else Job(process, title, key, owner)
+        if key is None:
+            job = Job(process, title, owner=owner)
+        else:
+            job = Job(process, title, key, owner)
         self._jobs.pop(job.id, None)
         self._jobs[job.id] = job
         self._tasks[job.id] = task = asyncio.create_task(run_job(job, work, place))
@@ -144,7 +165,9 @@ class Jobs:
 
     def running(self, key: str | None) -> Job | None:
         """The job with this id, where it has not ended."""
-        return self._jobs[key] if key is not None and key in self._tasks else None
+        if key is not None and key in self._tasks:
+            return self._jobs[key]
+        return None
 
     def all(self) -> list[Job]:
         """All that are known, the newest first."""
@@ -156,13 +179,16 @@ class Jobs:
         self._forget()
         if key not in self._jobs:
             raise UnknownJobError(
-                f"There is no job '{key[:64]}': /v1/jobs lists them all. A job is forgotten an hour after its"
+                f"There is no job '{key[:64]}': /v1/jobs lists them all. A job is forgotten an "
+                "hour after its"
                 " end, and when the server stops."
             )
         return self._jobs[key]
 
     async def dismiss(self, key: str) -> Job:
-        """End a job, and return once it has; one that has ended is forgotten. Raises UnknownJobError."""
+        """End a job, and return once it has; one that has ended is forgotten. Raises
+        UnknownJobError.
+        """
         job = self.find(key)
         if job.finished is not None:
             del self._jobs[key]
@@ -189,14 +215,17 @@ class Jobs:
     def _forget(self) -> None:
         """Forget what ended long ago, and the oldest of too much that has ended."""
         over = [job for job in self._jobs.values() if job.expires is not None]
-        surplus, present = len(over) - MOST_KEPT, now()
+        surplus = len(over) - MOST_KEPT
+        present = now()
         for place, job in enumerate(over):
             if place < surplus or (job.expires is not None and job.expires <= present):
                 del self._jobs[job.id]
 
 
 async def run_job(job: Job, work: Work, place: Place) -> None:
-    """Do the work of a job to one end or the other; it is dismissed where another client needs its ``place``."""
+    """Do the work of a job to one end or the other; it is dismissed where another client needs its
+    ``place``.
+    """
     job.begin()
     try:
         job.end(Status.SUCCESSFUL, "This is done.", await place.keep(work(job)))
@@ -216,15 +245,21 @@ async def ended(task: asyncio.Task[None]) -> None:
 
 
 EXPORT_TOO_LARGE = (
-    "This export takes about {needed:,} MB, and this server keeps {quota:,} MB of exports (exports_mb): ask its"
+    "This export takes about {needed:,} MB, and this server keeps {quota:,} MB of exports "
+    "(exports_mb): ask its"
     " operator for more, or use isogi export."
 )
-FILE_GONE = "The file of the job '{job}' is not there: it is not made yet, or gave way to newer ones; export it again."
+FILE_GONE = (
+    "The file of the job '{job}' is not there: it is not made yet, or gave way to "
+    "newer ones; export it again."
+)
 MEGABYTE = 1 << 20
 
 
 class ExportFolder:
-    """A temporary folder of at most ``quota`` bytes, with a folder for each job. ``turn`` is held to make a file."""
+    """A temporary folder of at most ``quota`` bytes, with a folder for each job. ``turn`` is held
+    to make a file.
+    """
 
     def __init__(self, quota: int) -> None:
         """Make no folder yet; without a quota there are no exports."""
@@ -254,10 +289,14 @@ class ExportFolder:
         return found
 
     def make_room(self, known: Container[str], needed: int) -> None:
-        """Delete the files of jobs that are not ``known`` any more, and the oldest until so many bytes are free."""
+        """Delete the files of jobs that are not ``known`` any more, and the oldest until so many
+        bytes are free.
+        """
         if self._folder is None:
             return
-        aged = sorted(self._folder.iterdir(), key=lambda path: (path.name in known, path.stat().st_mtime))
+        aged = sorted(
+            self._folder.iterdir(), key=lambda path: (path.name in known, path.stat().st_mtime)
+        )
         sizes = {path: sum(file.stat().st_size for file in path.iterdir()) for path in aged}
         total = sum(sizes.values())
         for path, size in sizes.items():

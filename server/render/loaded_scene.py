@@ -1,4 +1,6 @@
-"""Loaded scenes: the renderer of each over the store, what it prefetches for a slider, and which stay in memory."""
+"""Loaded scenes: the renderer of each over the store, what it prefetches for a slider, and which
+stay in memory.
+"""
 
 import gc
 import logging
@@ -52,8 +54,11 @@ Prepare = Callable[[float, threading.Event], object]
 class Prefetch:
     """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
 
-    def __init__(self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]) -> None:
-        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a group: see ``next_values``.
+    def __init__(
+        self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]
+    ) -> None:
+        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a group: see
+        ``next_values``.
 
         ``span`` are the lowest and the highest isovalue that may be asked for.
         """
@@ -72,7 +77,8 @@ class Prefetch:
 
     @contextmanager
     def frame(self, isovalue: Isovalue) -> Iterator[None]:
-        """Around the work on a frame: preparations stop when it begins, and go on when none is worked on.
+        """Around the work on a frame: preparations stop when it begins, and go on when none is
+        worked on.
 
         What serves this very frame is made to its end.
         """
@@ -87,7 +93,12 @@ class Prefetch:
             with self._lock:
                 self._open -= 1
                 self._note(level)
-                if self._coming and not self._open and self._cancelled.is_set() and not self._closed:
+                if (
+                    self._coming
+                    and not self._open
+                    and self._cancelled.is_set()
+                    and not self._closed
+                ):
                     self._cancelled = threading.Event()
                     self._thread.submit(self._work, self._cancelled)
 
@@ -102,7 +113,9 @@ class Prefetch:
         """Where the slider goes, if it moved."""
         if self._last is not None and isovalue != self._last:
             lowest, highest = self._span
-            self._coming = [v for v in next_values(self._last, isovalue, self._levels) if lowest <= v <= highest]
+            self._coming = [
+                v for v in next_values(self._last, isovalue, self._levels) if lowest <= v <= highest
+            ]
         self._last = isovalue
 
     def _serves(self, isovalue: float) -> bool:
@@ -122,40 +135,54 @@ class Prefetch:
                     del self._coming[0]
 
     def _begin(self, cancelled: threading.Event) -> float | None:
-        """What to prepare next; none, and the work ends, where nothing is coming or a frame is worked on."""
+        """What to prepare next; none, and the work ends, where nothing is coming or a frame is
+        worked on.
+        """
         with self._lock:
             if self._open or not self._coming:
                 cancelled.set()
-            self._preparing = None if cancelled.is_set() else self._coming[0]
+            if cancelled.is_set():
+                self._preparing = None
+            else:
+                self._preparing = self._coming[0]
             return self._preparing
 
 
 def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
-    """The values that follow ``now`` at the pace and in the direction of the last move, each in another group.
+    """The values that follow ``now`` at the pace and in the direction of the last move, each in
+    another group.
 
-    ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the first and the last.
+    ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the
+    first and the last.
     """
-    pace, coming = now - before, [now]
+    pace = now - before
+    coming = [now]
     for _ in range(VALUES_AHEAD):
-        group, value = group_of(coming[-1], levels), coming[-1] + pace
+        group = group_of(coming[-1], levels)
+        value = coming[-1] + pace
         if group_of(value, levels) == group:
-            value = float(levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf))
+            value = float(
+                levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf)
+            )
         coming.append(value)
     return [value for value in coming[1:] if math.isfinite(value)]
 
 
 def group_of(isovalue: float, levels: np.ndarray) -> int:
-    """The number of the group that an isovalue is in: that of the level which it is at, or above."""
+    """The number of the group that an isovalue is in: that of the level which it is at, or
+    above.
+    """
     return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1
 
 
 @dataclass(eq=False)
 class LoadedScene:
-    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place.
+    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in
+    their place.
 
-    Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels ask for finer ones
-    are those of ``finer``, which is loaded then, beside the ``memory`` and on the ``tiles`` of this one. It may be cut
-    from a ``whole``.
+    Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels
+    ask for finer ones are those of ``finer``, which is loaded then, beside the ``memory`` and on
+    the ``tiles`` of this one. It may be cut from a ``whole``.
     """
 
     scene: Scene
@@ -176,16 +203,24 @@ class LoadedScene:
                 prepared = self.renderer.prepared.beside(finer(self.scene))
                 memory = self.memory.finer
                 caches = Caches(prepared, self.renderer.caches.store, memory.light)
-                self._finer = loaded(caches, self.renderer.tiles, memory, self.assets, self.fineness + 1)
+                self._finer = loaded(
+                    caches, self.renderer.tiles, memory, self.assets, self.fineness + 1
+                )
             return self._finer
 
     def level(self, fineness: int) -> "LoadedScene":
-        """The scene with texels ``fineness`` steps finer than the scene file says. Raises StoreError."""
-        return self if fineness == self.fineness else self.finer.level(fineness)
+        """The scene with texels ``fineness`` steps finer than the scene file says. Raises
+        StoreError.
+        """
+        if fineness == self.fineness:
+            return self
+        return self.finer.level(fineness)
 
     def held(self, fineness: int) -> "LoadedScene | None":
         """The scene with texels ``fineness`` steps finer, where it is loaded."""
-        return self if fineness == self.fineness else self._finer and self._finer.held(fineness)
+        if fineness == self.fineness:
+            return self
+        return self._finer and self._finer.held(fineness)
 
     def render(
         self,
@@ -195,12 +230,17 @@ class LoadedScene:
         watch: Stopwatch,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does.
+        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as
+        Renderer does.
 
-        Finer texels are shown once all of them have their first samples, and until then those of this scene.
+        Finer texels are shown once all of them have their first samples, and until then those of
+        this scene.
         """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
-            coming = self._render_finer(view, target, cancelled, watch) if enough < MAX_SAMPLES else None
+            if enough < MAX_SAMPLES:
+                coming = self._render_finer(view, target, cancelled, watch)
+            else:
+                coming = None
             if coming is not None and (coming.measured is not None or not coming.provisional):
                 return coming
             frame = self.renderer.render(view, target, cancelled, watch, enough)
@@ -212,7 +252,9 @@ class LoadedScene:
     def _render_finer(
         self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
     ) -> Frame | None:
-        """The frame by finer texels, where a view's picture asks for them and the memory can hold them."""
+        """The frame by finer texels, where a view's picture asks for them and the memory can hold
+        them.
+        """
         if not self.renderer.checks.asks_finer(view, target):
             return None
         try:
@@ -223,10 +265,14 @@ class LoadedScene:
             return None
 
     def check(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Check the picture of a view, one step further; whether there was one to take. Raises as Renderer does."""
+        """Check the picture of a view, one step further; whether there was one to take. Raises as
+        Renderer does.
+        """
         if self.renderer.checks.asks_finer(view, target):
             return self.finer.check(view, target, tiles, prices)
-        return self.renderer.refine(view, target, tiles, prices if has_finer(self.scene) else prices.of_present)
+        return self.renderer.refine(
+            view, target, tiles, prices if has_finer(self.scene) else prices.of_present
+        )
 
     @property
     def nbytes(self) -> int:
@@ -249,21 +295,41 @@ def load_scene_parts(
     beside: LoadedScene | None = None,
     whole: LoadedScene | None = None,
 ) -> LoadedScene:
-    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError.
+    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises
+    StoreError.
 
-    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of the voxels. The light
-    of a ``whole`` stands in for that of one that is cut, or of another time.
+    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of
+    the voxels. The light of a ``whole`` stands in for that of one that is cut, or of another time.
     """
-    prepared = beside.renderer.prepared.beside(scene) if beside else PreparedScene(scene, memory.maps)
+    if beside:
+        prepared = beside.renderer.prepared.beside(scene)
+    else:
+        prepared = PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)
     stand_in = cut_from = None
     if whole is not None:
-        cut = scene.source.document.get("cut") if scene.volume.moment == whole.scene.volume.moment else None
+        if scene.volume.moment == whole.scene.volume.moment:
+            cut = scene.source.document.get("cut")
+        else:
+            cut = None
         x, y, z = scene.volume.size
-        left = voxels_left(whole.scene.volume, str(cut)) if cut else (range(x), range(y), range(z))
+        if cut:
+            left = voxels_left(whole.scene.volume, str(cut))
+        else:
+            left = (range(x), range(y), range(z))
         stand_in = StandIn(whole.renderer.caches, left)
-        cut_from = Whole(whole.scene.source, whole.assets) if cut else None
-    return loaded(caches, tiles, memory, sent(scene, store) if send else None, stand_in=stand_in, whole=cut_from)
+        if cut:
+            cut_from = Whole(whole.scene.source, whole.assets)
+        else:
+            cut_from = None
+    return loaded(
+        caches,
+        tiles,
+        memory,
+        sent(scene, store) if send else None,
+        stand_in=stand_in,
+        whole=cut_from,
+    )
 
 
 def loaded(
@@ -275,18 +341,33 @@ def loaded(
     stand_in: StandIn | None = None,
     whole: Whole | None = None,
 ) -> LoadedScene:
-    """The scene of some ``caches``: its layers open, and worked out what its first frame needs. Raises StoreError."""
-    prepared, scene = caches.prepared, caches.prepared.scene
+    """The scene of some ``caches``: its layers open, and worked out what its first frame needs.
+    Raises StoreError.
+    """
+    prepared = caches.prepared
+    scene = caches.prepared.scene
     # worked out now, not in the first frame
-    prepared.field, prepared.maps, scene.projection, scene.default_exposure, caches.chunk_store("gi")
-    planned = replace(scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides))
+    (
+        prepared.field,
+        prepared.maps,
+        scene.projection,
+        scene.default_exposure,
+        caches.chunk_store("gi"),
+    )
+    planned = replace(
+        scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
+    )
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
     return LoadedScene(planned, renderer, prefetch, memory, assets, fineness, whole)
 
 
-def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:
-    """Make the map of an ``isovalue``, in the voxels' units as those of ``maps`` are. Raises Cancelled."""
+def prepare(
+    maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event
+) -> None:
+    """Make the map of an ``isovalue``, in the voxels' units as those of ``maps`` are. Raises
+    Cancelled.
+    """
     maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
 
 
@@ -294,20 +375,27 @@ IDLE_SCENE_SECONDS = 900.0
 """Seconds after which a scene is dropped that nobody has looked at."""
 
 TIDY_SECONDS = 30.0
-"""Seconds between two looks for scenes that nobody looks at any more, and for garbage: 0.07 s under 64 clients."""
+"""Seconds between two looks for scenes that nobody looks at any more, and for garbage: 0.07 s under
+64 clients.
+"""
 
 
 class LoadedScenes:
-    """Scenes that keep so much memory together; those looked at last stay. Safe to use from many threads.
+    """Scenes that keep so much memory together; those looked at last stay. Safe to use from many
+    threads.
 
     One that is dropped while it is drawn is drawn to its end.
     """
 
     def __init__(
-        self, load: Callable[[Scene], LoadedScene], most: int, clock: Callable[[], float] = time.monotonic
+        self,
+        load: Callable[[Scene], LoadedScene],
+        most: int,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """None yet; ``load`` makes one, and all together keep ``most`` bytes, or one alone."""
-        self._load, self._clock = load, clock
+        self._load = load
+        self._clock = clock
         self._kept: LruCache[str] = LruCache(most)
         self._looked: dict[str, float] = {}
         self._lock = threading.Lock()
@@ -343,15 +431,23 @@ class LoadedScenes:
             self._note()
 
     def drop_idle(self) -> None:
-        """Drop those that nobody has looked at for long, and give their memory back to the system."""
-        idle = [scene for scene, looked in list(self._looked.items()) if self._clock() - looked > IDLE_SCENE_SECONDS]
+        """Drop those that nobody has looked at for long, and give their memory back to the
+        system.
+        """
+        idle = [
+            scene
+            for scene, looked in list(self._looked.items())
+            if self._clock() - looked > IDLE_SCENE_SECONDS
+        ]
         for scene in idle:
             self.drop(scene)
         if idle:
             give_memory_back()
 
     def tidy(self, stopped: threading.Event) -> None:
-        """Drop those that are idle, and, after frames, what errors hold in circles, until ``stopped``."""
+        """Drop those that are idle, and, after frames, what errors hold in circles, until
+        ``stopped``.
+        """
         looked = 0.0
         while not stopped.wait(TIDY_SECONDS):
             self.drop_idle()
@@ -374,4 +470,8 @@ class LoadedScenes:
     def _note(self) -> None:
         """Forget when those were looked at that are not loaded any more."""
         with self._lock:
-            self._looked = {scene: at for scene, at in self._looked.items() if self._kept.held(scene) is not None}
+            self._looked = {
+                scene: at
+                for scene, at in self._looked.items()
+                if self._kept.held(scene) is not None
+            }

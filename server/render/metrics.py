@@ -5,7 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    ProcessCollector,
+    generate_latest,
+)
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from starlette.datastructures import Headers
@@ -29,11 +36,15 @@ class Metrics:
     """One server's counters, in a registry of their own."""
 
     def __init__(self) -> None:
-        """Have counted nothing yet; what the process takes (memory, files, processor) is among them."""
+        """Have counted nothing yet; what the process takes (memory, files, processor) is among
+        them.
+        """
         self.registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
-        self.requests = Counter("isogi_requests", "Requests that were answered.", labels, registry=registry)
+        self.requests = Counter(
+            "isogi_requests", "Requests that were answered.", labels, registry=registry
+        )
         self.seconds = Histogram(
             "isogi_request_seconds",
             "Time to the end of the answer.",
@@ -41,10 +52,15 @@ class Metrics:
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
-        self.open = Gauge("isogi_requests_in_progress", "Requests that are worked on.", registry=registry)
+        self.open = Gauge(
+            "isogi_requests_in_progress", "Requests that are worked on.", registry=registry
+        )
         self.frames = Counter(
             "isogi_frames",
-            "Pictures by how far they were baked (provisional, final) and how they went (request, stream, draft).",
+            (
+                "Pictures by how far they were baked (provisional, final) and how they went "
+                "(request, stream, draft)."
+            ),
             ["state", "way"],
             registry=registry,
         )
@@ -67,22 +83,35 @@ class Metrics:
             buckets=RATES,
             registry=registry,
         )
-        self.errors = Counter("isogi_errors", "Errors that were logged, by class.", ["kind"], registry=registry)
+        self.errors = Counter(
+            "isogi_errors", "Errors that were logged, by class.", ["kind"], registry=registry
+        )
         self.closed = Counter(
-            "isogi_connections_closed", "Connections that the server gave up, and why.", ["why"], registry=registry
+            "isogi_connections_closed",
+            "Connections that the server gave up, and why.",
+            ["why"],
+            registry=registry,
         )
 
     def count(self, method: str, route: str, status: int, seconds: float, headers: Headers) -> None:
-        """Count one request, and by its answer's ``headers`` the frame in it; what is endless has no time."""
-        self.requests.labels(method if method in COUNTED_METHODS else "other", route, f"{status:d}").inc()
-        if status != HTTPStatus.SWITCHING_PROTOCOLS and not headers.get("content-type", "").startswith(ENDLESS):
+        """Count one request, and by its answer's ``headers`` the frame in it; what is endless has
+        no time.
+        """
+        self.requests.labels(
+            method if method in COUNTED_METHODS else "other", route, f"{status:d}"
+        ).inc()
+        if status != HTTPStatus.SWITCHING_PROTOCOLS and not headers.get(
+            "content-type", ""
+        ).startswith(ENDLESS):
             self.seconds.labels(route).observe(seconds)
         if "isogi-provisional" in headers:
             stages = dict(stages_of(headers.get("server-timing", "")))
             self.count_picture("request", headers["isogi-provisional"] == "?1", stages)
 
     def count_picture(self, way: str, provisional: bool, stages: Mapping[str, float]) -> None:
-        """Count one picture: how it is sent, whether it is provisional, and the seconds of its stages."""
+        """Count one picture: how it is sent, whether it is provisional, and the seconds of its
+        stages.
+        """
         self.frames.labels("provisional" if provisional else "final", way).inc()
         for stage, seconds in stages.items():
             self.stages.labels(stage).observe(seconds)
@@ -94,8 +123,11 @@ class Metrics:
 
     @contextmanager
     def counting_errors(self) -> Iterator[None]:
-        """Count the errors that isogi logs meanwhile: damaged chunks, tasks that failed, lost workers."""
-        logger, counter = logging.getLogger("isogi"), ErrorCounter(self.errors)
+        """Count the errors that isogi logs meanwhile: damaged chunks, tasks that failed, lost
+        workers.
+        """
+        logger = logging.getLogger("isogi")
+        counter = ErrorCounter(self.errors)
         logger.addHandler(counter)
         try:
             yield
@@ -116,7 +148,10 @@ class ErrorCounter(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count the errors that a record names, or comes with."""
-        logged = record.args if isinstance(record.args, tuple) else ()
+        if isinstance(record.args, tuple):
+            logged = record.args
+        else:
+            logged = ()
         raised = record.exc_info[1:2] if record.exc_info else ()
         for error in (*logged, *raised):
             if isinstance(error, BaseException):
@@ -136,20 +171,40 @@ class BakingCollector(Collector):
     def collect(self) -> Iterable[Metric]:
         """The queue, what was baked, and the workers."""
         tally = self._engine.baker.tally()
-        yield GaugeMetricFamily("isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting)
-        yield GaugeMetricFamily("isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age)
-        yield GaugeMetricFamily("isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight)
-        yield GaugeMetricFamily("isogi_chunks_given_up", "Chunks that failed too often.", tally.given_up)
+        yield GaugeMetricFamily(
+            "isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting
+        )
+        yield GaugeMetricFamily(
+            "isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age
+        )
+        yield GaugeMetricFamily(
+            "isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight
+        )
+        yield GaugeMetricFamily(
+            "isogi_chunks_given_up", "Chunks that failed too often.", tally.given_up
+        )
         yield GaugeMetricFamily("isogi_workers", "Baking processes that there are.", tally.workers)
         busy = min(tally.in_flight / max(tally.workers, 1), 1.0)
-        yield GaugeMetricFamily("isogi_workers_utilization", "Share of them that have a task.", busy)
-        yield CounterMetricFamily("isogi_tasks_done", "Tasks that baked light of a chunk.", tally.done)
+        yield GaugeMetricFamily(
+            "isogi_workers_utilization", "Share of them that have a task.", busy
+        )
+        yield CounterMetricFamily(
+            "isogi_tasks_done", "Tasks that baked light of a chunk.", tally.done
+        )
         yield CounterMetricFamily("isogi_tasks_failed", "Tasks that failed.", tally.failed)
-        yield CounterMetricFamily("isogi_tasks_duplicate", "Tasks whose light was there already.", tally.duplicate)
-        yield CounterMetricFamily("isogi_chunks_healed", "Damaged chunks that were baked again.", tally.healed)
+        yield CounterMetricFamily(
+            "isogi_tasks_duplicate", "Tasks whose light was there already.", tally.duplicate
+        )
+        yield CounterMetricFamily(
+            "isogi_chunks_healed", "Damaged chunks that were baked again.", tally.healed
+        )
         yield CounterMetricFamily("isogi_paths", "Paths that were baked.", tally.paths)
-        yield CounterMetricFamily("isogi_texels_kept", "Texels whose light a cut left as it was.", tally.kept)
-        yield CounterMetricFamily("isogi_worker_deaths", "Baking processes that were lost.", tally.deaths)
+        yield CounterMetricFamily(
+            "isogi_texels_kept", "Texels whose light a cut left as it was.", tally.kept
+        )
+        yield CounterMetricFamily(
+            "isogi_worker_deaths", "Baking processes that were lost.", tally.deaths
+        )
 
 
 class JobsCollector(Collector):
@@ -160,7 +215,9 @@ class JobsCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """The jobs that are known."""
-        family = GaugeMetricFamily("isogi_jobs", "Jobs that are known, by their status.", labels=["status"])
+        family = GaugeMetricFamily(
+            "isogi_jobs", "Jobs that are known, by their status.", labels=["status"]
+        )
         for status, number in self._jobs.counts().items():
             family.add_metric([status.value], number)
         yield family

@@ -28,8 +28,8 @@ T = TypeVar("T")
 class Change:
     """What a request changes of a scene, as its parameters spell it; None of what stays.
 
-    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, what pinned ``surfaces`` let
-    pass, the labels to ``hide``, and the ``material`` with its numbers.
+    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, what
+    pinned ``surfaces`` let pass, the labels to ``hide``, and the ``material`` with its numbers.
     """
 
     environment: str | None = None
@@ -44,8 +44,8 @@ class Change:
 class SceneVariant:
     """The variant of the scene with the id ``base``; None of what stays as it is there.
 
-    ``clears`` are the shares of rays that pass pinned surfaces, ``hidden`` the labels that are not shown, ``material``
-    is a text that ``read_material_text`` reads, and ``cut`` the text of planes.
+    ``clears`` are the shares of rays that pass pinned surfaces, ``hidden`` the labels that are not
+    shown, ``material`` is a text that ``read_material_text`` reads, and ``cut`` the text of planes.
     """
 
     base: str
@@ -63,19 +63,27 @@ class SceneVariant:
         Raises ParameterError.
         """
         pinned = len(scene.surfaces.pinned)
-        clears = _read_parameter("surfaces", lambda text: read_clears(text, pinned), change.surfaces)
-        made, hidden = (
-            _read_parameter("material", read_material_text, change.material),
-            _read_parameter("hide", read_hidden, change.hide),
+        clears = _read_parameter(
+            "surfaces", lambda text: read_clears(text, pinned), change.surfaces
         )
-        material = None if made is None or made_of(scene, made) else write_material_text(made)
-        time = None if change.time == scene.volume.moment[0] else change.time
+        made = _read_parameter("material", read_material_text, change.material)
+        hidden = _read_parameter("hide", read_hidden, change.hide)
+        if made is None or made_of(scene, made):
+            material = None
+        else:
+            material = write_material_text(made)
+        if change.time == scene.volume.moment[0]:
+            time = None
+        else:
+            time = change.time
         return cls(scene.id, change.environment, clears, material, hidden, time, change.cut)
 
     @property
     def settings(self) -> MaterialSettings | None:
         """The settings of its material."""
-        return None if self.material is None else read_material_text(self.material)
+        if self.material is None:
+            return None
+        return read_material_text(self.material)
 
     @property
     def any(self) -> bool:
@@ -84,14 +92,32 @@ class SceneVariant:
 
     @property
     def id(self) -> str:
-        """The id of its scene; equal changes have the same. Ids of scenes that are no variants have no @."""
-        clears = self.clears and ",".join(HIDDEN_SURFACE if each is None else f"{each!r}" for each in self.clears)
-        hidden = None if self.hidden is None else ",".join(map(str, self.hidden))
-        parts = ("", self.environment), ("~", clears), ("=", self.material), ("!", hidden), ("+", self.time)
+        """The id of its scene; equal changes have the same. Ids of scenes that are no variants have
+        no @.
+        """
+        clears = self.clears and ",".join(
+            HIDDEN_SURFACE if each is None else f"{each!r}" for each in self.clears
+        )
+        if self.hidden is None:
+            hidden = None
+        else:
+            hidden = ",".join(map(str, self.hidden))
+        parts = (
+            ("", self.environment),
+            ("~", clears),
+            ("=", self.material),
+            ("!", hidden),
+            ("+", self.time),
+        )
         lit = "".join(f"{mark}{part}" for mark, part in parts if part is not None)
         if self.cut is not None:
-            lit += "@" + hashlib.blake2b(repr(read_window(self.cut)).encode(), digest_size=16).hexdigest()
-        return f"{self.base}@{lit}" if self.any else self.base
+            lit += (
+                "@"
+                + hashlib.blake2b(repr(read_window(self.cut)).encode(), digest_size=16).hexdigest()
+            )
+        if self.any:
+            return f"{self.base}@{lit}"
+        return self.base
 
     @property
     def whole(self) -> "SceneVariant":
@@ -111,7 +137,8 @@ class SceneVariant:
     def may_lend(self, other: "SceneVariant") -> bool:
         """Whether its light may stand in for that of the ``other``.
 
-        They differ in their step in time and in which labels are hidden alone, and neither is cut open.
+        They differ in their step in time and in which labels are hidden alone, and neither is cut
+        open.
         """
         alike = replace(self, hidden=other.hidden, time=other.time) == other
         return alike and self != other and self.cut is None

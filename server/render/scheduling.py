@@ -21,15 +21,17 @@ NEWEST_WORK_WEIGHT = 0.3
 """How much the newest work of a client counts in what its work usually takes."""
 
 DEBT = 2.0
-"""Seconds by which a client may be behind the others for what it took before: nobody waits for long for the past."""
+"""Seconds by which a client may be behind the others for what it took before: nobody waits for long
+for the past.
+"""
 
 
 @dataclass(eq=False)
 class Client(Account):
     """One that has work done, and has its turn when it took less than all others that wait.
 
-    Its work ``usual``-ly takes so many seconds. While it has a ``claim`` it waits, or left the queue before it had a
-    place: what it brings next stands where that stood.
+    Its work ``usual``-ly takes so many seconds. While it has a ``claim`` it waits, or left the
+    queue before it had a place: what it brings next stands where that stood.
     """
 
     usual: float = USUAL_WORK_SECONDS
@@ -39,10 +41,12 @@ class Client(Account):
 
 @dataclass(eq=False)
 class Rank:
-    """Where work stands in the queue: by its ``client``, and before what else that client has ``due`` later.
+    """Where work stands in the queue: by its ``client``, and before what else that client has
+    ``due`` later.
 
-    It gives up at ``until``. Both are seconds on the event loop's clock. All places of one request have its rank, and
-    the turn of the first, so that what was begun is ended before the next begins.
+    It gives up at ``until``. Both are seconds on the event loop's clock. All places of one request
+    have its rank, and the turn of the first, so that what was begun is ended before the next
+    begins.
     """
 
     due: float
@@ -51,8 +55,12 @@ class Rank:
     turn: float | None = None
 
     @classmethod
-    def within(cls, patience: float, longest: float = math.inf, client: Client | None = None) -> "Rank":
-        """The rank of work that can wait for ``patience`` seconds from now, and waits at most for ``longest``."""
+    def within(
+        cls, patience: float, longest: float = math.inf, client: Client | None = None
+    ) -> "Rank":
+        """The rank of work that can wait for ``patience`` seconds from now, and waits at most for
+        ``longest``.
+        """
         now = asyncio.get_running_loop().time()
         return cls(now + patience, now + longest, client or Client())
 
@@ -68,15 +76,19 @@ class Rank:
 
 
 class FairSemaphore:
-    """So many ``places``, shared evenly among clients by the time that their work takes: see ``FairClock``.
+    """So many ``places``, shared evenly among clients by the time that their work takes: see
+    ``FairClock``.
 
-    While others are ``pressed`` one place alone is given: that which ends passes on as many as may be by then. Where
-    turns are ``even``, each counts alike however long it takes.
+    While others are ``pressed`` one place alone is given: that which ends passes on as many as may
+    be by then. Where turns are ``even``, each counts alike however long it takes.
     """
 
-    def __init__(self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False) -> None:
+    def __init__(
+        self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+    ) -> None:
         self._places = self._free = places
-        self._pressed, self._even = pressed, even
+        self._pressed = pressed
+        self._even = even
         self._clock = FairClock(DEBT)
         self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
@@ -109,16 +121,25 @@ class FairSemaphore:
 
     @contextmanager
     def _paid(self, rank: Rank) -> Iterator[None]:
-        """Have the client pay for the block: what is usual when it begins, and the rest at its end."""
-        client, loop = rank.client, asyncio.get_running_loop()
-        begun, usual, client.claim = loop.time(), client.usual, False
-        rank.turn = client.spent if rank.turn is None else rank.turn
+        """Have the client pay for the block: what is usual when it begins, and the rest at its
+        end.
+        """
+        client = rank.client
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        usual = client.usual
+        client.claim = False
+        if rank.turn is None:
+            rank.turn = client.spent
         self._clock.serve(rank.turn)
         self._clock.charge(client, usual)
         try:
             yield
         finally:
-            took = usual if self._even else loop.time() - begun
+            if self._even:
+                took = usual
+            else:
+                took = loop.time() - begun
             client.usual += NEWEST_WORK_WEIGHT * (took - usual)
             self._clock.charge(client, took - usual)
 
@@ -134,7 +155,9 @@ class FairSemaphore:
             raise
         except TimeoutError:
             self._leave(place)
-            raise BusyError("The frames that were asked for before take too long: ask again in a while.") from None
+            raise BusyError(
+                "The frames that were asked for before take too long: ask again in a while."
+            ) from None
 
     def _leave(self, place: "asyncio.Future[None]") -> None:
         """Pass on the place of one that left when it was just given it."""
@@ -157,9 +180,13 @@ class FairSemaphore:
 
 Result = TypeVar("Result")
 
-DRAFT, REST_PATIENCE, REQUEST_PATIENCE, REFINEMENT_PATIENCE = 0.0, 0.1, 0.4, 0.8
-"""Seconds that work may wait before it goes ahead of what else its client has: drafts of a view that moves, the first
-picture of one at rest, pictures that were asked for once, and pictures that are better than the one already shown."""
+DRAFT = 0.0
+REST_PATIENCE = 0.1
+REQUEST_PATIENCE = 0.4
+REFINEMENT_PATIENCE = 0.8
+"""Seconds that work may wait before it goes ahead of what else its client has: drafts of a view
+that moves, the first picture of one at rest, pictures that were asked for once, and pictures that
+are better than the one already shown."""
 
 
 @dataclass(eq=False)
@@ -174,8 +201,12 @@ class Flight:
 class Renders:
     """Runs blocking work, so much at once, and stops it when no caller waits for it any more."""
 
-    def __init__(self, threads: int, pressed: Callable[[], bool] = lambda: False, even: bool = False) -> None:
-        """So many at once; one alone while other work is ``pressed``. Turns count by time, or if ``even`` alike."""
+    def __init__(
+        self, threads: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+    ) -> None:
+        """So many at once; one alone while other work is ``pressed``. Turns count by time, or if
+        ``even`` alike.
+        """
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
         self._places = FairSemaphore(threads, pressed, even)
         self._flights: dict[Hashable, Flight] = {}
@@ -187,33 +218,45 @@ class Renders:
         return self._places.crowded
 
     def client(self, name: Hashable, weight: float) -> Client:
-        """The client that goes by ``name``; those that are at rest are forgotten when another comes."""
+        """The client that goes by ``name``; those that are at rest are forgotten when another
+        comes.
+        """
         if name not in self._clients:
-            self._clients = {each: kept for each, kept in self._clients.items() if not self._places.at_rest(kept)}
+            self._clients = {
+                each: kept for each, kept in self._clients.items() if not self._places.at_rest(kept)
+            }
             self._clients[name] = Client(weight)
         return self._clients[name]
 
     async def run(self, work: Callable[[], Result], rank: Rank) -> Result:
-        """The work's result, or what it raises; BusyError where its ``rank`` gives up before it has a place.
+        """The work's result, or what it raises; BusyError where its ``rank`` gives up before it has
+        a place.
 
-        Work that has begun is waited for though its caller was cancelled: it has the thread until then.
-        What it logs has the id of the request that asked, for work that is shared of the first.
+        Work that has begun is waited for though its caller was cancelled: it has the thread until
+        then. What it logs has the id of the request that asked, for work that is shared of the
+        first.
         """
         async with self._places.place(rank):
-            working = asyncio.get_running_loop().run_in_executor(self._pool, copy_context().run, work)
+            working = asyncio.get_running_loop().run_in_executor(
+                self._pool, copy_context().run, work
+            )
             try:
                 return await asyncio.shield(working)
             except asyncio.CancelledError:
                 await asyncio.gather(working, return_exceptions=True)
                 raise
             finally:
-                del working  # an error in it would hold itself, and all arrays on its way, until garbage is looked for
+                # an error in it would hold itself, and all arrays on its way, until garbage is
+                # looked for
+                del working
 
-    async def share(self, key: Hashable, work: Callable[[threading.Event], Result], rank: Rank) -> Result:
+    async def share(
+        self, key: Hashable, work: Callable[[threading.Event], Result], rank: Rank
+    ) -> Result:
         """The result of the work that goes by ``key``: done once for all that ask for it meanwhile.
 
-        The event that the work is given is set once all of them have been cancelled. One that does not give up joins
-        none that may.
+        The event that the work is given is set once all of them have been cancelled. One that does
+        not give up joins none that may.
         """
         key = key, rank.until == math.inf
         flight = self._flights.get(key) or self._begin(key, work, rank)
@@ -254,7 +297,8 @@ PLACE_LOST = "Another client needed this place, and you have {places} more: ask 
 
 @dataclass(eq=False)
 class Place:
-    """A place of an ``owner``, ``used`` last at this time of the event loop; ``lost`` once another client took it.
+    """A place of an ``owner``, ``used`` last at this time of the event loop; ``lost`` once another
+    client took it.
 
     The owner has ``others`` then.
     """
@@ -271,7 +315,8 @@ class Place:
 
     def lose(self, others: int) -> None:
         """Have it lost, and the work that needs it cancelled."""
-        self.lost, self.others = True, others
+        self.lost = True
+        self.others = others
         if self._task:
             self._task.cancel()
 
@@ -281,7 +326,9 @@ class Place:
             raise BusyError(PLACE_LOST.format(places=self.others))
 
     async def keep(self, work: Coroutine[Any, Any, Result]) -> Result:
-        """What some work comes to that needs the place. Raises BusyError once that is lost; the work has ended then."""
+        """What some work comes to that needs the place. Raises BusyError once that is lost; the
+        work has ended then.
+        """
         if self.lost:
             work.close()
             self.check()
@@ -301,13 +348,15 @@ class Place:
 class AdmissionLimit:
     """Lets ``most`` in at once; ``what`` names them in the sentence for one that is too many.
 
-    Where all places are taken, a newcomer takes one of the owner that has most of them, if that leaves the owner no
-    fewer than the newcomer has. The idlest place goes; where each is of some ``work``, the newest, in which least is
-    lost. So one owner may have all places, until others ask.
+    Where all places are taken, a newcomer takes one of the owner that has most of them, if that
+    leaves the owner no fewer than the newcomer has. The idlest place goes; where each is of some
+    ``work``, the newest, in which least is lost. So one owner may have all places, until others
+    ask.
     """
 
     def __init__(self, most: int, what: str, work: bool = False) -> None:
-        self.most, self.what = most, what
+        self.most = most
+        self.what = what
         self._work = work
         self._places: list[Place] = []
 
@@ -318,7 +367,9 @@ class AdmissionLimit:
 
     @contextmanager
     def admitted(self, owner: Hashable) -> Iterator[Place]:
-        """The place of one of them, for the block. Raises BusyError where there is none for this owner."""
+        """The place of one of them, for the block. Raises BusyError where there is none for this
+        owner.
+        """
         place = self.enter(owner)
         try:
             yield place
@@ -344,6 +395,9 @@ class AdmissionLimit:
         if most < counts[owner] + 2:
             raise BusyError(f"{self.open} {self.what} already: ask again in a second.")
         of_greediest = [each for each in self._places if counts[each.owner] == most]
-        given_up = of_greediest[-1] if self._work else min(of_greediest, key=lambda each: each.used)
+        if self._work:
+            given_up = of_greediest[-1]
+        else:
+            given_up = min(of_greediest, key=lambda each: each.used)
         self._places.remove(given_up)
         given_up.lose(most - 1)

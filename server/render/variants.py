@@ -1,10 +1,10 @@
-"""Variants: an engine's scenes in other light, at other times, of other materials, with other surfaces, without some
-labels, or cut open, each made when asked for.
+"""Variants: an engine's scenes in other light, at other times, of other materials, with other
+surfaces, without some labels, or cut open, each made when asked for.
 
-A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
-the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
-open is another volume, which those in other light share; so is another step of a series in time, and a segmentation
-that hides other labels.
+A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer
+does not depend on the environment, so variants in other light read and bake the same layers where
+their plans are of one kind. What is cut open is another volume, which those in other light share;
+so is another step of a series in time, and a segmentation that hides other labels.
 """
 
 import asyncio
@@ -22,7 +22,14 @@ from isogi_core.kernels._compilation import warm
 from isogi_core.kernels._jit import entries_of
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.variants import at_time, cut_open, under, with_clears, with_hidden, with_material
+from isogi_core.plan.variants import (
+    at_time,
+    cut_open,
+    under,
+    with_clears,
+    with_hidden,
+    with_material,
+)
 from isogi_core.plan.volumes.masks import cut_digest
 from server.errors import BusyError, ParameterError
 from server.render.engine import RenderEngine
@@ -33,14 +40,21 @@ MAX_VARIANTS = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
-"""Variants at a time that are cut open or hide labels, where their voxels are more than there is room for."""
+"""Variants at a time that are cut open or hide labels, where their voxels are more than there is
+room for.
+"""
 
 MOST_STEPS = 2
-"""Steps of those at other times than their scene's, where their voxels are more than there is room for."""
+"""Steps of those at other times than their scene's, where their voxels are more than there is room
+for.
+"""
 
-VARIANTS_TAKEN = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
+VARIANTS_TAKEN = (
+    "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
+)
 MATERIAL_COMPILING = (
-    "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
+    "What draws the surface of this material is being compiled, once on this "
+    "machine: ask again in a while."
 )
 
 Place = Callable[[str], str | None]
@@ -61,24 +75,33 @@ class Variants:
     ) -> None:
         """None yet; ``place`` finds where an environment is.
 
-        When there are more than ``most``, the engine dismisses what was asked for longest ago. Voxels of cuts, and
-        of steps, may take ``room`` bytes: by default what volumes in memory may take, MOST_CUTS times. Beyond that
-        there are ``most_cuts`` that have voxels of their own. What made way is made again when the engine needs it.
-        One is made at a time, and whoever asks waits for ``patience`` seconds at most.
+        When there are more than ``most``, the engine dismisses what was asked for longest ago.
+        Voxels of cuts, and of steps, may take ``room`` bytes: by default what volumes in memory may
+        take, MOST_CUTS times. Beyond that there are ``most_cuts`` that have voxels of their own.
+        What made way is made again when the engine needs it. One is made at a time, and whoever
+        asks waits for ``patience`` seconds at most.
         """
-        self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
-        self._room = int(MOST_CUTS * UNMAPPED_SHARE * budget()) if room is None else room
+        self._engine = engine
+        self._place = place
+        self._most = most
+        self._most_cuts = most_cuts
+        if room is None:
+            self._room = int(MOST_CUTS * UNMAPPED_SHARE * budget())
+        else:
+            self._room = room
         self._asked: OrderedDict[str, None] = OrderedDict()
         engine.again = self.again
-        self._making, self._lock = threading.Lock(), threading.Lock()
-        self._turn, self._patience = asyncio.Lock(), patience
+        self._making = threading.Lock()
+        self._lock = threading.Lock()
+        self._turn = asyncio.Lock()
+        self._patience = patience
         self._compiling: threading.Thread | None = None
 
     async def of(self, scene: Scene, change: Change) -> Scene:
         """The scene that a ``change`` makes of one; itself where nothing changes.
 
-        It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
-        BusyError where too many others are made before, and as ``make`` does.
+        It is made off the event loop where there is none yet. Raises ParameterError where there is
+        no such environment, BusyError where too many others are made before, and as ``make`` does.
         """
         variant = SceneVariant.of(scene, change)
         if not variant.any:
@@ -97,12 +120,16 @@ class Variants:
             self._turn.release()
 
     def _placed(self, variant: SceneVariant) -> str | None:
-        """Where a variant's environment is; None where it is its scene's. ParameterError where there is none."""
+        """Where a variant's environment is; None where it is its scene's. ParameterError where
+        there is none.
+        """
         if variant.environment is None:
             return None
         if (place := self._place(variant.environment)) is None:
             names = ", ".join(ENVIRONMENTS)
-            sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
+            sentence = (
+                f"environment must be one of {names}, or the id of one that was uploaded, not"
+            )
             raise ParameterError(f"{sentence} {shown(variant.environment)}.", "environment")
         return place
 
@@ -116,30 +143,43 @@ class Variants:
         return known
 
     def again(self, name: str) -> Scene | None:
-        """The variant of this id, made again where it made way for others; None where it is none, or its scene is gone.
+        """The variant of this id, made again where it made way for others; None where it is none,
+        or its scene is gone.
 
         Raises as ``make`` does.
         """
         variant = self._engine.variant(name)
         scene = self._engine.scenes.get(variant.base)
-        return None if scene is None or not variant.any else self.make(scene, variant, self._placed(variant))
+        if scene is None or not variant.any:
+            return None
+        return self.make(scene, variant, self._placed(variant))
 
     def make(self, scene: Scene, variant: SceneVariant, place: str | None) -> Scene:
         """The ``variant`` of a scene, in the environment at a ``place``, as scene files name it.
 
-        Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
-        cannot be shown so, and BusyError while kernels of another material are compiled.
+        Raises ParameterError where the scene's own choices do not fit that light, its file is
+        damaged, or the volume cannot be shown so, and BusyError while kernels of another material
+        are compiled.
         """
-        name, settings = variant.id, variant.settings
+        name = variant.id
+        settings = variant.settings
         with self._making:
             if (known := self.known(name)) is not None:
                 return known
-            made = scene if variant.time is None else self._at(scene, variant, variant.time)
-            made = made if variant.hidden is None else self._hiding(made, variant, variant.hidden)
-            made = made if variant.clears is None else with_clears(made, variant.clears, name)
-            made = made if settings is None else self._made_of(made, name, settings)
-            made = made if place is None else self._lit(made, name, place)
-            made = made if variant.cut is None else self._cut(made, name, variant.cut)
+            if variant.time is None:
+                made = scene
+            else:
+                made = self._at(scene, variant, variant.time)
+            if variant.hidden is not None:
+                made = self._hiding(made, variant, variant.hidden)
+            if variant.clears is not None:
+                made = with_clears(made, variant.clears, name)
+            if settings is not None:
+                made = self._made_of(made, name, settings)
+            if place is not None:
+                made = self._lit(made, name, place)
+            if variant.cut is not None:
+                made = self._cut(made, name, variant.cut)
             if made.surfaces.material != scene.surfaces.material:
                 self._check_compiled(scene, made)
             self._engine.admit(made, variant)
@@ -149,15 +189,18 @@ class Variants:
         return made
 
     def _check_compiled(self, scene: Scene, made: Scene) -> None:
-        """Raise BusyError while kernels are compiled that a scene ``made`` of another calls; that begins where some
-        never were. Those that pictures of the other ``scene`` call are the engine's own work.
+        """Raise BusyError while kernels are compiled that a scene ``made`` of another calls; that
+        begins where some never were. Those that pictures of the other ``scene`` call are the
+        engine's own work.
         """
         others = set(other_kernels([made])) - set(other_kernels([scene]))
         kernels = (*frame_kernels([made]), *others)
         if all(kernel.loaded or kernel.stored for kernel in entries_of(kernels)):
             return
         if self._compiling is None or not self._compiling.is_alive():
-            self._compiling = threading.Thread(target=warm, args=[kernels], name="compiling", daemon=True)
+            self._compiling = threading.Thread(
+                target=warm, args=[kernels], name="compiling", daemon=True
+            )
             self._compiling.start()
         raise BusyError(MATERIAL_COMPILING)
 
@@ -166,11 +209,21 @@ class Variants:
         with self._lock:
             asked = {each: self._engine.variant(each) for each in self._asked}
             cuts = [each for each in asked if asked[each].has_voxels]
-            old = cuts[: max(len(cuts) - self._most_cuts, 0)] if self._crowded(cuts) else []
-            steps = {(each.base, each.time): None for each in reversed(asked.values()) if each.time is not None}
+            if self._crowded(cuts):
+                old = cuts[: max(len(cuts) - self._most_cuts, 0)]
+            else:
+                old = []
+            steps = {
+                (each.base, each.time): None
+                for each in reversed(asked.values())
+                if each.time is not None
+            }
             late = list(steps)[MOST_STEPS:]
-            at_these = [each for each, variant in asked.items() if (variant.base, variant.time) in late]
-            old += [each for each in at_these if each not in old] if self._crowded(self._asked) else []
+            at_these = [
+                each for each, variant in asked.items() if (variant.base, variant.time) in late
+            ]
+            if self._crowded(self._asked):
+                old += [each for each in at_these if each not in old]
             rest = [each for each in self._asked if each not in old]
             old += rest[: max(len(rest) - self._most, 0)]
             for each in old:
@@ -178,17 +231,23 @@ class Variants:
         return old
 
     def _crowded(self, names: Iterable[str]) -> bool:
-        """Whether the voxels of these variants are more than there is room for; their scenes' own do not count."""
+        """Whether the voxels of these variants are more than there is room for; their scenes' own
+        do not count.
+        """
         scenes = self._engine.scenes
         volumes = [scenes[each].volume for each in names if each in scenes]
         own = {id(each.volume.voxels) for each in self._engine.own_scenes}
-        sizes = {id(each.voxels): each.voxels.nbytes for each in volumes if id(each.voxels) not in own}
+        sizes = {
+            id(each.voxels): each.voxels.nbytes for each in volumes if id(each.voxels) not in own
+        }
         return sum(sizes.values()) > self._room
 
     def _like(self, variant: SceneVariant) -> Scene | None:
         """A variant that has the voxels of one already, but for a cut."""
         kin = ((each, self._engine.variant(each.id)) for each in list(self._engine.scenes.values()))
-        return next((each for each, its in kin if its.cut is None and its.voxels == variant.voxels), None)
+        return next(
+            (each for each, its in kin if its.cut is None and its.voxels == variant.voxels), None
+        )
 
     def _at(self, scene: Scene, variant: SceneVariant, time: int) -> Scene:
         """The scene at another time, with the voxels of a variant that has them already."""
@@ -199,7 +258,9 @@ class Variants:
             raise ParameterError(str(error), "time") from None
 
     def _hiding(self, scene: Scene, variant: SceneVariant, hidden: Hidden) -> Scene:
-        """The scene with other labels hidden, with the voxels of a variant that has them already."""
+        """The scene with other labels hidden, with the voxels of a variant that has them
+        already.
+        """
         try:
             return with_hidden(scene, hidden, variant.id, self._like(variant))
         except (SceneError, VolumeError) as error:
@@ -217,12 +278,21 @@ class Variants:
         try:
             return under(scene, environment, name)
         except (SceneError, LightError) as error:
-            raise ParameterError(f"This scene cannot be shown in that environment: {error}", "environment") from None
+            raise ParameterError(
+                f"This scene cannot be shown in that environment: {error}", "environment"
+            ) from None
 
     def _cut(self, scene: Scene, name: str, cut: str) -> Scene:
         try:
             digest = cut_digest(scene.volume, cut)
-            volume = next((each.volume for each in self._engine.scenes.values() if each.volume.digest == digest), None)
+            volume = next(
+                (
+                    each.volume
+                    for each in self._engine.scenes.values()
+                    if each.volume.digest == digest
+                ),
+                None,
+            )
             return cut_open(scene, cut, name, volume)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "cut") from None

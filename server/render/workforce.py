@@ -1,4 +1,6 @@
-"""The workforce: hired workers, the kernels that they wait for, and what the machine gives; why none of them bakes."""
+"""The workforce: hired workers, the kernels that they wait for, and what the machine gives; why
+none of them bakes.
+"""
 
 import logging
 import threading
@@ -31,7 +33,9 @@ from worker.tasks import bake_kernels, prepared_scene
 
 log = logging.getLogger("isogi.server")
 
-MEMORY_STORE_UNSEEN = "A store in memory is seen by no worker process: name a folder or an object store."
+MEMORY_STORE_UNSEEN = (
+    "A store in memory is seen by no worker process: name a folder or an object store."
+)
 
 WORKERS_STARTING = "The workers are starting."
 
@@ -40,7 +44,9 @@ SCHEDULER_RETRY_SECONDS = 2.0
 
 
 def scheduler_of(settings: Settings) -> str | None:
-    """The address of the scheduler to join, which from now on is shown the certificate that the settings name."""
+    """The address of the scheduler to join, which from now on is shown the certificate that the
+    settings name.
+    """
     authority, certificate, key = settings.certificates
     if authority and certificate and key:
         show_certificate(str(authority), str(certificate), str(key))
@@ -51,15 +57,21 @@ class Workforce:
     """The workers that a ``baker`` works with. Safe to use from many threads."""
 
     def __init__(self, baker: Baker, store: StoreUrl, workers: int, scheduler: str | None) -> None:
-        """Hire none yet: ``workers`` processes of this machine, or those of a ``scheduler``, for light in a store."""
-        self._baker, self._store = baker, store
-        self._workers, self._scheduler = workers, scheduler
+        """Hire none yet: ``workers`` processes of this machine, or those of a ``scheduler``, for
+        light in a store.
+        """
+        self._baker = baker
+        self._store = store
+        self._workers = workers
+        self._scheduler = scheduler
         self._pool: pool.WorkerPool | None = None
         self._hiring: threading.Thread | None = None
         self._stopped = threading.Event()
         self._error: IsogiError | None = None
         self.late = False
-        """Whether they come after kernels are compiled: pictures are drawn before that, and they are not missed."""
+        """Whether they come after kernels are compiled: pictures are drawn before that, and they
+        are not missed.
+        """
 
     @property
     def joins(self) -> bool:
@@ -67,12 +79,15 @@ class Workforce:
         return self._scheduler is not None
 
     def hire(self, kinds: Collection[str], first: SceneSource | None = None) -> None:
-        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds`` come first.
+        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds``
+        come first.
 
         Those of this machine then open the ``first`` scene, while the server does so itself.
         """
         if self._hiring is None:
-            self._hiring = threading.Thread(target=self._hire, args=[kinds, first], name="hiring", daemon=True)
+            self._hiring = threading.Thread(
+                target=self._hire, args=[kinds, first], name="hiring", daemon=True
+            )
             self._hiring.start()
 
     def wait(self, seconds: float) -> bool:
@@ -84,7 +99,9 @@ class Workforce:
     @property
     def missing(self) -> str:
         """Why there are no workers; empty where they are here, or may still come."""
-        return "" if self._error is None else str(self._error)
+        if self._error is None:
+            return ""
+        return str(self._error)
 
     @property
     def trouble(self) -> str:
@@ -95,9 +112,13 @@ class Workforce:
 
     @property
     def preparing(self) -> str:
-        """What the workers do before they can bake, where they do: they start, or compile kernels; else empty."""
+        """What the workers do before they can bake, where they do: they start, or compile kernels;
+        else empty.
+        """
         if self._pool is None:
-            return WORKERS_STARTING if self._hiring is not None and self._error is None else ""
+            if self._hiring is not None and self._error is None:
+                return WORKERS_STARTING
+            return ""
         return self._pool.preparing
 
     def close(self) -> None:
@@ -137,11 +158,15 @@ class Workforce:
 
 
 FINER = 5
-"""How many times less memory finer texels have: few views ask for them, and those that find no room do without."""
+"""How many times less memory finer texels have: few views ask for them, and those that find no room
+do without.
+"""
 
 
 class Memory(NamedTuple):
-    """Bytes of decoded ``light``, of ``views`` (surfaces, and where the light in them is) and of ``maps``."""
+    """Bytes of decoded ``light``, of ``views`` (surfaces, and where the light in them is) and of
+    ``maps``.
+    """
 
     light: int
     views: int
@@ -149,12 +174,16 @@ class Memory(NamedTuple):
 
     @property
     def finer(self) -> "Memory":
-        """Memory of the scene with finer texels, which has the same maps: all steps together take a quarter more."""
+        """Memory of the scene with finer texels, which has the same maps: all steps together take a
+        quarter more.
+        """
         return Memory(self.light // FINER, self.views // FINER, self.maps)
 
 
 def shared(total: int) -> Memory:
-    """A memory of ``total`` bytes: half of it for light, and a quarter each for views and for maps."""
+    """A memory of ``total`` bytes: half of it for light, and a quarter each for views and for
+    maps.
+    """
     quarter = total // 4
     return Memory(total - 2 * quarter, quarter, quarter)
 
@@ -167,7 +196,9 @@ PROBE_SECONDS = 0.5
 
 
 class StoreProbe:
-    """Looks for a store's sentinel, and tries whether it could be written. Safe to use from many threads."""
+    """Looks for a store's sentinel, and tries whether it could be written. Safe to use from many
+    threads.
+    """
 
     def __init__(self, store: StoreLike, clock: Callable[[], float] = time.monotonic) -> None:
         """Probe ``store`` when it is asked for the first time."""
@@ -175,14 +206,16 @@ class StoreProbe:
         self._clock = clock
         self._lock = threading.Lock()
         self._found = self._silent()
-        self._until, self._late = -1.0, -1.0
+        self._until = -1.0
+        self._late = -1.0
         self._looking: threading.Thread | None = None
 
     def reasons(self) -> list[str]:
-        """Why light cannot be read or kept; none where it can, or where the store is one that is only read.
+        """Why light cannot be read or kept; none where it can, or where the store is one that is
+        only read.
 
-        Looked up at most every ``FINDING_SECONDS`` seconds, in a separate thread: a store that hangs holds nobody. What
-        was found before stands for as long again.
+        Looked up at most every ``FINDING_SECONDS`` seconds, in a separate thread: a store that
+        hangs holds nobody. What was found before stands for as long again.
         """
         with self._lock:
             if self._looking is None and self._clock() >= self._until:
@@ -203,7 +236,9 @@ class StoreProbe:
         """Note what is found."""
         found = self._look()
         with self._lock:
-            self._found, self._until, self._looking = found, self._clock() + FINDING_SECONDS, None
+            self._until = self._clock() + FINDING_SECONDS
+            self._found = found
+            self._looking = None
 
     def _look(self) -> list[str]:
         try:
@@ -219,14 +254,18 @@ def existing_store(settings: Settings) -> Store:
     """The store of the settings, for its upkeep. Raises StoreError where there is none."""
     place = place_of(settings)
     if place.scheme == "file" and not place.folder.is_dir():
-        raise StoreError(f"There is no store at {place}: name the folder or URL that light was baked into.")
+        raise StoreError(
+            f"There is no store at {place}: name the folder or URL that light was baked into."
+        )
     store = Store(place, make=False)
     store.open()
     return store
 
 
 def root_of(settings: Settings) -> Store:
-    """The root of the light that a server of these settings reads and has baked. Raises StoreError."""
+    """The root of the light that a server of these settings reads and has baked. Raises
+    StoreError.
+    """
     place = place_of(settings)
     keeps = place.remote and settings.store_cache_mb > 0
     return Store(place, copies=Copies(place.url, settings.store_cache_mb << 20) if keeps else None)
@@ -240,18 +279,23 @@ def place_of(settings: Settings) -> StoreUrl:
 
 def whereabouts(place: StoreUrl) -> StoreUrl:
     """A place whose folder is an absolute path, a URL as it is: workers may stand elsewhere."""
-    return place if "://" in place.url else replace(place, url=str(Path(place.url).resolve()))
+    if "://" in place.url:
+        return place
+    return replace(place, url=str(Path(place.url).resolve()))
 
 
 COMPILATION_PROGRESS = "Compiling, once on this machine: {done} of {total}"
 
 
 class SceneKernels:
-    """What pictures of the ``scenes``, and bakes of their light, call. Work ends early once ``stopped`` is set."""
+    """What pictures of the ``scenes``, and bakes of their light, call. Work ends early once
+    ``stopped`` is set.
+    """
 
     def __init__(self, scenes: Callable[[], Collection[Scene]], stopped: threading.Event) -> None:
         """Compile nothing yet. ``scenes`` gives those that are shown at the moment."""
-        self._scenes, self._stopped = scenes, stopped
+        self._scenes = scenes
+        self._stopped = stopped
         self.kinds = {kind for each in scenes() for kind in each.bakes}
         lit = *frame_kernels(scenes(), surveyed=False), *bake_kernels(self.kinds)
         self._lit = (*first_kernels(scenes()), *lit)
@@ -260,10 +304,11 @@ class SceneKernels:
 
     @property
     def progress(self) -> KernelProgress | None:
-        """How far the kernels of pictures and their light are compiled, or else of the scene that was admitted last;
-        None where this machine has them all.
+        """How far the kernels of pictures and their light are compiled, or else of the scene that
+        was admitted last; None where this machine has them all.
         """
-        own, admitted = self._all.progress(self._lit), self._admitted
+        own = self._all.progress(self._lit)
+        admitted = self._admitted
         return own or (admitted[0].progress(admitted[1]) if admitted else None)
 
     @property
@@ -276,7 +321,9 @@ class SceneKernels:
         return ", ".join(filter(None, (far, about_left(progress.seconds)))) + "."
 
     def first(self) -> None:
-        """Have kernels of pictures without light in this process; the others begin to be compiled."""
+        """Have kernels of pictures without light in this process; the others begin to be
+        compiled.
+        """
         if self.progress is not None:
             start_fork_server()
         self._all.begin(self._stopped, COMPILER_NICENESS, START_METHOD)
@@ -284,13 +331,17 @@ class SceneKernels:
         load(first_kernels(self._scenes()), self._stopped)
 
     def light(self) -> None:
-        """Have kernels of pictures with light in this process, and those of bakes on this machine."""
+        """Have kernels of pictures with light in this process, and those of bakes on this
+        machine.
+        """
         self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
         prune_folders(KERNEL_FOLDER)
 
     def others(self) -> None:
-        """Have kernels of pictures without light from texels, and of whole paths, in this process."""
+        """Have kernels of pictures without light from texels, and of whole paths, in this
+        process.
+        """
         warm(other_kernels(self._scenes()), self._stopped, COMPILER_NICENESS)
 
     def admit(self, scene: Scene) -> None:

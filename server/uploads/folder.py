@@ -27,7 +27,8 @@ from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
 
-VOLUME_KIND, ENVIRONMENT_KIND = "volume", "environment"
+VOLUME_KIND = "volume"
+ENVIRONMENT_KIND = "environment"
 """Kinds of files that may be uploaded."""
 
 SUFFIXES = {VOLUME_KIND: ".nrrd", ENVIRONMENT_KIND: ".hdr"}
@@ -40,8 +41,8 @@ VOXEL_BYTES = 4
 """Bytes of a voxel in the server's memory, where all are float32."""
 
 SCENE_BYTES = 256 << 10
-"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody looks at it: 10 to 30
-kB were measured."""
+"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody
+looks at it: 10 to 30 kB were measured."""
 
 PIXEL_BYTES = 64
 """Bytes of a pixel in the server's memory: its radiance, and tables to sample it by."""
@@ -49,7 +50,8 @@ PIXEL_BYTES = 64
 
 @dataclass(frozen=True)
 class Upload:
-    """An upload of a ``kind`` in its canonical file: its ``id``, its ``name`` for a person, and ``bytes``.
+    """An upload of a ``kind`` in its canonical file: its ``id``, its ``name`` for a person, and
+    ``bytes``.
 
     ``size`` is a volume's voxels along x, y, z, or a probe's columns and rows.
     """
@@ -62,15 +64,17 @@ class Upload:
 
     @property
     def held(self) -> int:
-        """Bytes that the quota counts: of a volume those on disk or in memory, whichever are more, and of its scene; of
-        a probe both."""
+        """Bytes that the quota counts: of a volume those on disk or in memory, whichever are more,
+        and of its scene; of a probe both."""
         if self.kind == ENVIRONMENT_KIND:
             return self.bytes + PIXEL_BYTES * math.prod(self.size)
         return SCENE_BYTES + max(self.bytes, VOXEL_BYTES * math.prod(self.size))
 
 
 MAX_PROBE_SHAPE = (512, 1024)
-"""Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without change of energy."""
+"""Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without
+change of energy.
+"""
 
 ROWS_PER_BLOCK = 256
 """Rows of a finer one that are averaged at once."""
@@ -85,28 +89,37 @@ PROBE_HEADER_PATTERN = re.compile(
 
 
 def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
-    """Write a Radiance picture, as it came, as a canonical file; gives its id, a digest of all but the name.
+    """Write a Radiance picture, as it came, as a canonical file; gives its id, a digest of all but
+    the name.
 
-    Raises LightError where it is no lat-long picture of light: not twice as wide as high, black, or damaged.
+    Raises LightError where it is no lat-long picture of light: not twice as wide as high, black, or
+    damaged.
     """
     image = parse_hdr(data, name or "the file", MOST_PIXELS)
     height, width, _ = image.shape
     if width != 2 * height:
-        raise LightError(f"The picture has {width} × {height} pixels: a probe is twice as wide as high, all around.")
+        raise LightError(
+            f"The picture has {width} × {height} pixels: a probe is twice as wide as high, all "
+            "around."
+        )
     if not image.any():
         raise LightError("The picture is black: give one with light in it.")
     if height > MAX_PROBE_SHAPE[0]:
         image = made_small(image)
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
-    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=16).hexdigest()
+    number = hashlib.blake2b(
+        f"probe {width} {height}".encode() + pixels, digest_size=16
+    ).hexdigest()
     named = quote(name or f"light {number[:6]}", safe="")
     file.write(PROBE_HEADER.format(name=named, height=height, width=width).encode() + pixels)
     return number
 
 
 def made_small(image: np.ndarray) -> np.ndarray:
-    """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers are in memory."""
+    """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers
+    are in memory.
+    """
     height, width = MAX_PROBE_SHAPE
     blocks = (image[row : row + ROWS_PER_BLOCK] for row in range(0, len(image), ROWS_PER_BLOCK))
     narrow = np.concatenate([resample(block, len(block), width) for block in blocks])
@@ -114,18 +127,28 @@ def made_small(image: np.ndarray) -> np.ndarray:
 
 
 def read_environment(path: Path) -> Upload | None:
-    """What a file whose name is its id says of itself; None where it is not as ``write_environment`` left it."""
+    """What a file whose name is its id says of itself; None where it is not as
+    ``write_environment`` left it.
+    """
     with path.open("rb") as file:
         head = PROBE_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
     name, height, width = (part.decode() for part in head.groups())
-    kept = Upload(ENVIRONMENT_KIND, path.stem, unquote(name), (int(width), int(height)), path.stat().st_size)
-    return kept if kept.bytes == head.end() + 4 * int(width) * int(height) else None
+    kept = Upload(
+        ENVIRONMENT_KIND, path.stem, unquote(name), (int(width), int(height)), path.stat().st_size
+    )
+    if kept.bytes == head.end() + 4 * int(width) * int(height):
+        return kept
+    return None
 
 
 NRRD_TYPES = {
-    **{f"{kind}{size}": f"{name}{8 * size}" for kind, name in (("i", "int"), ("u", "uint")) for size in (1, 2, 4, 8)},
+    **{
+        f"{kind}{size}": f"{name}{8 * size}"
+        for kind, name in (("i", "int"), ("u", "uint"))
+        for size in (1, 2, 4, 8)
+    },
     **{"f4": "float", "f8": "double"},
 }
 """NRRD's names of types by NumPy's."""
@@ -145,8 +168,10 @@ name:={name}
 {labels}
 """
 VOLUME_HEADER_PATTERN = re.compile(
-    rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\nencoding: raw\nendian: little\n"
-    rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\nspace directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
+    rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\n"
+    rb"encoding: raw\nendian: little\n"
+    rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\n"
+    rb"space directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
     rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n"
     rb"(?:Segment\d+_(?:LabelValue|Name|Color):=[^\n]*\n)*\n",
     re.ASCII,
@@ -167,27 +192,41 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
         "sizes": " ".join(str(n) for n in grid.shape[::-1]),
         "place": placing_lines(grid),
     }
-    facts["labels"] = "".join(segment(number, label) for number, label in enumerate(shown_labels(grid)))
+    facts["labels"] = "".join(
+        segment(number, label) for number, label in enumerate(shown_labels(grid))
+    )
     digest = hashlib.blake2b(VOLUME_HEADER.format(**facts, name="").encode(), digest_size=16)
     for layer in layer_values(grid, f"<{kind}"):
         digest.update(layer)
     number = digest.hexdigest()
-    file.write(VOLUME_HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
+    file.write(
+        VOLUME_HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode()
+    )
     for layer in layer_values(grid, f"<{kind}"):
         file.write(layer)
     return number
 
 
 def shown_labels(grid: Grid) -> tuple[LabelName, ...]:
-    """The labels that a grid names, as many as can be shown; of a segmentation without names a nameless one."""
-    return () if grid.labels is None else grid.labels[:MAX_LABELS] or (LabelName(1),)
+    """The labels that a grid names, as many as can be shown; of a segmentation without names a
+    nameless one.
+    """
+    if grid.labels is None:
+        return ()
+    return grid.labels[:MAX_LABELS] or (LabelName(1),)
 
 
 def segment(number: int, label: LabelName) -> str:
     """The lines of a header that name a label, as 3D Slicer does."""
     red, green, blue = (byte / 255.0 for byte in bytes.fromhex(label.colour[1:] or "000000"))
-    name = "".join(letter for letter in label.name if letter.isprintable() and letter != "\\")[:LABEL_NAME]
-    rows = {"LabelValue": str(label.value), "Name": name, "Color": label.colour and f"{red:.6f} {green:.6f} {blue:.6f}"}
+    name = "".join(letter for letter in label.name if letter.isprintable() and letter != "\\")[
+        :LABEL_NAME
+    ]
+    rows = {
+        "LabelValue": str(label.value),
+        "Name": name,
+        "Color": label.colour and f"{red:.6f} {green:.6f} {blue:.6f}",
+    }
     return "".join(f"Segment{number}_{key}:={text}\n" for key, text in rows.items() if text)
 
 
@@ -197,13 +236,22 @@ def layer_values(grid: Grid, kind: str) -> Iterator[memoryview]:
 
 
 def placing_lines(grid: Grid) -> str:
-    """The lines of a header that say where a grid on right angles lies: spacing alone where that is all."""
+    """The lines of a header that say where a grid on right angles lies: spacing alone where that is
+    all.
+    """
     orientation = Orientation.of(grid)
     if not orientation.placed and not orientation.letters and not orientation.unit:
         return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
     steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
-    space = f"space: {NRRD_SPACES[orientation.letters]}" if orientation.letters in NRRD_SPACES else "space dimension: 3"
-    lines = [space, f"space directions: {' '.join(map(vector, steps))}", f"space origin: {vector(orientation.origin)}"]
+    if orientation.letters in NRRD_SPACES:
+        space = f"space: {NRRD_SPACES[orientation.letters]}"
+    else:
+        space = "space dimension: 3"
+    lines = [
+        space,
+        f"space directions: {' '.join(map(vector, steps))}",
+        f"space origin: {vector(orientation.origin)}",
+    ]
     unit = "".join(letter for letter in orientation.unit if letter.isprintable() and letter != '"')
     units = [f"space units: {' '.join(3 * (quoted,))}" for quoted in (f'"{unit}"',) if unit]
     return "\n".join([*lines, *units])
@@ -215,7 +263,9 @@ def vector(row: Sequence[float]) -> str:
 
 
 def read_volume(path: Path) -> Upload | None:
-    """What a file whose name is its id says of itself; None where it is not as ``write`` left it."""
+    """What a file whose name is its id says of itself; None where it is not as ``write`` left
+    it.
+    """
     with path.open("rb") as file:
         head = VOLUME_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
     if head is None:
@@ -245,21 +295,35 @@ DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def read_owners(path: Path) -> dict[str, list[str]]:
-    """The names of those whom volumes belong to, by the volumes' ids. Raises UploadFolderError where it is damaged."""
+    """The names of those whom volumes belong to, by the volumes' ids. Raises UploadFolderError
+    where it is damaged.
+    """
     try:
-        owners = json.loads(path.read_bytes()) if path.exists() else {}
+        if path.exists():
+            owners = json.loads(path.read_bytes())
+        else:
+            owners = {}
         return {str(number): [str(name) for name in names] for number, names in owners.items()}
     except (ValueError, AttributeError, TypeError):
-        raise UploadFolderError(f"{path}, which says whose volumes are, is damaged: mend it, or delete it.") from None
+        raise UploadFolderError(
+            f"{path}, which says whose volumes are, is damaged: mend it, or delete it."
+        ) from None
 
 
 def default_folder() -> Path:
-    """Where uploads are kept by default: ``$XDG_DATA_HOME/isogi/volumes``, or below ``~/.local/share``."""
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "isogi" / "volumes"
+    """Where uploads are kept by default: ``$XDG_DATA_HOME/isogi/volumes``, or below
+    ``~/.local/share``.
+    """
+    return (
+        Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
+        / "isogi"
+        / "volumes"
+    )
 
 
 class UploadFolder:
-    """The uploads in a folder of one server, in a table by their ids. Raises UploadFolderError, and FullError.
+    """The uploads in a folder of one server, in a table by their ids. Raises UploadFolderError, and
+    FullError.
 
     The table is replaced and never changed: iterations over the former one go on.
     """
@@ -287,7 +351,9 @@ class UploadFolder:
         return self._all(ENVIRONMENT_KIND)
 
     def open(self) -> None:
-        """Take the folder, for its owner alone; throw away what was half-written, and find what is whole."""
+        """Take the folder, for its owner alone; throw away what was half-written, and find what is
+        whole.
+        """
         with name_folder_in_errors(self.path):
             self.path.mkdir(0o700, parents=True, exist_ok=True)
             self.path.chmod(0o700)
@@ -296,7 +362,9 @@ class UploadFolder:
                 path.unlink()
             self._owners = read_owners(self.path / OWNERS_FILE)
             found = [
-                self._read(kind, path) for kind in SUFFIXES for path in sorted(self.path.glob(f"*{SUFFIXES[kind]}"))
+                self._read(kind, path)
+                for kind in SUFFIXES
+                for path in sorted(self.path.glob(f"*{SUFFIXES[kind]}"))
             ]
             self.uploads = {kept.id: kept for kept in found if kept}
 
@@ -311,10 +379,14 @@ class UploadFolder:
 
     @contextmanager
     def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
-        """Two files: for what a client sends, which has no name, and for its canonical form. Gone afterwards."""
+        """Two files: for what a client sends, which has no name, and for its canonical form. Gone
+        afterwards.
+        """
         with name_folder_in_errors(self.path):
             body = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
-            draft = tempfile.NamedTemporaryFile(dir=self.path, suffix=UNFINISHED_SUFFIX, delete=False)  # noqa: SIM115
+            draft = tempfile.NamedTemporaryFile(  # noqa: SIM115
+                dir=self.path, suffix=UNFINISHED_SUFFIX, delete=False
+            )
         try:
             with body, draft:
                 yield body, draft
@@ -322,7 +394,9 @@ class UploadFolder:
             Path(draft.name).unlink(missing_ok=True)
 
     def put(self, draft: IO[bytes], number: str, kind: str = VOLUME_KIND) -> Upload:
-        """Keep a canonical draft of a ``kind`` under its id: once this returns no power cut takes it away."""
+        """Keep a canonical draft of a ``kind`` under its id: once this returns no power cut takes
+        it away.
+        """
         place = self.path / f"{number}{SUFFIXES[kind]}"
         with name_folder_in_errors(self.path):
             draft.flush()
@@ -331,7 +405,9 @@ class UploadFolder:
             self._settle()
         kept = self._read(kind, place)
         if kept is None:
-            raise UploadFolderError(f"The {kind} in {place} did not come out as it went in: check the disk.")
+            raise UploadFolderError(
+                f"The {kind} in {place} did not come out as it went in: check the disk."
+            )
         self.uploads = {**self.uploads, number: kept}
         return kept
 
@@ -346,7 +422,9 @@ class UploadFolder:
 
     def take_back(self, number: str, owner: str) -> None:
         """Have an upload belong to one less."""
-        self._own({**self._owners, number: [each for each in self.owners_of(number) if each != owner]})
+        self._own(
+            {**self._owners, number: [each for each in self.owners_of(number) if each != owner]}
+        )
 
     def _own(self, owners: dict[str, list[str]]) -> None:
         """Keep who owns what."""
@@ -371,7 +449,10 @@ class UploadFolder:
             return lock
         except BlockingIOError:
             lock.close()
-            sentence = f"Another server keeps its uploads in {self.path}: choose another folder with --uploads."
+            sentence = (
+                f"Another server keeps its uploads in {self.path}: choose another "
+                "folder with --uploads."
+            )
             raise UploadFolderError(sentence) from None
 
     def _settle(self) -> None:
@@ -386,7 +467,10 @@ class UploadFolder:
         return [kept for kept in self.uploads.values() if kept.kind == kind]
 
     def _read(self, kind: str, path: Path) -> Upload | None:
-        kept = READERS[kind](path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
+        if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink():
+            kept = READERS[kind](path)
+        else:
+            kept = None
         if kept is None:
             log.warning("%s is no %s that isogi has kept: it is left alone", path, kind)
         return kept
@@ -399,5 +483,9 @@ def name_folder_in_errors(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in DISK_FULL_ERRORS:
-            raise FullError(f"The disk of {folder} is full: delete volumes, or make room.") from error
-        raise UploadFolderError(f"The folder of uploads {folder} cannot be used ({error.strerror}).") from error
+            raise FullError(
+                f"The disk of {folder} is full: delete volumes, or make room."
+            ) from error
+        raise UploadFolderError(
+            f"The folder of uploads {folder} cannot be used ({error.strerror})."
+        ) from error

@@ -1,10 +1,11 @@
 """The reader of uploads: a process of its own, for one file that may be hostile.
 
-``python -m server.uploads.reader NAME BODY OUT KIND VOXELS`` waits for a line on stdin, which comes once the file at
-the descriptor BODY is whole, a volume or an environment: the processor seconds that reading may take. It writes a
-canonical file to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why the file is refused.
-What the process may take is limited, and before it reads the file it gives up all that it does not need for that (see
-``sandbox``): no path, URL or socket that the file names can be reached, and what a hole in a library lets in can harm
+``python -m server.uploads.reader NAME BODY OUT KIND VOXELS`` waits for a line on stdin, which comes
+once the file at the descriptor BODY is whole, a volume or an environment: the processor seconds
+that reading may take. It writes a canonical file to the descriptor OUT. One line of JSON on stdout
+holds its id, or a sentence why the file is refused. What the process may take is limited, and
+before it reads the file it gives up all that it does not need for that (see ``sandbox``): no path,
+URL or socket that the file names can be reached, and what a hole in a library lets in can harm
 nothing.
 """
 
@@ -35,16 +36,20 @@ LIBRARY_BYTES = 128 << 20
 """Bytes of memory for what libraries need, besides the voxels, once they are loaded."""
 
 PER_VOXEL = 12
-"""Bytes of memory for each voxel that may be: as it is in the file, of 8 bytes, and what checks take.
+"""Bytes of memory for each voxel that may be: as it is in the file, of 8 bytes, and what checks
+take.
 
-With Python and its libraries that is 1 GB for the 64 million voxels that uploads may have by default.
+With Python and its libraries that is 1 GB for the 64 million voxels that uploads may have by
+default.
 """
 
 LONGEST_SENTENCE = 500
 
 
 def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float) -> dict[str, str]:
-    """Read the file ``body``, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
+    """Read the file ``body``, of at most so many ``voxels`` and in so many processor ``seconds``,
+    into ``out``.
+    """
     rehearse(os.pread(body, HEAD_BYTES, 0))
     limit(voxels, seconds)
     confine()
@@ -54,7 +59,8 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
             if kind == ENVIRONMENT_KIND:
                 return {"id": write_environment(canonical, upload.read(), name)}
             found = open_upload(upload, name or "upload", voxels)
-            grid, name = on_right_angles(found), named_after(found, name)
+            grid = on_right_angles(found)
+            name = named_after(found, name)
             check_size(grid, voxels)
             grid = grid.loaded()
             survey(grid, "above")  # what the server cannot show is refused here
@@ -64,26 +70,41 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
         except (VolumeError, LightError) as error:
             return {"refused": str(error)}
         except MemoryError:
-            return {"refused": "The file needs more memory than an upload may take: save a smaller part of it."}
+            return {
+                "refused": (
+                    "The file needs more memory than an upload may take: save a smaller part of it."
+                )
+            }
         except Exception as error:
-            return {"refused": f"The file cannot be read ({type(error).__name__}: {error}): save it again."}
+            return {
+                "refused": (
+                    f"The file cannot be read ({type(error).__name__}: {error}): save it again."
+                )
+            }
 
 
 def named_after(grid: Grid, name: str) -> str:
     """The name of a volume, which says so where it is the first step of a series in time."""
-    return f"{name or 'volume'}, first of {grid.moment[1]} steps" if grid.unchosen else name
+    if grid.unchosen:
+        return f"{name or 'volume'}, first of {grid.moment[1]} steps"
+    return name
 
 
 def check_size(grid: Grid, voxels: int) -> None:
-    """Raise VolumeError where a grid has more voxels than may be, once its axes are at right angles."""
+    """Raise VolumeError where a grid has more voxels than may be, once its axes are at right
+    angles.
+    """
     if grid.size > voxels:
         raise VolumeError(
-            f"The volume has {grid.size} voxels, and {voxels} are the most that may be: save a smaller part."
+            f"The volume has {grid.size} voxels, and {voxels} are the most that may be: save a "
+            "smaller part."
         )
 
 
 def rehearse(head: bytes) -> None:
-    """Have the libraries that a file needs which begins with ``head`` load what they load late: soon they cannot."""
+    """Have the libraries that a file needs which begins with ``head`` load what they load late:
+    soon they cannot.
+    """
     survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
     for name in libraries_for(head):
@@ -92,7 +113,9 @@ def rehearse(head: bytes) -> None:
 
 
 def limit(voxels: int, seconds: float) -> None:
-    """Limit what this process may take from now on, beyond what its start took; it opens no more files."""
+    """Limit what this process may take from now on, beyond what its start took; it opens no more
+    files.
+    """
     limits = {
         resource.RLIMIT_AS: mapped_bytes() + LIBRARY_BYTES + PER_VOXEL * voxels,
         resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),
@@ -102,12 +125,17 @@ def limit(voxels: int, seconds: float) -> None:
     }
     for what, most in limits.items():
         _, ceiling = resource.getrlimit(what)
-        least = most if ceiling == resource.RLIM_INFINITY else min(most, ceiling)
+        if ceiling == resource.RLIM_INFINITY:
+            least = most
+        else:
+            least = min(most, ceiling)
         resource.setrlimit(what, (least, least))
 
 
 def mapped_bytes() -> int:
-    """Bytes of this process's address space now; a gigabyte where the system does not report them."""
+    """Bytes of this process's address space now; a gigabyte where the system does not report
+    them.
+    """
     try:
         return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     except OSError:
@@ -125,4 +153,5 @@ if __name__ == "__main__":
     NAME, BODY, OUT, KIND, VOXELS = sys.argv[1:]
     if SECONDS := sys.stdin.readline():
         with contextlib.suppress(BrokenPipeError):
-            print(line_of(main(NAME, int(BODY), int(OUT), KIND, int(VOXELS), float(SECONDS))), flush=True)  # noqa: T201
+            FACTS = main(NAME, int(BODY), int(OUT), KIND, int(VOXELS), float(SECONDS))
+            print(line_of(FACTS), flush=True)  # noqa: T201

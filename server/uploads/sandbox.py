@@ -1,4 +1,5 @@
-"""The sandbox of the reader of uploads: what its process gives up before it reads, asked of the kernel itself.
+"""The sandbox of the reader of uploads: what its process gives up before it reads, asked of the
+kernel itself.
 
 ``python -m server.uploads.sandbox`` tries it, and prints as JSON what this system lacks.
 """
@@ -19,7 +20,9 @@ NOBODY_ID = 65534
 
 
 class Machine(NamedTuple):
-    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in ALLOWED_CALLS."""
+    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in
+    ALLOWED_CALLS.
+    """
 
     audit: int
     seccomp: int
@@ -73,15 +76,20 @@ ALLOWED_CALLS = {
 NO_NEW_PRIVILEGES = 38
 """PR_SET_NO_NEW_PRIVS of <linux/prctl.h>: without it only root may confine itself."""
 
-SECCOMP_FILTER, ALL_THREADS = 1, 1
+SECCOMP_FILTER = 1
+ALL_THREADS = 1
 """SECCOMP_SET_MODE_FILTER, and its flag for threads that run already."""
 
-LOAD_WORD, JUMP_IF_EQUAL, RETURN_ANSWER = 0x20, 0x15, 0x06
+LOAD_WORD = 0x20
+JUMP_IF_EQUAL = 0x15
+RETURN_ANSWER = 0x06
 """Steps of a filter: load a word of a call, jump where it equals a number, answer."""
 
-ALLOW_CALL, REFUSE_CALL = 0x7FFF0000, 0x00050000 | errno.EPERM
+ALLOW_CALL = 0x7FFF0000
+REFUSE_CALL = 0x00050000 | errno.EPERM
 
-CREATE_RULESET, RESTRICT_SELF = 444, 446
+CREATE_RULESET = 444
+RESTRICT_SELF = 446
 """Landlock's system calls, which have the same numbers on all machines."""
 
 LANDLOCK_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
@@ -89,12 +97,17 @@ LANDLOCK_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 
 
 def confine() -> list[str]:
-    """Give up files, sockets, processes and signals, but for descriptors that are open; names what this system lacks.
+    """Give up files, sockets, processes and signals, but for descriptors that are open; names what
+    this system lacks.
 
     Where one protection is missing the others hold.
     """
     lacking = []
-    for name, protect in {"another user": become_nobody, "Landlock": give_up_paths, "seccomp": give_up_calls}.items():
+    for name, protect in {
+        "another user": become_nobody,
+        "Landlock": give_up_paths,
+        "seccomp": give_up_calls,
+    }.items():
         try:
             protect()
         except (AttributeError, KeyError, OSError):
@@ -111,7 +124,8 @@ def become_nobody() -> None:
 
 
 def give_up_paths() -> None:
-    """Open, make, rename and remove nothing by its path from now on, by Landlock; nor bind, connect or signal.
+    """Open, make, rename and remove nothing by its path from now on, by Landlock; nor bind, connect
+    or signal.
 
     Raises OSError where the kernel has none.
     """
@@ -135,14 +149,25 @@ def give_up_calls() -> None:
     steps = filter_of(machine)
     code = ctypes.create_string_buffer(steps)
     refuse_privileges()
-    call(machine.seccomp, SECCOMP_FILTER, ALL_THREADS, struct.pack("HP", len(steps) // 8, ctypes.addressof(code)))
+    call(
+        machine.seccomp,
+        SECCOMP_FILTER,
+        ALL_THREADS,
+        struct.pack("HP", len(steps) // 8, ctypes.addressof(code)),
+    )
 
 
 def filter_of(machine: Machine) -> bytes:
-    """The filter: refuse another machine's calls, allow those that are needed, and refuse the rest."""
+    """The filter: refuse another machine's calls, allow those that are needed, and refuse the
+    rest.
+    """
     numbers = [row[machine.column] for row in ALLOWED_CALLS.values()]
     count = len(numbers)
-    steps = [(LOAD_WORD, 0, 0, 4), (JUMP_IF_EQUAL, 0, count + 1, machine.audit), (LOAD_WORD, 0, 0, 0)]
+    steps = [
+        (LOAD_WORD, 0, 0, 4),
+        (JUMP_IF_EQUAL, 0, count + 1, machine.audit),
+        (LOAD_WORD, 0, 0, 0),
+    ]
     steps += [(JUMP_IF_EQUAL, count - index, 0, number) for index, number in enumerate(numbers)]
     return b"".join(
         struct.pack("HBBI", *step)
@@ -171,12 +196,19 @@ def checked(answer: int) -> int:
 
 
 def lacking() -> str:
-    """What the reader is confined without on this system, as a sentence; empty where it has all. Blocks for a child."""
+    """What the reader is confined without on this system, as a sentence; empty where it has all.
+    Blocks for a child.
+    """
     trial = [sys.executable, "-P", "-m", "server.uploads.sandbox"]
     given = {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(trial, cwd="/", env=given, capture_output=True, check=False)
-    names = json.loads(done.stdout) if done.returncode == 0 else ["Landlock", "seccomp"]
-    return f"Uploads are read without {' and '.join(names)}: this system refuses that." if names else ""
+    if done.returncode == 0:
+        names = json.loads(done.stdout)
+    else:
+        names = ["Landlock", "seccomp"]
+    if names:
+        return f"Uploads are read without {' and '.join(names)}: this system refuses that."
+    return ""
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene, or to light.
+"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene,
+or to light.
 
 Each has a reader, a process that starts while the body arrives; one at a time reads.
 """
@@ -57,8 +58,11 @@ PYTHON_ROOT = Path(__file__).resolve().parents[2]
 BYTES_PER_CPU_SECOND = 8 << 20
 """Bytes of an upload for which the reader has a second more of the processor."""
 
-CLOCK_SECONDS_PER_CPU_SECOND, READER_SECONDS = 10.0, 60.0
-"""Seconds on the clock for each of the processor, and besides, after which a reader is given up: others compute."""
+CLOCK_SECONDS_PER_CPU_SECOND = 10.0
+READER_SECONDS = 60.0
+"""Seconds on the clock for each of the processor, and besides, after which a reader is given up:
+others compute.
+"""
 
 READER_ENVIRONMENT = {
     "PYTHONPATH": str(PYTHON_ROOT),
@@ -68,27 +72,42 @@ READER_ENVIRONMENT = {
 }
 """What a reader has of an environment: nothing of the server's."""
 
-LIMITS_EXCEEDED = "The file takes more time or memory to read than it may: save it raw, or a smaller part."
+LIMITS_EXCEEDED = (
+    "The file takes more time or memory to read than it may: save it raw, or a smaller part."
+)
 
 
 class Reader:
-    """A child that reads one upload, of a ``kind``, VOLUME_KIND or ENVIRONMENT_KIND: see ``server.uploads.reader``."""
+    """A child that reads one upload, of a ``kind``, VOLUME_KIND or ENVIRONMENT_KIND: see
+    ``server.uploads.reader``.
+    """
 
     def __init__(self, process: Process, upload: IO[bytes]) -> None:
-        self._process, self._upload = process, upload
+        self._process = process
+        self._upload = upload
 
     @classmethod
     @asynccontextmanager
     async def started(
         cls, upload: IO[bytes], into: IO[bytes], name: str, voxels: int, kind: str = VOLUME_KIND
     ) -> AsyncIterator["Reader"]:
-        """A reader of ``upload``, of at most so many ``voxels``, which writes a canonical file ``into`` another.
+        """A reader of ``upload``, of at most so many ``voxels``, which writes a canonical file
+        ``into`` another.
 
         It starts at once, and is gone at the end.
         """
         files = upload.fileno(), into.fileno()
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-P", "-m", "server.uploads.reader", name, *map(str, files), kind, str(voxels)),
+            *(
+                sys.executable,
+                "-P",
+                "-m",
+                "server.uploads.reader",
+                name,
+                *map(str, files),
+                kind,
+                str(voxels),
+            ),
             stdin=PIPE,
             stdout=PIPE,
             stderr=DEVNULL,
@@ -106,18 +125,22 @@ class Reader:
     async def read(self, seconds: float) -> str:
         """Have the upload read, now that it is whole; its id.
 
-        That may take so many processor ``seconds``, besides those for its size. Raises VolumeError, with the child's
-        own sentence or one about its end, and LateError.
+        That may take so many processor ``seconds``, besides those for its size. Raises VolumeError,
+        with the child's own sentence or one about its end, and LateError.
         """
         patience = seconds + os.fstat(self._upload.fileno()).st_size / BYTES_PER_CPU_SECOND
         try:
             async with asyncio.timeout(READER_SECONDS + CLOCK_SECONDS_PER_CPU_SECOND * patience):
                 return await self._answer(patience)
         except TimeoutError:
-            raise LateError("The machine is too busy to read the file: send it again in a while.") from None
+            raise LateError(
+                "The machine is too busy to read the file: send it again in a while."
+            ) from None
 
     async def _answer(self, seconds: float) -> str:
-        """The id that the child answers; VolumeError where it refuses the file, or ends without an answer."""
+        """The id that the child answers; VolumeError where it refuses the file, or ends without an
+        answer.
+        """
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(f"{seconds}\n".encode())
         line = await self._process.stdout.readline()
@@ -138,8 +161,8 @@ WRITE_BLOCK_BYTES = 1 << 20
 async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
     """Write the body of a request to a file.
 
-    Raises SlowUploadError where nothing comes for so many ``seconds``, Cancelled where the client has left, and what
-    the file raises.
+    Raises SlowUploadError where nothing comes for so many ``seconds``, Cancelled where the client
+    has left, and what the file raises.
     """
     async with aclosing(blocks(request, seconds)) as arriving:
         async for block in arriving:
@@ -149,7 +172,8 @@ async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
 
 async def blocks(request: Request, seconds: float) -> AsyncGenerator[bytes, None]:
     """The body in blocks of at least WRITE_BLOCK_BYTES, but for the last."""
-    block, stream = bytearray(), aiter(request.stream())
+    block = bytearray()
+    stream = aiter(request.stream())
     while (part := await next_of(stream, seconds)) is not None:
         block += part
         if len(block) >= WRITE_BLOCK_BYTES:
@@ -164,7 +188,9 @@ async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
         async with asyncio.timeout(seconds):
             return await anext(stream, None)
     except TimeoutError:
-        raise SlowUploadError(f"Nothing of the upload came for {seconds:g} s: send it again.") from None
+        raise SlowUploadError(
+            f"Nothing of the upload came for {seconds:g} s: send it again."
+        ) from None
     except ClientDisconnect:
         raise Cancelled("The client left before its upload was whole.") from None
 
@@ -174,11 +200,15 @@ log = logging.getLogger("isogi.uploads")
 AT_ONCE = 2
 """Uploads that are taken at once, of which one is read at a time; others are answered with 429."""
 
-UPLOADS_OFF = "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
+UPLOADS_OFF = (
+    "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
+)
 
 
 class Uploads:
-    """The volumes that clients have sent to an ``engine``. Its coroutines belong to one event loop."""
+    """The volumes that clients have sent to an ``engine``. Its coroutines belong to one event
+    loop.
+    """
 
     def __init__(self, engine: "RenderEngine", settings: Settings) -> None:
         """Take none yet; see ``open``."""
@@ -186,18 +216,21 @@ class Uploads:
         self.quota = settings.upload_quota_mb << 20
         self.limit = settings.max_upload_mb << 20
         self.folder = UploadFolder(Path(settings.uploads) if settings.uploads else default_folder())
-        self._engine, self._settings = engine, settings
+        self._engine = engine
+        self._settings = settings
         self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken", work=True)
-        self._reading, self._changing = asyncio.Lock(), asyncio.Lock()
+        self._reading = asyncio.Lock()
+        self._changing = asyncio.Lock()
         self._ready = False
         self._lacking = ""
         self._off = UPLOADS_OFF
 
     def open(self) -> None:
-        """Show the volumes in the folder, where uploads are on, as far as the quota goes; others are logged and left.
+        """Show the volumes in the folder, where uploads are on, as far as the quota goes; others
+        are logged and left.
 
-        Raises UploadFolderError where uploads were asked for and the folder cannot be used. Uploads that are on by
-        default are off then.
+        Raises UploadFolderError where uploads were asked for and the folder cannot be used. Uploads
+        that are on by default are off then.
         """
         if not self.on:
             return
@@ -206,7 +239,8 @@ class Uploads:
         except (UploadFolderError, FullError) as error:
             if self._settings.uploads_mb is not None:
                 raise
-            self.on, self._off = False, f"This server takes no uploads. {error}"
+            self.on = False
+            self._off = f"This server takes no uploads. {error}"
             log.warning("%s", self._off)
             return
         self._lacking = lacking()
@@ -215,7 +249,10 @@ class Uploads:
             try:
                 left -= kept.held
                 if left < 0:
-                    raise FullError(f"Uploads may take {self.quota >> 20} MB: delete volumes, or give them more.")
+                    raise FullError(
+                        f"Uploads may take {self.quota >> 20} MB: delete volumes, or give them "
+                        "more."
+                    )
                 self._engine.admit(self._scene(kept))
             except IsogiError as error:
                 log.error("the upload %s cannot be shown: %s", kept.id, error)
@@ -238,21 +275,29 @@ class Uploads:
         """The upload of a ``kind`` with this id; UnknownVolumeError where there is none."""
         kept = self.folder.uploads.get(number)
         if kept is None or kept.kind != kind:
-            raise UnknownVolumeError(f"There is no {kind} '{number[:64]}': /v1/{kind}s lists them all.")
+            raise UnknownVolumeError(
+                f"There is no {kind} '{number[:64]}': /v1/{kind}s lists them all."
+            )
         return kept
 
-    async def take(self, request: Request, name: str, kind: str = VOLUME_KIND) -> tuple[Upload, bool]:
-        """Take the body of a request as an upload of a ``kind``, and show a volume; the upload, and whether it is new.
+    async def take(
+        self, request: Request, name: str, kind: str = VOLUME_KIND
+    ) -> tuple[Upload, bool]:
+        """Take the body of a request as an upload of a ``kind``, and show a volume; the upload, and
+        whether it is new.
 
         It belongs to all who have sent it by name.
 
-        Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
-        UploadFolderError, and Cancelled where the client has left.
+        Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError,
+        FullError, UploadFolderError, and Cancelled where the client has left.
         """
         if not self.on:
             raise UploadsOffError(self._off)
         self._check_ready()
-        with self._admission.admitted(client_of(request.scope)) as place, self.folder.drafts() as (body, draft):
+        with (
+            self._admission.admitted(client_of(request.scope)) as place,
+            self.folder.drafts() as (body, draft),
+        ):
             self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)  # no volume takes less
             async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
                 with name_folder_in_errors(self.folder.path):
@@ -269,11 +314,14 @@ class Uploads:
         async with self._reading:
             return await reader.read(self._settings.reading_seconds)
 
-    async def remove(self, number: str, bearer: Bearer = ANY_BEARER, kind: str = VOLUME_KIND) -> None:
-        """Have an upload's file gone, and what is shown of it. Light is left in the store: the upload may come again.
+    async def remove(
+        self, number: str, bearer: Bearer = ANY_BEARER, kind: str = VOLUME_KIND
+    ) -> None:
+        """Have an upload's file gone, and what is shown of it. Light is left in the store: the
+        upload may come again.
 
-        It stays where it belongs to others besides this bearer. Raises UnknownVolumeError, ForbiddenError,
-        StartingError and UploadFolderError.
+        It stays where it belongs to others besides this bearer. Raises UnknownVolumeError,
+        ForbiddenError, StartingError and UploadFolderError.
         """
         self.find(number, kind)
         self._check_ready()
@@ -281,7 +329,10 @@ class Uploads:
             self.find(number, kind)
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
-                raise ForbiddenError(f"The upload '{number}' belongs to another: its sender or an admin may delete it.")
+                raise ForbiddenError(
+                    f"The upload '{number}' belongs to another: its sender or an admin may "
+                    "delete it."
+                )
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)
                 return
@@ -291,14 +342,20 @@ class Uploads:
                 await asyncio.to_thread(self._engine.dismiss, each)
 
     def environment_at(self, name: str) -> str | None:
-        """An environment as a scene file names it, by its name or the id of an uploaded one; None where none is."""
+        """An environment as a scene file names it, by its name or the id of an uploaded one; None
+        where none is.
+        """
         if name in ENVIRONMENTS:
             return name
         kept = self.folder.uploads.get(name)
-        return str(self.folder.place(name).resolve()) if kept and kept.kind == ENVIRONMENT_KIND else None
+        if kept and kept.kind == ENVIRONMENT_KIND:
+            return str(self.folder.place(name).resolve())
+        return None
 
     def _keep(self, draft: IO[bytes], number: str, kind: str) -> tuple[Upload, bool]:
-        """Keep an upload in the folder, and show a volume, unless it is there already; all or nothing."""
+        """Keep an upload in the folder, and show a volume, unless it is there already; all or
+        nothing.
+        """
         if number in self.folder.uploads:
             return self.folder.uploads[number], False
         drafted = READERS[kind](Path(draft.name))
@@ -320,7 +377,9 @@ class Uploads:
         """Raises FullError where so many bytes are more than the quota has left."""
         if size > self.free:
             room = f"{size} bytes are wanted and {self.free} free"
-            raise FullError(f"Uploads may take {self.quota >> 20} MB, {room}: delete volumes first.")
+            raise FullError(
+                f"Uploads may take {self.quota >> 20} MB, {room}: delete volumes first."
+            )
 
     def _scene(self, kept: Upload) -> Scene:
         """The scene of a volume: in default light, and found by the volume's id."""

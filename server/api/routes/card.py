@@ -1,4 +1,6 @@
-"""What a page needs to draw by itself, on its visitor's graphics card: the scene, voxels, and light of chunks."""
+"""What a page needs to draw by itself, on its visitor's graphics card: the scene, voxels, and light
+of chunks.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,10 @@ from server.render.bakes import request_viewer
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The bytes, little-endian; docs/card.md has their layout.", "content": {MEDIA_TYPE: {}}},
+    200: {
+        "description": "The bytes, little-endian; docs/card.md has their layout.",
+        "content": {MEDIA_TYPE: {}},
+    },
     304: {"description": "The bytes are those that If-None-Match names."},
 }
 
@@ -50,10 +55,16 @@ END = b"\x03\x00"
 
 
 def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Response:
-    """The answer of some ``parts``: at the address of the request it is the same for ever where it is ``lasting``."""
+    """The answer of some ``parts``: at the address of the request it is the same for ever where it
+    is ``lasting``.
+    """
     packs = takes_gzip(request.headers.get("accept-encoding", ""))
     tag = tag_of(hashlib.blake2b(b"".join(each.digest for each in parts)).digest(), packs)
-    headers = {"ETag": tag, "Cache-Control": FOR_EVER if lasting else "no-cache", "Vary": "Accept-Encoding"}
+    headers = {
+        "ETag": tag,
+        "Cache-Control": FOR_EVER if lasting else "no-cache",
+        "Vary": "Accept-Encoding",
+    }
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
     if not packs:
@@ -62,8 +73,11 @@ def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Res
 
 
 def gzipped(parts: Sequence[Part]) -> bytes:
-    """The ``parts`` as one member of gzip; each is compressed once, for all answers that it is in."""
-    check, size = 0, sum(len(each.data) for each in parts)
+    """The ``parts`` as one member of gzip; each is compressed once, for all answers that it is
+    in.
+    """
+    check = 0
+    size = sum(len(each.data) for each in parts)
     for each in parts:
         check = zlib.crc32(each.data, check)
     ends = (number.to_bytes(4, "little") for number in (check, size & 0xFFFFFFFF))
@@ -78,22 +92,31 @@ DOCUMENT: dict[int | str, dict[str, Any]] = {
 }
 PARTS = BINARY | PROBLEMS
 VOXELS_WITHHELD = (
-    "This server hands out no voxels, and no light of chunks: ask for pictures, or have hand_out_voxels set."
+    "This server hands out no voxels, and no light of chunks: ask for pictures, "
+    "or have hand_out_voxels set."
 )
 
 
-@router.get("", response_class=Response, openapi_extra=documented(ViewParams), responses=DOCUMENT | PROBLEMS)
-async def read_card(request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep) -> Response:
+@router.get(
+    "", response_class=Response, openapi_extra=documented(ViewParams), responses=DOCUMENT | PROBLEMS
+)
+async def read_card(
+    request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
+) -> Response:
     """Whether a page may draw a view by itself, and all that this takes besides voxels and texels.
 
     Nothing in it changes with the light's turn, but ``lambert``; nor with the camera.
     """
     lit = await service.variant(scene, params)
     picture = service.picture_of(lit, params)
-    query = [pair for pair in request.query_params.multi_items() if pair[0] in VariantParams.model_fields]
+    query = [
+        pair for pair in request.query_params.multi_items() if pair[0] in VariantParams.model_fields
+    ]
 
     def work() -> CardSchema:
-        return card_schema(service.engine.renderer(lit.id), picture.view, query, service.settings.hands_out_voxels)
+        return card_schema(
+            service.engine.renderer(lit.id), picture.view, query, service.settings.hands_out_voxels
+        )
 
     document = await service.compute(request, work)
     tag = tag_of(document.model_dump_json())
@@ -104,7 +127,12 @@ async def read_card(request: Request, scene: SceneDep, params: ViewParamsDep, se
     return Response(named.model_dump_json(), 200, headers, "application/json")
 
 
-@router.get("/volume/{layers}", response_class=Response, openapi_extra=documented(VoxelParams), responses=PARTS)
+@router.get(
+    "/volume/{layers}",
+    response_class=Response,
+    openapi_extra=documented(VoxelParams),
+    responses=PARTS,
+)
 async def read_voxels(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
@@ -121,16 +149,24 @@ async def read_voxels(
     return await service.compute(request, work)
 
 
-@router.get("/chunks", response_model=CardChunks, openapi_extra=documented(ViewParams), responses=PROBLEMS)
-async def read_chunks(request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep) -> Response:
-    """The chunks of texels that a view reads, most visible first; the light that it lacks is requested.
+@router.get(
+    "/chunks", response_model=CardChunks, openapi_extra=documented(ViewParams), responses=PROBLEMS
+)
+async def read_chunks(
+    request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
+) -> Response:
+    """The chunks of texels that a view reads, most visible first; the light that it lacks is
+    requested.
 
     Nothing is drawn: the size of the picture is how finely the view is looked at.
     """
     if "wait_ms" in params.model_fields_set:
-        raise ParameterError("wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms")
+        raise ParameterError(
+            "wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms"
+        )
     lit = await service.variant(scene, params)
-    picture, viewer = service.picture_of(lit, params), request_viewer(request)
+    picture = service.picture_of(lit, params)
+    viewer = request_viewer(request)
     if picture.view.shading != "gi" or not service.startup.lit.is_set():
         return listed((), 0)
 
@@ -150,21 +186,35 @@ def listed(seen: Sequence[SeenChunk], coming: int) -> Response:
     return Response(found.model_dump_json(), 200, {"Cache-Control": "no-cache"}, "application/json")
 
 
-@router.get("/light/{chunks}", response_class=Response, openapi_extra=documented(FoldParams), responses=PARTS)
+@router.get(
+    "/light/{chunks}",
+    response_class=Response,
+    openapi_extra=documented(FoldParams),
+    responses=PARTS,
+)
 async def read_light(
     request: Request, scene: SceneDep, chunks: str, params: FoldParamsDep, service: ServiceDep
 ) -> Response:
-    """Records of the texels of some chunks under the light of the request, filtered where they are noisy."""
+    """Records of the texels of some chunks under the light of the request, filtered where they are
+    noisy.
+    """
     lit = await open_scene(service, scene, params)
     picture = service.picture_of(lit, params.view)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
-        return known_light(renderer, picture.view, [each.at for each in named], target, renderer.tiles)
+        return known_light(
+            renderer, picture.view, [each.at for each in named], target, renderer.tiles
+        )
 
     return await packed(request, service, lit, chunks, params, pack)
 
 
-@router.get("/transfer/{chunks}", response_class=Response, openapi_extra=documented(TransferParams), responses=PARTS)
+@router.get(
+    "/transfer/{chunks}",
+    response_class=Response,
+    openapi_extra=documented(TransferParams),
+    responses=PARTS,
+)
 async def read_transfer(
     request: Request, scene: SceneDep, chunks: str, params: TransferParamsDep, service: ServiceDep
 ) -> Response:
@@ -178,8 +228,8 @@ async def read_transfer(
 
 
 async def open_scene(service: Service, scene: Scene, params: VariantParams) -> Scene:
-    """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are kept, and as
-    ``Service.variant``.
+    """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are
+    kept, and as ``Service.variant``.
     """
     if not service.settings.hands_out_voxels:
         raise ForbiddenError(VOXELS_WITHHELD)
@@ -191,9 +241,16 @@ Pack = Callable[[Renderer, list[ChunkName], float], Packed]
 
 
 async def packed(
-    request: Request, service: Service, scene: Scene, chunks: str, params: TransferParams, pack: Pack
+    request: Request,
+    service: Service,
+    scene: Scene,
+    chunks: str,
+    params: TransferParams,
+    pack: Pack,
 ) -> Response:
-    """The blocks of the named chunks; to be kept for ever where their versions are named, and stand for them alone."""
+    """The blocks of the named chunks; to be kept for ever where their versions are named, and stand
+    for them alone.
+    """
     await service.startup.lit.wait()
 
     def work() -> Response:

@@ -1,4 +1,6 @@
-"""How a view becomes final, as server-sent events: for scripts, and for pages that show no stream."""
+"""How a view becomes final, as server-sent events: for scripts, and for pages that show no
+stream.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
-from server.api.service import PREVIEW, ClientDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
+from server.api.service import (
+    PREVIEW,
+    ClientDep,
+    PictureRequest,
+    SceneDep,
+    Service,
+    ServiceDep,
+    Shown,
+)
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
@@ -24,8 +34,10 @@ from worker.bake_requests import Viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 EVENTS_DESCRIPTION = (
-    "Events. refined: what /coverage answers, each time that the frame has become better; progress: chunks that are"
-    " still to be baked and the time left, once a second; final or failed: the end. An id names the frame's light: a"
+    "Events. refined: what /coverage answers, each time that the frame has become better; "
+    "progress: chunks that are"
+    " still to be baked and the time left, once a second; final or failed: the end. An id "
+    "names the frame's light: a"
     " client that comes back with it in Last-Event-ID gets only what is new."
 )
 ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -50,9 +62,14 @@ async def read_events(
 ) -> Response:
     """How a view is refined, as it happens; its light is baked while a client listens."""
     if "wait_ms" in params.model_fields_set:
-        raise ParameterError("wait_ms is for requests, events come by themselves: leave it out.", "wait_ms")
-    viewer, scene = stream_viewer(request), await service.variant(scene, params)
-    events = events_of(service, service.picture_of(scene, params), last_event_id or "", viewer, client)
+        raise ParameterError(
+            "wait_ms is for requests, events come by themselves: leave it out.", "wait_ms"
+        )
+    viewer = stream_viewer(request)
+    scene = await service.variant(scene, params)
+    events = events_of(
+        service, service.picture_of(scene, params), last_event_id or "", viewer, client
+    )
     first = await anext(events, None)
     if first is None:
         return Response(status_code=204)
@@ -60,8 +77,8 @@ async def read_events(
 
 
 async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
-    """The first and the other events; ``failed`` where the scene is dismissed, its light cannot be read, or another
-    client needs the place."""
+    """The first and the other events; ``failed`` where the scene is dismissed, its light cannot be
+    read, or another client needs the place."""
     yield first
     async with aclosing(rest) as others:
         try:
@@ -78,9 +95,11 @@ TIME_LEFT_SECONDS = 1.0
 async def events_of(
     service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
-    """Events of a picture until it is final or has failed; none where it is final and was ``seen`` so.
+    """Events of a picture until it is final or has failed; none where it is final and was ``seen``
+    so.
 
-    Its light is baked while a ``client`` listens. Raises BusyError where too many do, and StoreError.
+    Its light is baked while a ``client`` listens. Raises BusyError where too many do, and
+    StoreError.
     """
     with service.connections.admitted(client) as place:
         try:
@@ -96,7 +115,10 @@ async def events_of(
                             shown.frame.version,
                         )
                     elif shown.frame.version != seen:
-                        kind = "final" if shown.frame.final else "refined"
+                        if shown.frame.final:
+                            kind = "final"
+                        else:
+                            kind = "refined"
                         yield event(kind, coverage(shown), shown.frame.version)
         finally:
             service.leave(viewer)
@@ -105,9 +127,12 @@ async def events_of(
 async def answers(
     service: Service, picture: PictureRequest, viewer: Viewer
 ) -> AsyncGenerator[tuple[Shown, bool], None]:
-    """Each answer to a picture request, and whether it is new; the latest again after TIME_LEFT_SECONDS seconds."""
+    """Each answer to a picture request, and whether it is new; the latest again after
+    TIME_LEFT_SECONDS seconds.
+    """
     async with aclosing(service.refinements(picture, viewer)) as refinements:
-        shown, coming = None, asyncio.ensure_future(anext(refinements, None))
+        shown = None
+        coming = asyncio.ensure_future(anext(refinements, None))
         try:
             while True:
                 done, _ = await asyncio.wait({coming}, timeout=TIME_LEFT_SECONDS)
@@ -120,7 +145,9 @@ async def answers(
         finally:
             coming.cancel()
             while not coming.done():
-                with suppress(asyncio.CancelledError):  # a scope that was cancelled says so again and again
+                with suppress(
+                    asyncio.CancelledError
+                ):  # a scope that was cancelled says so again and again
                     await asyncio.wait({coming})
 
 
@@ -134,9 +161,12 @@ def coverage(shown: Shown) -> dict[str, Any]:
     return coverage_schema(shown.frame, shown.time_left).model_dump()
 
 
-async def progress(service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer) -> dict[str, Any]:
+async def progress(
+    service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer
+) -> dict[str, Any]:
     """The chunks that are still to be baked, and the time that this takes."""
-    engine, frame = service.engine, shown.frame
+    engine = service.engine
+    frame = shown.frame
     waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
     left = await asyncio.to_thread(engine.time_left, picture.scene, frame, picture.target)
     return {"waiting": waiting, "time_left": asdict(left) if left else None}
@@ -148,10 +178,15 @@ def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
     if frame.view.shading == PREVIEW:
-        return "The light of this view does not fit the memory: look closer, or give the server more --memory-mb."
+        return (
+            "The light of this view does not fit the memory: look closer, or give the "
+            "server more --memory-mb."
+        )
     if not viewer.bakes:
         return "Your token allows to look, and not to have light baked: ask for one that does."
     if frame.view.shading != "path_traced":
         return service.reason()
     error = f"the estimated error is {frame.noise:.3g}"
-    return f"All samples are taken ({frame.view.samples} per pixel) and {error}: ask for more samples."
+    return (
+        f"All samples are taken ({frame.view.samples} per pixel) and {error}: ask for more samples."
+    )

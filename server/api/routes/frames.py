@@ -14,7 +14,14 @@ from isogi_core.errors import StoreAwayError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from server.answers import camera_schema, coverage_schema
-from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
+from server.api.headers import (
+    STAGES,
+    PreferencesDep,
+    entity_tag,
+    frame_headers,
+    matches,
+    server_timing,
+)
 from server.api.lifespan import within
 from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
@@ -39,7 +46,9 @@ from worker.errors import WorkersError
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 APPLIED = {"Preference-Applied": {"description": "What of the Prefer header was heeded."}}
 HEADERS = APPLIED | {
-    "Isogi-Time-Left": {"description": "Seconds until all is final, where known: low=12.0, likely=20.0, high=41.0."},
+    "Isogi-Time-Left": {
+        "description": "Seconds until all is final, where known: low=12.0, likely=20.0, high=41.0."
+    },
     "Server-Timing": {"description": "; ".join(f"{name}: {what}" for name, what in STAGES.items())},
 }
 ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -49,7 +58,9 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
         "headers": HEADERS,
     },
     202: {
-        "description": "The picture is not final, and respond-async is preferred: a job that bakes it.",
+        "description": (
+            "The picture is not final, and respond-async is preferred: a job that bakes it."
+        ),
         "model": JobSchema,
         "headers": APPLIED | {"Location": {"description": "The job."}},
     },
@@ -74,36 +85,54 @@ async def read_frame(
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
     scene = await service.variant(scene, params)
-    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    if params.exposure is None:
+        exposure = scene.default_exposure
+    else:
+        exposure = params.exposure
     params, applied = preferences.fill(smoothed(params, form))
     later = preferences.respond_async and bearer.may("bake")
 
     def answer(shown: Shown) -> Response | None:
-        frame, watch = shown.frame, shown.watch
+        frame = shown.frame
+        watch = shown.watch
         if later and not frame.final:
             return None
         tag = entity_tag(frame, form, exposure, params)
         headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
         if matches(request.headers.get("if-none-match"), tag):
-            return Response(status_code=304, headers=headers | {"Server-Timing": server_timing(watch)})
+            return Response(
+                status_code=304, headers=headers | {"Server-Timing": server_timing(watch)}
+            )
         if form == "npy":
             return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
         with watch.stage("encode"):
             body = encode(frame, form, exposure, params)
-        return Response(body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form])
+        return Response(
+            body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form]
+        )
 
-    viewer = stream_viewer(request) if later else request_viewer(request)
+    if later:
+        viewer = stream_viewer(request)
+    else:
+        viewer = request_viewer(request)
     if (now := await service.render(request, scene, params, answer, viewer)) is not None:
         return now
     service.leave(viewer)
     picture = service.picture_of(scene, params)
     return defer(
-        service, picture, params, request.query_params.multi_items(), (form, exposure), client_of(request.scope)
+        service,
+        picture,
+        params,
+        request.query_params.multi_items(),
+        (form, exposure),
+        client_of(request.scope),
     )
 
 
 def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
-    """A frame as npy, made while it is sent: a large one would take its memory several times over."""
+    """A frame as npy, made while it is sent: a large one would take its memory several times
+    over.
+    """
     whole = headers | {"Content-Length": str(npy_bytes(frame))}
     return StreamingResponse(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
 
@@ -121,18 +150,27 @@ async def read_coverage(
     service: ServiceDep,
     preferences: PreferencesDep,
 ) -> Coverage:
-    """How far the same view is baked: chunks, pixels by state, the estimated error, and the time until it is final."""
+    """How far the same view is baked: chunks, pixels by state, the estimated error, and the time
+    until it is final.
+    """
     params, applied = preferences.fill(params)
     scene = await service.variant(scene, params)
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
-    return await service.render(request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left))
+    return await service.render(
+        request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left)
+    )
 
 
-@router.get("/fit", openapi_extra=documented(FitParams), responses=documented_problems(404, 422, 429, 503))
-async def read_fit(request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep) -> CameraSchema:
+@router.get(
+    "/fit", openapi_extra=documented(FitParams), responses=documented_problems(404, 422, 429, 503)
+)
+async def read_fit(
+    request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep
+) -> CameraSchema:
     """The camera that shows the whole surface as large as the picture takes it."""
     picture = service.picture_of(scene, params.view)
-    view, angles = picture.view, (params.azimuth, params.elevation)
+    view = picture.view
+    angles = (params.azimuth, params.elevation)
 
     def work() -> CameraSchema:
         return camera_schema(service.engine.renderer(scene.id), view, *angles, params.projection)
@@ -152,23 +190,37 @@ def defer(
     output: tuple[str, float],
     client: tuple[str, str] = ("", ""),
 ) -> Response:
-    """202 and a job that has the light of a picture baked; ``query`` are the parameters as they were given.
+    """202 and a job that has the light of a picture baked; ``query`` are the parameters as they
+    were given.
 
-    ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises BusyError.
+    ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises
+    BusyError.
     """
-    (form, exposure), own = output, service.engine.variant(picture.scene).base
+    (form, exposure) = output
+    own = service.engine.variant(picture.scene).base
 
     async def work(job: Job) -> Iterable[Result]:
         frame = await complete(service, picture, job)
         tag = entity_tag(frame, form, exposure, params)
-        named = [*(pair for pair in query if pair[0] not in REPLACED), ("f", form), ("version", tag.strip('"'))]
+        named = [
+            *(pair for pair in query if pair[0] not in REPLACED),
+            ("f", form),
+            ("version", tag.strip('"')),
+        ]
         href = f"/v1/scenes/{own}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
     job = service.jobs.begin("frame", f"A frame of {own}", work, client=client)
-    headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
+    headers = {
+        "Location": address(job),
+        "Preference-Applied": "respond-async",
+        "Cache-Control": "no-store",
+    }
     return Response(
-        job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"
+        job_schema(job).model_dump_json(),
+        202,
+        headers | {"Vary": "Accept, Prefer"},
+        media_type="application/json",
     )
 
 
@@ -180,17 +232,22 @@ AWAY = 1.0
 
 
 async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame:
-    """The frame of a picture once it is final, or lacks no light: a path-traced one is as good as its samples.
+    """The frame of a picture once it is final, or lacks no light: a path-traced one is as good as
+    its samples.
 
-    The ``job`` reports progress. The bake yields to people, and is dropped when this is cancelled. Raises
-    WorkersError where some light cannot be baked, and StoreError; while the store is away it waits.
+    The ``job`` reports progress. The bake yields to people, and is dropped when this is cancelled.
+    Raises WorkersError where some light cannot be baked, and StoreError; while the store is away it
+    waits.
     """
-    viewer, bake = background_viewer(), service.engine.bake_of(picture.scene, picture.view)
+    viewer = background_viewer()
+    bake = service.engine.bake_of(picture.scene, picture.view)
     try:
         while True:
             since = service.updates.newest(bake)
             try:
-                frame = await service.frame(picture, service.rank(viewer, REFINEMENT_PATIENCE), Stopwatch())
+                frame = await service.frame(
+                    picture, service.rank(viewer, REFINEMENT_PATIENCE), Stopwatch()
+                )
             except StoreAwayError as error:
                 job.report(0.0, str(error))
                 await asyncio.sleep(AWAY)
@@ -214,13 +271,17 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
         service.leave(viewer)
 
 
-async def follow(service: Service, bake: str, baking: BackgroundBake, needed: int, since: int, job: Job) -> None:
-    """Returns when all of a background bake is done; the ``job`` reports its part of the chunks ``needed``.
+async def follow(
+    service: Service, bake: str, baking: BackgroundBake, needed: int, since: int, job: Job
+) -> None:
+    """Returns when all of a background bake is done; the ``job`` reports its part of the chunks
+    ``needed``.
 
     Updates of the ``bake`` that the view reads count from number ``since`` on.
     """
     with service.updates.pending(bake, baking.coming, since) as pending:
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
-            done, left = needed - waiting, await asyncio.to_thread(baking.time_left)
+            done = needed - waiting
+            left = await asyncio.to_thread(baking.time_left)
             job.report(done / needed, f"{done} of {needed} chunks are baked.", left)
             await within(JOB_REPORT_SECONDS, pending.all)

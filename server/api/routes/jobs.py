@@ -42,9 +42,8 @@ class JobLink(BaseModel):
 class JobSchema(BaseModel):
     """One job. ``progress`` is in percent; times are in UTC, null while they are to come.
 
-    ``expires`` is when a job that has ended is forgotten; all are when the server stops, and prewarms are taken up
-    when it starts again. ``time_left`` is null where
-    it is unknown.
+    ``expires`` is when a job that has ended is forgotten; all are when the server stops, and
+    prewarms are taken up when it starts again. ``time_left`` is null where it is unknown.
     """
 
     jobID: str
@@ -72,7 +71,16 @@ class JobList(BaseModel):
 def job_schema(job: Job) -> JobSchema:
     """The document of one job."""
     own = JobLink(href=address(job), rel="self", type="application/json", title=job.title)
-    names = ("status", "message", "progress", "created", "started", "finished", "updated", "expires")
+    names = (
+        "status",
+        "message",
+        "progress",
+        "created",
+        "started",
+        "finished",
+        "updated",
+        "expires",
+    )
     return JobSchema(
         jobID=job.id,
         processID=job.process,
@@ -89,7 +97,9 @@ def address(job: Job) -> str:
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], dependencies=[NoParamsDep])
 JOB_PROBLEMS: dict[int | str, dict[str, Any]] = documented_problems(404, 422, 503)
-JobId = Annotated[str, Path(description="As in the Location of the answer that the job began with.")]
+JobId = Annotated[
+    str, Path(description="As in the Location of the answer that the job began with.")
+]
 
 
 @router.get("", responses=documented_problems(422))
@@ -109,19 +119,27 @@ async def read_job(job: JobId, service: ServiceDep, response: Response) -> JobSc
 
 @router.get("/{job}/results", responses=JOB_PROBLEMS)
 async def read_results(job: JobId, service: ServiceDep, response: Response) -> Summary:
-    """What a prewarm came to: what was asked, what there was to do, what it took and how good the light is."""
+    """What a prewarm came to: what was asked, what there was to do, what it took and how good the
+    light is.
+    """
     response.headers["Cache-Control"] = "no-store"
     found = service.job(job)
     if not isinstance(found.document, Summary):
-        raise UnknownResultError(f"The job '{found.id}' has no document here: its links lead to its results.")
+        raise UnknownResultError(
+            f"The job '{found.id}' has no document here: its links lead to its results."
+        )
     return found.document
 
 
 @router.get("/{job}/file", response_class=FileResponse, responses=JOB_PROBLEMS)
 async def read_file(job: JobId, service: ServiceDep) -> FileResponse:
-    """The file that an export has made; it is kept while its job is known, and there is room for it."""
+    """The file that an export has made; it is kept while its job is known, and there is room for
+    it.
+    """
     file = service.exports.find(service.job(job).id)
-    return FileResponse(file, media_type=media_type(file), filename=file.name, headers={"Cache-Control": "no-store"})
+    return FileResponse(
+        file, media_type=media_type(file), filename=file.name, headers={"Cache-Control": "no-store"}
+    )
 
 
 @router.delete("/{job}", responses=JOB_PROBLEMS)
@@ -133,13 +151,19 @@ async def dismiss_job(job: JobId, service: ServiceDep, bearer: BearerDep) -> Job
 prewarm_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"], dependencies=[NoParamsDep])
 EXAMPLES = {
     "all sides": {"value": {"isovalues": ["60:120:5"], "views": 24, "target_error": 0.02}},
-    "an orbit": {"value": {"isovalues": [70], "orbits": [{"count": 36, "elevation": 20}], "deadline": 3600}},
-    "whole isosurfaces": {"value": {"isovalues": ["60:120"], "all_directions": True, "dry_run": True}},
+    "an orbit": {
+        "value": {"isovalues": [70], "orbits": [{"count": 36, "elevation": 20}], "deadline": 3600}
+    },
+    "whole isosurfaces": {
+        "value": {"isovalues": ["60:120"], "all_directions": True, "dry_run": True}
+    },
 }
 
 
 def inlined(schema: Any, definitions: dict[str, Any]) -> Any:
-    """A schema with what it refers to in its place: the document that it becomes a part of has no such definitions."""
+    """A schema with what it refers to in its place: the document that it becomes a part of has no
+    such definitions.
+    """
     if isinstance(schema, list):
         return [inlined(each, definitions) for each in schema]
     if not isinstance(schema, dict):
@@ -151,7 +175,10 @@ def inlined(schema: Any, definitions: dict[str, Any]) -> Any:
 
 ASKED = PrewarmRequest.model_json_schema()
 SCHEMA = inlined(ASKED, ASKED["$defs"])
-BODY = {"required": False, "content": {"application/json": {"schema": SCHEMA, "examples": EXAMPLES}}}
+BODY = {
+    "required": False,
+    "content": {"application/json": {"schema": SCHEMA, "examples": EXAMPLES}},
+}
 ANSWERS: dict[int | str, dict[str, Any]] = {
     202: {
         "description": "The job. The same order once more is the same job until that has ended.",
@@ -161,14 +188,18 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
 
 
 async def order_in(request: Request) -> PrewarmRequest:
-    """The document in a request's body, all defaults where there is none; ParameterError where it is wrong."""
+    """The document in a request's body, all defaults where there is none; ParameterError where it
+    is wrong.
+    """
     body = await request.body()
     try:
         asked = json.loads(body) if body else {}
     except (ValueError, RecursionError):
         raise ParameterError("The body is no JSON.") from None
     if not isinstance(asked, dict):
-        raise ParameterError('The body must be a JSON object, such as {"isovalues": [70], "views": 12}.')
+        raise ParameterError(
+            'The body must be a JSON object, such as {"isovalues": [70], "views": 12}.'
+        )
     return await asyncio.to_thread(read, PrewarmRequest, asked.items())
 
 
@@ -206,9 +237,15 @@ export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
     responses=ANSWERS | documented_problems(404, 422, 429, 503),
 )
 async def export(
-    scene: SceneDep, params: ExportParamsDep, service: ServiceDep, response: Response, client: ClientDep
+    scene: SceneDep,
+    params: ExportParamsDep,
+    service: ServiceDep,
+    response: Response,
+    client: ClientDep,
 ) -> JobSchema:
-    """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when that has ended."""
+    """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when
+    that has ended.
+    """
     service.startup.check()
     scene = await service.variant(scene, params)
     job = export_jobs.begin(service, scene, params, client)

@@ -27,16 +27,23 @@ td:first-child { white-space: nowrap; width: 10rem }
 p { margin: .25rem 0 .75rem }
 """
 STYLE_DIGEST = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
-PAGE_POLICY = f"default-src 'none'; style-src 'sha256-{STYLE_DIGEST}'; base-uri 'none'; frame-ancestors 'none'"
+PAGE_POLICY = (
+    f"default-src 'none'; style-src 'sha256-{STYLE_DIGEST}'; base-uri 'none'; "
+    "frame-ancestors 'none'"
+)
 
 OTHER_FOLDERS = {"published", "notebook"}
 """Folders of modules that pages without a server, and notebooks, have beside the viewer's."""
 
 MODULES = sorted(
-    each.relative_to(WEB).as_posix() for each in WEB.glob("**/*.js") if each.parent.name not in OTHER_FOLDERS
+    each.relative_to(WEB).as_posix()
+    for each in WEB.glob("**/*.js")
+    if each.parent.name not in OTHER_FOLDERS
 )
 PRELOADS = ", ".join(f"<web/{each}>; rel=modulepreload" for each in MODULES)
-"""A header that has a browser load all modules at once, and not one after the other as they import each other."""
+"""A header that has a browser load all modules at once, and not one after the other as they import
+each other.
+"""
 
 router = APIRouter(include_in_schema=False)
 
@@ -50,14 +57,18 @@ def index() -> FileResponse:
 @router.get("/docs")
 def docs(request: Request) -> HTMLResponse:
     """The OpenAPI document as a page that needs nothing else."""
-    return HTMLResponse(documentation(request.app.openapi()), headers={"Content-Security-Policy": PAGE_POLICY})
+    return HTMLResponse(
+        documentation(request.app.openapi()), headers={"Content-Security-Policy": PAGE_POLICY}
+    )
 
 
 def documentation(api: dict[str, Any]) -> str:
     """The whole page."""
     title = f"{escape(api['info']['title'])} {escape(api['info']['version'])}"
     sections = "".join(
-        operation(method, path, facts) for path, methods in api["paths"].items() for method, facts in methods.items()
+        operation(method, path, facts)
+        for path, methods in api["paths"].items()
+        for method, facts in methods.items()
     )
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'
@@ -70,12 +81,18 @@ def documentation(api: dict[str, Any]) -> str:
 def operation(method: str, path: str, facts: dict[str, Any]) -> str:
     """One operation: what it does, its parameters, its answers."""
     parameters = "".join(
-        table_row(each["name"], f"{parameter_in_words(each['schema'])} {escape(each.get('description', ''))}")
+        table_row(
+            each["name"],
+            f"{parameter_in_words(each['schema'])} {escape(each.get('description', ''))}",
+        )
         for each in facts.get("parameters", [])
     )
-    answers = "".join(table_row(code, escape(each["description"])) for code, each in facts["responses"].items())
+    answers = "".join(
+        table_row(code, escape(each["description"])) for code, each in facts["responses"].items()
+    )
     return (
-        f"<section><h2>{method.upper()} {escape(path)}</h2><p>{escape(facts.get('description', ''))}</p>"
+        f"<section><h2>{method.upper()} "
+        f"{escape(path)}</h2><p>{escape(facts.get('description', ''))}</p>"
         f"<table>{parameters}</table><table>{answers}</table></section>"
     )
 
@@ -88,7 +105,10 @@ def table_row(name: str, html: str) -> str:
 def parameter_in_words(schema: dict[str, Any]) -> str:
     """A parameter's kind, range and default in a few words."""
     kind = next((s for s in schema.get("anyOf", [schema]) if s.get("type") != "null"), schema)
-    words = " | ".join(kind["enum"]) if "enum" in kind else kind.get("type", "")
+    if "enum" in kind:
+        words = " | ".join(kind["enum"])
+    else:
+        words = kind.get("type", "")
     if "minimum" in kind:
         words += f" {kind['minimum']:g} … {kind['maximum']:g}"
     if schema.get("default") is not None:
@@ -107,7 +127,9 @@ class Live(BaseModel):
 
 
 class Compiling(BaseModel):
-    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, once known."""
+    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds``
+    left, once known.
+    """
 
     done: int
     total: int
@@ -136,28 +158,46 @@ async def livez(request: Request) -> Live:
 
 
 @health_router.get(
-    "/readyz", response_model=Ready, response_model_exclude_none=True, responses=documented_problems(503)
+    "/readyz",
+    response_model=Ready,
+    response_model_exclude_none=True,
+    responses=documented_problems(503),
 )
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons.
+    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503
+    with reasons.
 
     Where the server wants a token, a client without one gets no reasons: they name paths and keys.
     """
-    stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
-    of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason
+    if request.app.state.closing.begun:
+        stopping = ["isogi is stopping."]
+    else:
+        stopping = []
+    of_store = (
+        request.app.state.probe.reasons()
+    )  # it is the probe that finds a store read-only, which is no reason
     reasons = stopping or service.startup.reasons() or of_store
     progress = service.engine.kernels.progress
-    compiling = None if progress is None else Compiling(**progress._asdict())
+    if progress is None:
+        compiling = None
+    else:
+        compiling = Compiling(**progress._asdict())
     notes = [*service.engine.notes(), *service.uploads.notes()]
     if not bearer_of(request.scope).may("look"):
-        reasons, notes = [NOT_READY][: len(reasons)], [NOTED][: len(notes)]
+        reasons = [NOT_READY][: len(reasons)]
+        notes = [NOTED][: len(notes)]
     if not reasons:
         return Ready(reasons=notes, compiling=compiling)
-    more = {"compiling": compiling.model_dump(exclude_none=True)} if compiling else {}
+    if compiling:
+        more = {"compiling": compiling.model_dump(exclude_none=True)}
+    else:
+        more = {}
     return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons, **more)
 
 
-@health_router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+@health_router.get(
+    "/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}}
+)
 def metrics(request: Request) -> Response:
     """What the server has counted since it started, in Prometheus' text format."""
     return Response(request.app.state.metrics.text(), media_type=CONTENT_TYPE_LATEST)

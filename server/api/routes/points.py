@@ -1,4 +1,6 @@
-"""Points of a picture, slices through the volume, and the size of the surface: what is measured beside pictures."""
+"""Points of a picture, slices through the volume, and the size of the surface: what is measured
+beside pictures.
+"""
 
 from __future__ import annotations
 
@@ -40,13 +42,19 @@ DRAWN = 1
 """Version of how slices are drawn."""
 
 VALUE_TOLERANCE = 1e-6
-"""How far values that are sent may be off, of their range: what is smaller is seen in no picture, and no contour."""
+"""How far values that are sent may be off, of their range: what is smaller is seen in no picture,
+and no contour.
+"""
 
 GZIP_LEVEL = 1
 """Level of gzip: a slice of 256 × 256 bytes takes a millisecond."""
 
 
-@router.get("/point", openapi_extra=documented(PointParams), responses=documented_problems(404, 422, 429, 503))
+@router.get(
+    "/point",
+    openapi_extra=documented(PointParams),
+    responses=documented_problems(404, 422, 429, 503),
+)
 async def read_point(
     request: Request,
     response: Response,
@@ -55,19 +63,33 @@ async def read_point(
     service: ServiceDep,
     preferences: PreferencesDep,
 ) -> PointSchema:
-    """What the picture of the same view shows at a place: position, value, normal, light and the error of that."""
+    """What the picture of the same view shows at a place: position, value, normal, light and the
+    error of that.
+    """
     params, applied = preferences.fill(params)
-    pixel, lit = params.pixel, await service.variant(scene, params)
-    exposure = lit.default_exposure if params.exposure is None else params.exposure
+    pixel = params.pixel
+    lit = await service.variant(scene, params)
+    if params.exposure is None:
+        exposure = lit.default_exposure
+    else:
+        exposure = params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
-    return await service.render(request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure))
+    return await service.render(
+        request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure)
+    )
 
 
-@router.get("/size", openapi_extra=documented(SizeParams), responses=documented_problems(404, 422, 429, 503))
-async def read_size(request: Request, scene: SceneDep, params: SizeParamsDep, service: ServiceDep) -> SizeSchema:
-    """Area of the whole surface and volume of what it encloses, in the volume's unit, with how exact both are.
+@router.get(
+    "/size", openapi_extra=documented(SizeParams), responses=documented_problems(404, 422, 429, 503)
+)
+async def read_size(
+    request: Request, scene: SceneDep, params: SizeParamsDep, service: ServiceDep
+) -> SizeSchema:
+    """Area of the whole surface and volume of what it encloses, in the volume's unit, with how
+    exact both are.
 
-    Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take nothing away.
+    Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take
+    nothing away.
     """
     shown = await service.variant(scene, params)
     picture = service.picture_of(shown, params.view)
@@ -84,12 +106,16 @@ async def read_size(request: Request, scene: SceneDep, params: SizeParamsDep, se
     openapi_extra=documented(SliceParams),
     responses=SLICE | documented_problems(404, 422),
 )
-async def read_slice(request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep) -> Response:
-    """The volume's values on a plane across one of its voxel axes, as a grey picture: one pixel for each voxel.
+async def read_slice(
+    request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep
+) -> Response:
+    """The volume's values on a plane across one of its voxel axes, as a grey picture: one pixel for
+    each voxel.
 
-    Columns go along the first of the other two axes, and rows down the second, whose end is at the top. With `f=npy`
-    the values themselves, in the volume's units: whole numbers exactly, others as float32 where that is near enough,
-    else as float64. They are packed where the request accepts gzip.
+    Columns go along the first of the other two axes, and rows down the second, whose end is at the
+    top. With `f=npy` the values themselves, in the volume's units: whole numbers exactly, others as
+    float32 where that is near enough, else as float64. They are packed where the request accepts
+    gzip.
     """
     step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
     return await asyncio.to_thread(sliced, request, await service.variant(scene, step), params)
@@ -97,9 +123,13 @@ async def read_slice(request: Request, scene: SceneDep, params: SliceParamsDep, 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     """The slice of a scene's volume, or that it is the one that the client has."""
-    volume, axis = scene.volume, AXIS_NAMES.index(params.axis)
+    volume = scene.volume
+    axis = AXIS_NAMES.index(params.axis)
     if params.at > volume.size[axis] - 1:
-        beyond = f"at={params.at:g} is outside the volume: {params.axis} goes from 0 to {volume.size[axis] - 1}."
+        beyond = (
+            f"at={params.at:g} is outside the volume: {params.axis} goes from 0 to "
+            f"{volume.size[axis] - 1}."
+        )
         raise ParameterError(beyond, "at")
     window = params.window(volume.core) if params.is_picture else ()
     packed = not params.is_picture and takes_gzip(request.headers.get("accept-encoding", ""))
@@ -112,5 +142,6 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
         return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
     values = values_npy(plane, VALUE_TOLERANCE * volume.core[1] - VALUE_TOLERANCE * volume.core[0])
     if packed:
-        values, headers = gzip.compress(values, GZIP_LEVEL), headers | {"Content-Encoding": "gzip"}
+        values = gzip.compress(values, GZIP_LEVEL)
+        headers = headers | {"Content-Encoding": "gzip"}
     return Response(values, 200, headers, MEDIA_TYPES["npy"])

@@ -44,24 +44,35 @@ router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
 @router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
-    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.own_scenes]
+    links = [
+        SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}")
+        for s in service.engine.own_scenes
+    ]
     for link in links:
         kept = service.uploads.folder.uploads.get(link.id)
         link.volume = href(kept) if kept else None
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
-@router.get("/{scene}", openapi_extra=documented(VariantParams), responses=documented_problems(404, 422, 429, 503))
+@router.get(
+    "/{scene}",
+    openapi_extra=documented(VariantParams),
+    responses=documented_problems(404, 422, 429, 503),
+)
 async def read_scene(scene: SceneDep, params: VariantParamsDep, service: ServiceDep) -> SceneSchema:
-    """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
+    """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is
+    baked.
+    """
     lit = await service.variant(scene, params)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
 
 
 def scene_facts(scene: Scene, lit: Scene, environment: str | None, service: Service) -> SceneSchema:
     """The document of a scene, as it is ``lit`` in an ``environment``, if one is named."""
-    facts, notes = scene_schema(service.planned(lit)), service.engine.notes()
-    facts.id, facts.environment = scene.id, environment
+    facts = scene_schema(service.planned(lit))
+    notes = service.engine.notes()
+    facts.id = scene.id
+    facts.environment = environment
     facts.environments = environments(service.uploads)
     facts.read_only = service.engine.store.read_only
     facts.plan.notes += notes
@@ -84,11 +95,14 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
     openapi_extra=documented(SkyParams),
     responses=ANSWERS | documented_problems(404, 422),
 )
-async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, service: ServiceDep) -> Response:
-    """The scene's unturned light from all around, with an exposure of its own; black where there is none.
+async def read_sky(
+    request: Request, scene: SceneDep, params: SkyParamsDep, service: ServiceDep
+) -> Response:
+    """The scene's unturned light from all around, with an exposure of its own; black where there is
+    none.
 
-    The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional lights are marked
-    by discs; lamps that stand in the scene are not shown.
+    The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional
+    lights are marked by discs; lamps that stand in the scene are not shown.
     """
     lit = await service.variant(scene, params)
     return await asyncio.to_thread(painted, request, lit, params)
@@ -97,11 +111,21 @@ async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, serv
 def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
     """The picture of a scene's light, or that it is the one that the client has."""
     orientation = scene.volume.orientation
-    turn = orientation.matrix if orientation.turned and not scene.lighting.rotating else None
+    if orientation.turned and not scene.lighting.rotating:
+        turn = orientation.matrix
+    else:
+        turn = None
     tag = tag_of(
-        PANORAMA_FORMAT, scene.lighting.environment.digest, scene.lighting.lamps.digest, params.width, params.f
+        PANORAMA_FORMAT,
+        scene.lighting.environment.digest,
+        scene.lighting.lamps.digest,
+        params.width,
+        params.f,
     )
-    headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
+    headers = {
+        "ETag": tag,
+        "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache",
+    }
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
     picture = paint_panorama(scene.lighting.environment, scene.lighting.lamps, params.width, turn)
@@ -117,7 +141,9 @@ TAKEN: dict[int | str, dict[str, Any]] = {
     200: {"description": "The same volume was uploaded before.", "model": UploadSchema},
     201: {
         "description": "The volume is on the disk, and shown.",
-        "headers": {"Location": {"description": "The volume's address.", "schema": {"type": "string"}}},
+        "headers": {
+            "Location": {"description": "The volume's address.", "schema": {"type": "string"}}
+        },
     },
 }
 
@@ -128,13 +154,21 @@ TAKEN: dict[int | str, dict[str, Any]] = {
     openapi_extra=documented(UploadParams) | {"requestBody": UPLOAD_BODY},
     responses=TAKEN | documented_problems(408, 422, 429, 503, 507),
 )
-async def upload(request: Request, response: Response, params: UploadParamsDep, service: ServiceDep) -> UploadSchema:
-    """Take the body, a file with its data in it, as a volume, and show it as a scene of the same id."""
+async def upload(
+    request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
+) -> UploadSchema:
+    """Take the body, a file with its data in it, as a volume, and show it as a scene of the same
+    id.
+    """
     return facts(await taken(request, response, params, service, VOLUME_KIND))
 
 
-async def taken(request: Request, response: Response, params: UploadParams, service: Service, kind: str) -> Upload:
-    """The upload of a ``kind`` that a request's body is; the ``response`` says whether it is new, and where it is."""
+async def taken(
+    request: Request, response: Response, params: UploadParams, service: Service, kind: str
+) -> Upload:
+    """The upload of a ``kind`` that a request's body is; the ``response`` says whether it is new,
+    and where it is.
+    """
     kept, new = await service.uploads.take(request, params.name, kind)
     response.status_code = 201 if new else 200
     response.headers["Location"] = href(kept)
@@ -145,7 +179,9 @@ async def taken(request: Request, response: Response, params: UploadParams, serv
 async def list_volumes(service: ServiceDep) -> UploadList:
     """All uploaded volumes."""
     uploads = service.uploads
-    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes], uploads=limits(uploads))
+    return UploadList(
+        volumes=[facts(kept) for kept in uploads.folder.volumes], uploads=limits(uploads)
+    )
 
 
 @volume_router.get("/{volume}", dependencies=[NoParamsDep], responses=documented_problems(404, 422))
@@ -155,7 +191,10 @@ async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
 
 
 @volume_router.delete(
-    "/{volume}", status_code=204, dependencies=[NoParamsDep], responses=documented_problems(404, 422, 503)
+    "/{volume}",
+    status_code=204,
+    dependencies=[NoParamsDep],
+    responses=documented_problems(404, 422, 503),
 )
 async def delete_volume(volume: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Show a volume no more and delete its file; light that was baked for it stays in the store."""
@@ -167,7 +206,9 @@ TAKEN_LIGHT: dict[int | str, dict[str, Any]] = {
     200: {"description": "The same probe was uploaded before.", "model": EnvironmentSchema},
     201: {
         "description": "The probe is on the disk, and views may name it.",
-        "headers": {"Location": {"description": "The environment's address.", "schema": {"type": "string"}}},
+        "headers": {
+            "Location": {"description": "The environment's address.", "schema": {"type": "string"}}
+        },
     },
 }
 
@@ -181,18 +222,25 @@ TAKEN_LIGHT: dict[int | str, dict[str, Any]] = {
 async def upload_environment(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> EnvironmentSchema:
-    """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown in."""
+    """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown
+    in.
+    """
     return uploaded_light(await taken(request, response, params, service, ENVIRONMENT_KIND))
 
 
 @environment_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_environments(service: ServiceDep) -> EnvironmentList:
     """Light that scenes may be shown in besides their own: by formula, and uploaded."""
-    return EnvironmentList(environments=environments(service.uploads), uploads=limits(service.uploads))
+    return EnvironmentList(
+        environments=environments(service.uploads), uploads=limits(service.uploads)
+    )
 
 
 @environment_router.delete(
-    "/{environment}", status_code=204, dependencies=[NoParamsDep], responses=documented_problems(404, 422, 503)
+    "/{environment}",
+    status_code=204,
+    dependencies=[NoParamsDep],
+    responses=documented_problems(404, 422, 503),
 )
 async def delete_environment(environment: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Delete an uploaded environment; light that was baked in it stays in the store."""
@@ -215,14 +263,18 @@ def facts(kept: Upload) -> UploadSchema:
     scene = f"/v1/scenes/{kept.id}"
     x, y, z = kept.size
     size = x, y, z
-    return UploadSchema(id=kept.id, name=kept.name, href=href(kept), scene=scene, size=size, bytes=kept.bytes)
+    return UploadSchema(
+        id=kept.id, name=kept.name, href=href(kept), scene=scene, size=size, bytes=kept.bytes
+    )
 
 
 def limits(uploads: Uploads) -> UploadLimits | None:
     """What may be uploaded; None where nothing may."""
     if not uploads.on:
         return None
-    return UploadLimits(limit_bytes=uploads.limit, quota_bytes=uploads.quota, free_bytes=uploads.free)
+    return UploadLimits(
+        limit_bytes=uploads.limit, quota_bytes=uploads.quota, free_bytes=uploads.free
+    )
 
 
 def href(kept: Upload) -> str:
