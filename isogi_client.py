@@ -1,4 +1,5 @@
-"""isogi from Python: a view in, a picture or numbers out. One file that needs no other part of isogi.
+"""isogi from Python: a view in, a picture or numbers out. One file that needs no other part of
+isogi.
 
 >>> from isogi_client import Isogi
 >>> with Isogi("http://127.0.0.1:8000") as isogi:
@@ -40,7 +41,8 @@ LONGEST_WAIT = 10.0
 DEFAULT_PATIENCE_SECONDS = 60.0
 """Seconds for which a server that is busy, starting or away is asked again, by default."""
 
-FIRST_RETRY_PAUSE, LONGEST_PAUSE = 0.1, 5.0
+FIRST_RETRY_PAUSE = 0.1
+LONGEST_PAUSE = 5.0
 """Seconds between two tries, at first and at most."""
 
 CONNECTION_ERRORS = (httpx.NetworkError, httpx.RemoteProtocolError)
@@ -58,8 +60,18 @@ PROGRESS_BAR_WIDTH = 20
 PICTURE_PARAMETERS = ("f", "overlay", "exposure", "background", "antialias", "strip", "version")
 """Parameters of a picture, which say nothing of its light."""
 
-FORMAT_SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
-FORMAT_OF_MEDIA_TYPE = {"image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp", "application/x-npy": "npy"}
+FORMAT_SUFFIXES = {
+    "png": (".png",),
+    "jpeg": (".jpg", ".jpeg"),
+    "webp": (".webp",),
+    "npy": (".npy",),
+}
+FORMAT_OF_MEDIA_TYPE = {
+    "image/png": "png",
+    "image/jpeg": "jpeg",
+    "image/webp": "webp",
+    "application/x-npy": "npy",
+}
 
 Wait = float | Literal["now", "final"]
 """How long to wait for light: not at all, until all of it is final, or so many seconds."""
@@ -69,15 +81,23 @@ Values = float | str | Sequence[float] | None
 
 
 class IsogiError(Exception):
-    """What went wrong, in a sentence, with the HTTP ``status`` and the ``problem`` document (RFC 9457), if any."""
+    """What went wrong, in a sentence, with the HTTP ``status`` and the ``problem`` document (RFC
+    9457), if any.
+    """
 
-    def __init__(self, detail: str, status: int | None = None, problem: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, detail: str, status: int | None = None, problem: Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__(detail)
-        self.detail, self.status, self.problem = detail, status, dict(problem or {})
+        self.detail = detail
+        self.status = status
+        self.problem = dict(problem or {})
 
 
 class RefusedError(IsogiError):
-    """The server does not take this request as it is: see ``detail``, and ``problem["parameter"]`` where it is one."""
+    """The server does not take this request as it is: see ``detail``, and ``problem["parameter"]``
+    where it is one.
+    """
 
 
 class NotFoundError(RefusedError):
@@ -85,7 +105,9 @@ class NotFoundError(RefusedError):
 
 
 class TokenError(RefusedError):
-    """The server wants its token (``token=`` or ISOGI_TOKEN), or does not serve this client at all."""
+    """The server wants its token (``token=`` or ISOGI_TOKEN), or does not serve this client at
+    all.
+    """
 
 
 class BusyError(IsogiError):
@@ -109,7 +131,9 @@ class JobError(IsogiError):
 
 
 class TargetWarning(UserWarning):
-    """A frame is final, and yet its estimated error is above the ``max_error`` that was asked for."""
+    """A frame is final, and yet its estimated error is above the ``max_error`` that was asked
+    for.
+    """
 
 
 class TimeLeft(NamedTuple):
@@ -124,10 +148,11 @@ class TimeLeft(NamedTuple):
 class Facts:
     """What the server knows of a frame's quality.
 
-    ``coverage`` are the shares of the surface's pixels that are final, converging and provisional, ``error`` is the
-    estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the pixels have an error below ``p99``,
-    None where that is not measured. ``time_left`` is None where it is unknown or over, ``etag`` names the very picture,
-    and ``timing`` has the milliseconds of the stages of the work on it.
+    ``coverage`` are the shares of the surface's pixels that are final, converging and provisional,
+    ``error`` is the estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the
+    pixels have an error below ``p99``, None where that is not measured. ``time_left`` is None where
+    it is unknown or over, ``etag`` names the very picture, and ``timing`` has the milliseconds of
+    the stages of the work on it.
     """
 
     provisional: bool
@@ -164,27 +189,48 @@ class Facts:
 
     def __str__(self) -> str:
         """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
-        error = f"{100 * self.error:.2g}" if self.error < 0.1 else f"{100 * self.error:.0f}"
+        if self.error < 0.1:
+            error = f"{100 * self.error:.2g}"
+        else:
+            error = f"{100 * self.error:.0f}"
         about = "" if self.controls else "about "
-        count = f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error {about}{error} %"
-        left = self.time_left if self.provisional else None
-        return count if left is None else f"{count}, about {left.likely:.0f} s"
+        count = (
+            f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error "
+            f"{about}{error} %"
+        )
+        if self.provisional:
+            left = self.time_left
+        else:
+            left = None
+        if left is None:
+            return count
+        return f"{count}, about {left.likely:.0f} s"
 
 
 def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
     """The fields of a ``kind`` of facts in a document of the server, whose rows become tuples."""
     known = {each.name: document[each.name] for each in fields(kind) if each.name in document}
-    known = {name: tuple(value) if isinstance(value, list) else value for name, value in known.items()}
+    known = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
+    }
     left = known.get("time_left")
     return known | ({"time_left": TimeLeft(**left)} if left else {})
 
 
 def error_of_header(header: str) -> dict[str, Any]:
-    """What a header such as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256`` says of a frame's error."""
+    """What a header such as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256`` says of a
+    frame's error.
+    """
     error, *parts = header.split(";")
     known = numbers(",".join(part for part in parts if "=" in part))
-    measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])} if "low" in known else {}
-    tail = {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])} if "p99" in known else {}
+    if "low" in known:
+        measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])}
+    else:
+        measured = {}
+    if "p99" in known:
+        tail = {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])}
+    else:
+        tail = {}
     return {"error": float(error), "noise": known.get("noise"), **measured, **tail}
 
 
@@ -197,9 +243,10 @@ def numbers(header: str) -> dict[str, float]:
 class Planes(NamedTuple):
     """A frame as numbers, for each pixel; row 0 is the top.
 
-    ``rgb`` (h, w, 3) is linear radiance, ``mask`` (h, w) where the surface is, ``state`` (h, w) is 0 none, 1
-    provisional, 2 converging, 3 final, 4 final by a texel that cannot be projected, ``error`` (h, w) the relative
-    standard error, ``position`` (h, w, 3) the surface's in world coordinates.
+    ``rgb`` (h, w, 3) is linear radiance, ``mask`` (h, w) where the surface is, ``state`` (h, w) is
+    0 none, 1 provisional, 2 converging, 3 final, 4 final by a texel that cannot be projected,
+    ``error`` (h, w) the relative standard error, ``position`` (h, w, 3) the surface's in world
+    coordinates.
     """
 
     rgb: np.ndarray
@@ -221,21 +268,31 @@ class Frame:
     def image(self) -> Image.Image:
         """The picture. ValueError where it was asked for as npy."""
         if self.f == "npy":
-            raise ValueError("npy holds radiance and no picture: ask for f='png', or see .array and .planes.")
+            raise ValueError(
+                "npy holds radiance and no picture: ask for f='png', or see .array and .planes."
+            )
         return Image.open(io.BytesIO(self.content))
 
     @cached_property
     def array(self) -> np.ndarray:
-        """The picture's bytes (h, w, 3), or of an npy the numbers as they came (h, w, 9); see ``planes``."""
-        return np.load(io.BytesIO(self.content), allow_pickle=False) if self.f == "npy" else np.asarray(self.image)
+        """The picture's bytes (h, w, 3), or of an npy the numbers as they came (h, w, 9); see
+        ``planes``.
+        """
+        if self.f == "npy":
+            return np.load(io.BytesIO(self.content), allow_pickle=False)
+        return np.asarray(self.image)
 
     @cached_property
     def planes(self) -> Planes:
         """The numbers by their names. ValueError where it was not asked for as npy."""
         if self.f != "npy":
-            raise ValueError(f"{self.f} holds a picture and no radiance: ask for f='npy', or see .image.")
+            raise ValueError(
+                f"{self.f} holds a picture and no radiance: ask for f='npy', or see .image."
+            )
         planes = self.array
-        mask, state, error = planes[..., 3] > 0, planes[..., 4].astype(np.uint8), planes[..., 5]
+        mask = planes[..., 3] > 0
+        state = planes[..., 4].astype(np.uint8)
+        error = planes[..., 5]
         return Planes(planes[..., :3], mask, state, error, planes[..., 6:9])
 
     def save(self, path: str | Path) -> Path:
@@ -243,17 +300,27 @@ class Frame:
         path = Path(path)
         if path.suffix.lower() not in FORMAT_SUFFIXES[self.f]:
             fitting = " or ".join(FORMAT_SUFFIXES[self.f])
-            raise ValueError(f"This frame is {self.f}: name the file {fitting}, or ask for another f.")
+            raise ValueError(
+                f"This frame is {self.f}: name the file {fitting}, or ask for another f."
+            )
         path.write_bytes(self.content)
         return path
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """``array``, for NumPy."""
-        return self.array if dtype is None else self.array.astype(dtype)
+        if dtype is None:
+            return self.array
+        return self.array.astype(dtype)
 
     def __repr__(self) -> str:
-        """One line, such as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8 %)``."""
-        wide, high = (self.array.shape[1], self.array.shape[0]) if self.f == "npy" else self.image.size
+        """One line, such as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8
+        %)``.
+        """
+        if self.f == "npy":
+            wide = self.array.shape[1]
+            high = self.array.shape[0]
+        else:
+            wide, high = self.image.size
         size = f"{wide} × {high}" + (f" × {self.array.shape[2]}" if self.f == "npy" else "")
         return f"Frame({self.f}, {size}, {self.facts})"
 
@@ -262,19 +329,24 @@ class Frame:
         if self.f == "png":
             return self.content
         buffer = io.BytesIO()
-        shown = Image.fromarray(srgb_of(self.planes.rgb)) if self.f == "npy" else self.image
+        if self.f == "npy":
+            shown = Image.fromarray(srgb_of(self.planes.rgb))
+        else:
+            shown = self.image
         shown.save(buffer, "png")
         return buffer.getvalue()
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the surface that a view shows; lengths have the volume's ``unit``, "" where unknown.
+    """A point of the surface that a view shows; lengths have the volume's ``unit``, "" where
+    unknown.
 
-    ``position`` and the outward unit ``normal`` are in the world, ``voxel`` are voxel indices, x first, and ``sides``
-    those of a patient on which the coordinates lie, "" elsewhere. ``value`` is the isovalue, None on the ``wall`` with
-    that number. ``light`` is linear RGB, ``displayed`` the same in sRGB, ``state`` final, converging or provisional,
-    and ``error`` the relative error of that pixel.
+    ``position`` and the outward unit ``normal`` are in the world, ``voxel`` are voxel indices, x
+    first, and ``sides`` those of a patient on which the coordinates lie, "" elsewhere. ``value`` is
+    the isovalue, None on the ``wall`` with that number. ``light`` is linear RGB, ``displayed`` the
+    same in sRGB, ``state`` final, converging or provisional, and ``error`` the relative error of
+    that pixel.
     """
 
     unit: str
@@ -308,8 +380,11 @@ def distance(a: Point | Sequence[float], b: Point | Sequence[float]) -> float:
     return float(np.linalg.norm(np.subtract(b, a)))
 
 
-def angle(a: Point | Sequence[float], b: Point | Sequence[float], c: Point | Sequence[float]) -> float:
-    """The angle at ``b`` between the ways to ``a`` and to ``c``, in degrees from 0 to 180; NaN where one has no length.
+def angle(
+    a: Point | Sequence[float], b: Point | Sequence[float], c: Point | Sequence[float]
+) -> float:
+    """The angle at ``b`` between the ways to ``a`` and to ``c``, in degrees from 0 to 180; NaN
+    where one has no length.
 
     >>> angle((1, 0, 0), (0, 0, 0), (0, 2, 0))
     90.0
@@ -328,7 +403,9 @@ class Film:
     fps: float = 24.0
 
     def save(self, path: str | Path) -> Path:
-        """Write them to a GIF or WebP that loops, or as numbered pictures into a folder. ValueError for other files."""
+        """Write them to a GIF or WebP that loops, or as numbered pictures into a folder. ValueError
+        for other files.
+        """
         path = Path(path)
         if not path.suffix:
             path.mkdir(exist_ok=True)
@@ -337,7 +414,9 @@ class Film:
         elif path.suffix.lower() in (".gif", ".webp"):
             path.write_bytes(self._animation(path.suffix[1:].lower()))
         else:
-            raise ValueError(f"A film is written to .gif or .webp, or to a folder: {path.name} is neither.")
+            raise ValueError(
+                f"A film is written to .gif or .webp, or to a folder: {path.name} is neither."
+            )
         return path
 
     def _repr_html_(self) -> str:
@@ -346,24 +425,40 @@ class Film:
         return f'<img src="data:image/webp;base64,{data}" alt="{len(self.frames)} frames">'
 
     def _animation(self, form: str) -> bytes:
-        buffer, (first, *others) = io.BytesIO(), (frame.image for frame in self.frames)
-        first.save(buffer, form, save_all=True, append_images=others, duration=round(1000.0 / self.fps), loop=0)
+        buffer = io.BytesIO()
+        (first, *others) = (frame.image for frame in self.frames)
+        first.save(
+            buffer,
+            form,
+            save_all=True,
+            append_images=others,
+            duration=round(1000.0 / self.fps),
+            loop=0,
+        )
         return buffer.getvalue()
 
 
 def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, Values]]:
     """The views of so many frames, where numbers go from one to another and the rest stays.
 
-    An azimuth that comes around to where it began, alone, goes evenly; all else begins and ends at rest.
+    An azimuth that comes around to where it began, alone, goes evenly; all else begins and ends at
+    rest.
 
     >>> sweep(48, azimuth=(0, 360), elevation=20)
     """
-    moving = {name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2}
+    moving = {
+        name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2
+    }
     way = {name: last - first for name, (first, last) in moving.items()}
-    around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(value % 360.0 == 0.0 for value in way.values())
+    around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(
+        value % 360.0 == 0.0 for value in way.values()
+    )
     t = np.arange(frames) / (frames if around else max(frames - 1, 1))
     share = t if around else t * t * (3.0 - 2.0 * t)
-    return [{**knobs, **{name: moving[name][0] + way[name] * at for name in way}} for at in share.tolist()]
+    return [
+        {**knobs, **{name: moving[name][0] + way[name] * at for name in way}}
+        for at in share.tolist()
+    ]
 
 
 class Bar:
@@ -383,13 +478,16 @@ class Bar:
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
         filled = PROGRESS_BAR_WIDTH * done // max(total, 1)
-        sys.stderr.write(f"\r{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note:<60}" + "\n" * over)
+        sys.stderr.write(
+            f"\r{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note:<60}" + "\n" * over
+        )
         sys.stderr.flush()
 
 
 @dataclass(frozen=True)
 class Event:
-    """An event of a view: its ``kind`` is refined, progress, final or failed, and ``data`` its document.
+    """An event of a view: its ``kind`` is refined, progress, final or failed, and ``data`` its
+    document.
 
     ``id`` names the light of the frame.
     """
@@ -400,13 +498,18 @@ class Event:
 
     @property
     def facts(self) -> Facts | None:
-        """How good the view is now; None for progress, which has the chunks ``waiting`` and the ``time_left``."""
-        return None if self.kind == "progress" else Facts.of_document(self.data)
+        """How good the view is now; None for progress, which has the chunks ``waiting`` and the
+        ``time_left``.
+        """
+        if self.kind == "progress":
+            return None
+        return Facts.of_document(self.data)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a job is: its ``status`` (accepted, running, successful, failed, dismissed) and what it says of itself.
+    """How far a job is: its ``status`` (accepted, running, successful, failed, dismissed) and what
+    it says of itself.
 
     ``progress`` is in percent; ``time_left`` is None where it is unknown or over.
     """
@@ -428,7 +531,9 @@ class Progress:
 
 
 class Job:
-    """Work that a server goes on with by itself, also when it is started again; its ``id`` finds it again."""
+    """Work that a server goes on with by itself, also when it is started again; its ``id`` finds it
+    again.
+    """
 
     def __init__(self, isogi: Isogi, key: str) -> None:
         self.id = key
@@ -478,9 +583,10 @@ class Job:
 class Isogi:
     """A server at ``base_url``, which is shown the ``token``, by default that in $ISOGI_TOKEN.
 
-    An answer may be silent for ``timeout`` seconds. A server that is busy or starting, or that is away once it has
-    answered, is asked again, when it says or ever more rarely, for about ``patience`` seconds. Methods raise
-    IsogiError. Usable as a context manager, which closes the connections, and from several threads.
+    An answer may be silent for ``timeout`` seconds. A server that is busy or starting, or that is
+    away once it has answered, is asked again, when it says or ever more rarely, for about
+    ``patience`` seconds. Methods raise IsogiError. Usable as a context manager, which closes the
+    connections, and from several threads.
     """
 
     def __init__(
@@ -492,7 +598,8 @@ class Isogi:
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
         self._server: subprocess.Popen[bytes] | None = None
-        self._patience, self._wait = patience, min(LONGEST_WAIT, timeout / 2)
+        self._patience = patience
+        self._wait = min(LONGEST_WAIT, timeout / 2)
         self._retry = Retry(
             total=1000,
             allowed_methods=("GET", "POST", "DELETE"),
@@ -527,17 +634,24 @@ class Isogi:
 
     @classmethod
     def serving(cls, target: str | Path, **settings: Any) -> Self:
-        """A server of one's own for a scene or a volume, which ends with ``close``; isogi must be installed.
+        """A server of one's own for a scene or a volume, which ends with ``close``; isogi must be
+        installed.
 
-        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError where it ends at once.
+        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError
+        where it ends at once.
 
         >>> isogi = Isogi.serving("engine.toml")
         """
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
-        options = [f"--{name.replace('_', '-')}={value}" for name, value in {"port": port, **settings}.items()]
+        options = [
+            f"--{name.replace('_', '-')}={value}"
+            for name, value in {"port": port, **settings}.items()
+        ]
         isogi = cls(f"http://127.0.0.1:{port}")
-        isogi._server = subprocess.Popen([sys.executable, "-m", "server", "serve", str(target), *options])
+        isogi._server = subprocess.Popen(
+            [sys.executable, "-m", "server", "serve", str(target), *options]
+        )
         try:
             isogi._await_server()
         except BaseException:
@@ -546,7 +660,9 @@ class Isogi:
         return isogi
 
     def _await_server(self) -> None:
-        """Return when the server that was started answers. Raises UnreachableError where it has ended."""
+        """Return when the server that was started answers. Raises UnreachableError where it has
+        ended.
+        """
         while self._server is not None and self._server.poll() is None:
             with suppress(httpx.TransportError):
                 if httpx.get(self._client.base_url.join("/readyz")).is_success:
@@ -571,7 +687,8 @@ class Isogi:
         return self._json("GET", scene_path(scene))
 
     def read(self, path: str) -> bytes:
-        """The bytes at an address of the server, such as what a graphics card draws from. Raises IsogiError.
+        """The bytes at an address of the server, such as what a graphics card draws from. Raises
+        IsogiError.
 
         >>> isogi.read("v1/scenes/casting/card")
         """
@@ -588,22 +705,32 @@ class Isogi:
 
     def coverage(self, scene: str, **view: Values) -> Facts:
         """How far a view is baked, without its picture."""
-        return Facts.of_document(self._json("GET", f"{scene_path(scene)}/coverage", params=query(view)))
+        return Facts.of_document(
+            self._json("GET", f"{scene_path(scene)}/coverage", params=query(view))
+        )
 
     def point(self, scene: str, x: float, y: float, **view: Values) -> Point | None:
-        """The surface at the place ``x``, ``y`` of a view's picture, in pixels from its top left; None off the surface.
+        """The surface at the place ``x``, ``y`` of a view's picture, in pixels from its top left;
+        None off the surface.
 
-        ``view`` are the parameters of ``frame`` that say what the picture shows, and wait_ms for its light.
+        ``view`` are the parameters of ``frame`` that say what the picture shows, and wait_ms for
+        its light.
 
         >>> isogi.point("casting", 256, 256, azimuth=40).position
         """
-        document = self._json("GET", f"{scene_path(scene)}/point", params=query({"x": x, "y": y, **view}))
-        return Point.of_document(document) if document["hit"] else None
+        document = self._json(
+            "GET", f"{scene_path(scene)}/point", params=query({"x": x, "y": y, **view})
+        )
+        if document["hit"]:
+            return Point.of_document(document)
+        return None
 
     def size(self, scene: str, **surface: Values) -> dict[str, Any]:
-        """Area of an isosurface and volume of what it encloses, each with its error; ``unit`` is that of lengths.
+        """Area of an isosurface and volume of what it encloses, each with its error; ``unit`` is
+        that of lengths.
 
-        ``surface`` may hold isovalue, cut, time and hide. ``is_open``: whether the solid reaches a side of the volume.
+        ``surface`` may hold isovalue, cut, time and hide. ``is_open``: whether the solid reaches a
+        side of the volume.
 
         >>> isogi.size("casting", isovalue=0.4)["area"]
         """
@@ -620,13 +747,15 @@ class Isogi:
     ) -> Frame:
         """The frame of a view in a format ``f``: png, jpeg, webp, or npy for numbers.
 
-        ``wait`` says for how long its light may be baked: "now" takes what there is, a number waits so many seconds
-        at most, "final" until it is final, through restarts of the server. ``progress`` is called with the facts each
-        time that more is known. ``view`` are the parameters of the HTTP interface: isovalue, azimuth, elevation,
-        distance, fov, yaw, pitch, roll, albedo, material, width, height, shading, max_error, exposure, …
+        ``wait`` says for how long its light may be baked: "now" takes what there is, a number waits
+        so many seconds at most, "final" until it is final, through restarts of the server.
+        ``progress`` is called with the facts each time that more is known. ``view`` are the
+        parameters of the HTTP interface: isovalue, azimuth, elevation, distance, fov, yaw, pitch,
+        roll, albedo, material, width, height, shading, max_error, exposure, …
 
-        Raises RefusedError, NotFoundError, BusyError, UnreachableError; NotFinalError with the server's reason where
-        waiting for "final" is in vain. Warns with TargetWarning where max_error is not reached.
+        Raises RefusedError, NotFoundError, BusyError, UnreachableError; NotFinalError with the
+        server's reason where waiting for "final" is in vain. Warns with TargetWarning where
+        max_error is not reached.
 
         >>> isogi.frame("casting", azimuth=40, width=1024, height=768, wait=5).save("casting.png")
         """
@@ -650,11 +779,13 @@ class Isogi:
         progress: Callable[[int, int], object] | None = None,
         **more: Any,
     ) -> Film:
-        """The frames of ``views``, such as those of ``sweep``, each as ``frame`` has it with what ``more`` says.
+        """The frames of ``views``, such as those of ``sweep``, each as ``frame`` has it with what
+        ``more`` says.
 
         ``progress`` is called with how many frames are there, and how many there will be.
 
-        >>> isogi.film("casting", sweep(48, azimuth=(0, 360)), width=320, height=240, wait="final").save("turn.gif")
+        >>> views = sweep(48, azimuth=(0, 360))
+        >>> isogi.film("casting", views, width=320, height=240, wait="final").save("turn.gif")
         """
         frames = []
         for view in views:
@@ -666,7 +797,8 @@ class Isogi:
     def watch(self, scene: str, **view: Values) -> Iterator[Event]:
         """How a view becomes final, event by event; its light is baked while a client listens.
 
-        Ends with the event ``final`` or ``failed``, and goes on where it was when the connection breaks.
+        Ends with the event ``final`` or ``failed``, and goes on where it was when the connection
+        breaks.
 
         >>> for event in isogi.watch("casting", azimuth=40):
         ...     print(event.kind, event.facts)
@@ -674,10 +806,12 @@ class Isogi:
         return self._events(scene_path(scene), query(view))
 
     def prewarm(self, scene: str, *, dry_run: bool = False, **order: Any) -> Job:
-        """Bake light ahead; the job that does it. ``dry_run``: forecast how much that is, and how long it takes.
+        """Bake light ahead; the job that does it. ``dry_run``: forecast how much that is, and how
+        long it takes.
 
-        ``order`` are the fields of the HTTP interface: isovalues, views, directions, orbits, all_directions,
-        target_error, deadline, width, height, … The same order once more is the same job until that has ended.
+        ``order`` are the fields of the HTTP interface: isovalues, views, directions, orbits,
+        all_directions, target_error, deadline, width, height, … The same order once more is the
+        same job until that has ended.
 
         >>> job = isogi.prewarm("casting", isovalues=["0.4:0.6:0.05"], views=12)
         >>> job.wait(print)["error"]
@@ -686,12 +820,18 @@ class Isogi:
         return Job(self, self._json("POST", f"{scene_path(scene)}/prewarm", json=body)["jobID"])
 
     def export(
-        self, scene: str, path: str | Path, *, progress: Callable[[Progress], object] | None = None, **view: Values
+        self,
+        scene: str,
+        path: str | Path,
+        *,
+        progress: Callable[[Progress], object] | None = None,
+        **view: Values,
     ) -> Path:
-        """Write an isosurface, or the volume, with its light to a file, whose suffix says the kind; its path.
+        """Write an isosurface, or the volume, with its light to a file, whose suffix says the kind;
+        its path.
 
-        ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline, … What it bakes is
-        dropped where this is interrupted.
+        ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline,
+        … What it bakes is dropped where this is interrupted.
 
         >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
         """
@@ -711,11 +851,16 @@ class Isogi:
         return job
 
     def upload(
-        self, volume: str | Path | np.ndarray, name: str | None = None, spacing: Sequence[float] = (1.0, 1.0, 1.0)
+        self,
+        volume: str | Path | np.ndarray,
+        name: str | None = None,
+        spacing: Sequence[float] = (1.0, 1.0, 1.0),
     ) -> dict[str, Any]:
-        """Send a volume where the server takes uploads: a file of a kind that isogi reads, or an array; its facts.
+        """Send a volume where the server takes uploads: a file of a kind that isogi reads, or an
+        array; its facts.
 
-        An array is (z, y, x), and its voxels are ``spacing`` apart along x, y and z. ValueError where it is no volume.
+        An array is (z, y, x), and its voxels are ``spacing`` apart along x, y and z. ValueError
+        where it is no volume.
 
         >>> volume = isogi.upload("engine.nrrd", name="The engine")
         >>> isogi.upload(np.hypot(*np.mgrid[:64, :64, :64][:2]), spacing=(1, 1, 2))
@@ -742,16 +887,25 @@ class Isogi:
 
     def _send(self, path: str, sent: bytes | Path, name: str | None) -> dict[str, Any]:
         """What the server says of bytes, or of a file, that it is sent under a ``name``."""
-        size, content = (len(sent), sent) if isinstance(sent, bytes) else (sent.stat().st_size, Blocks(sent))
+        (size, content) = (
+            (len(sent), sent) if isinstance(sent, bytes) else (sent.stat().st_size, Blocks(sent))
+        )
         headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
-        return self._json("POST", path, params={"name": name} if name else {}, content=content, headers=headers)
+        return self._json(
+            "POST", path, params={"name": name} if name else {}, content=content, headers=headers
+        )
 
     def _waited(
-        self, path: str, asked: dict[str, str], seconds: float, progress: Callable[[Facts], object] | None
+        self,
+        path: str,
+        asked: dict[str, str],
+        seconds: float,
+        progress: Callable[[Facts], object] | None,
     ) -> Frame:
         """The frame once it is final, or after so many seconds of waiting for that.
 
-        A frame whose chunks are all final is not waited for: a path-traced one is as good as its samples.
+        A frame whose chunks are all final is not waited for: a path-traced one is as good as its
+        samples.
         """
         deadline = time.monotonic() + seconds
         while True:
@@ -764,15 +918,21 @@ class Isogi:
             if complete or time.monotonic() >= deadline:
                 return frame
 
-    def _final(self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None) -> Frame:
-        """The frame once it is final; what was final and is no more, such as after damage, is waited for again."""
+    def _final(
+        self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None
+    ) -> Frame:
+        """The frame once it is final; what was final and is no more, such as after damage, is
+        waited for again.
+        """
         while (frame := self._frame(path, asked)).facts.provisional:
             self._listen(path, asked, progress or (lambda _: None))
         if progress is not None:
             progress(frame.facts)
         return frame
 
-    def _listen(self, path: str, asked: Mapping[str, str], progress: Callable[[Facts], object]) -> None:
+    def _listen(
+        self, path: str, asked: Mapping[str, str], progress: Callable[[Facts], object]
+    ) -> None:
         """Returns when the view is final. Raises NotFinalError where it does not become so."""
         seen = {name: text for name, text in asked.items() if name not in PICTURE_PARAMETERS}
         for event in self._events(path, seen):
@@ -783,10 +943,12 @@ class Isogi:
 
     def _events(self, path: str, asked: Mapping[str, str]) -> Iterator[Event]:
         """The events of a view to the last one, over as many connections as that takes."""
-        last, heard = "", time.monotonic()
+        last = ""
+        heard = time.monotonic()
         while True:
             for event in self._connection(f"{path}/events", asked, last):
-                last, heard = event.id or last, time.monotonic()
+                last = event.id or last
+                heard = time.monotonic()
                 yield event
                 if event.kind in ("final", "failed"):
                     return
@@ -795,9 +957,14 @@ class Isogi:
             time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
-        """The events of one connection, to its end or until it breaks; those after the ``last`` alone, if any."""
+        """The events of one connection, to its end or until it breaks; those after the ``last``
+        alone, if any.
+        """
         headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
-        with translated(), self._client.stream("GET", path, params=asked, headers=headers) as answer:
+        with (
+            translated(),
+            self._client.stream("GET", path, params=asked, headers=headers) as answer,
+        ):
             if answer.status_code != httpx.codes.OK:
                 answer.read()
                 raise error_of(answer)
@@ -811,7 +978,9 @@ class Isogi:
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
         answer = self._ask("GET", f"{path}/frame", params=asked)
         return Frame(
-            answer.content, FORMAT_OF_MEDIA_TYPE[answer.headers["content-type"]], Facts.of_headers(answer.headers)
+            answer.content,
+            FORMAT_OF_MEDIA_TYPE[answer.headers["content-type"]],
+            Facts.of_headers(answer.headers),
         )
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
@@ -833,26 +1002,50 @@ class Isogi:
         self._retry = self._retry.copy_with(retry_on_exceptions=CONNECTION_ERRORS)
 
 
-NRRD_TYPES = {"u1": "uint8", "i1": "int8", "u2": "uint16", "i2": "int16", "u4": "uint32", "i4": "int32", "f4": "float"}
+NRRD_TYPES = {
+    "u1": "uint8",
+    "i1": "int8",
+    "u2": "uint16",
+    "i2": "int16",
+    "u4": "uint32",
+    "i4": "int32",
+    "f4": "float",
+}
 """NRRD's names of the types that volumes may have besides double."""
 
 
 def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
-    """An array (z, y, x) as an NRRD file. ValueError where it is no volume, or the ``spacing`` is none."""
+    """An array (z, y, x) as an NRRD file. ValueError where it is no volume, or the ``spacing`` is
+    none.
+    """
     if array.ndim != 3 or array.dtype.kind not in "biuf":
-        raise ValueError(f"A volume is an array of numbers (z, y, x), not one of {array.dtype} {array.shape}.")
+        raise ValueError(
+            f"A volume is an array of numbers (z, y, x), not one of {array.dtype} {array.shape}."
+        )
     if len(spacing) != 3 or not all(np.isfinite(step) and step > 0 for step in spacing):
         raise ValueError(f"spacing is three distances above 0, along x, y and z, not {spacing!r}.")
-    code = array.dtype.str[1:] if array.dtype.str[1:] in NRRD_TYPES else "u1" if array.dtype.kind == "b" else "f8"
+    if array.dtype.str[1:] in NRRD_TYPES:
+        code = array.dtype.str[1:]
+    elif array.dtype.kind == "b":
+        code = "u1"
+    else:
+        code = "f8"
     sizes = " ".join(map(str, array.shape[::-1]))
     steps = " ".join(repr(float(step)) for step in spacing)
-    header = f"NRRD0004\ntype: {NRRD_TYPES.get(code, 'double')}\ndimension: 3\nsizes: {sizes}\nspacings: {steps}\n"
-    return f"{header}encoding: raw\nendian: little\n\n".encode() + array.astype(f"<{code}").tobytes()
+    header = (
+        f"NRRD0004\ntype: {NRRD_TYPES.get(code, 'double')}\ndimension: 3\nsizes: "
+        f"{sizes}\nspacings: {steps}\n"
+    )
+    return (
+        f"{header}encoding: raw\nendian: little\n\n".encode() + array.astype(f"<{code}").tobytes()
+    )
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """The bytes of a file, block by block, as often as they are asked for: a request may be sent again."""
+    """The bytes of a file, block by block, as often as they are asked for: a request may be sent
+    again.
+    """
 
     path: Path
 
@@ -891,7 +1084,8 @@ def tell_target(facts: Facts, target: str | None) -> None:
     """Warn of a final frame whose error is above what was asked for."""
     if target is not None and not facts.provisional and facts.error > float(target):
         warnings.warn(
-            f"The frame is final, but its total error is {facts.error:.3g} and not {target}: pixels have taken"
+            f"The frame is final, but its total error is {facts.error:.3g} and not {target}: "
+            "pixels have taken"
             " the most paths that they may.",
             TargetWarning,
             stacklevel=3,
@@ -922,4 +1116,6 @@ def translated() -> Iterator[None]:
     try:
         yield
     except httpx.HTTPError as error:
-        raise UnreachableError(f"No answer from the server: {error}. Does it run, and at this address?") from error
+        raise UnreachableError(
+            f"No answer from the server: {error}. Does it run, and at this address?"
+        ) from error

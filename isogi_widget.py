@@ -5,9 +5,9 @@
 >>> viewer = Viewer(Isogi("http://127.0.0.1:8000"), "casting", width=640, height=480)
 >>> viewer
 
-It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. The visitor's graphics card draws what moves, by
-the modules of the server's page; without one, the server does. Modules, voxels, light and pictures go by way of the
-kernel, so that the browser needs no way to the server.
+It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. The visitor's graphics card
+draws what moves, by the modules of the server's page; without one, the server does. Modules,
+voxels, light and pictures go by way of the kernel, so that the browser needs no way to the server.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ REFINE_SECONDS = 1.0
 """Seconds of baking between two pictures of a view at rest."""
 
 REST_SECONDS = 1.0
-"""Seconds without a change after which a view rests, where the page does not say so: it may have been closed."""
+"""Seconds without a change after which a view rests, where the page does not say so: it may have
+been closed.
+"""
 
 NOTEBOOK_MODULE = "notebook/notebook.js"
 """The page's module that shows a view in a notebook."""
@@ -46,11 +48,15 @@ const made = new Map(); // addresses of modules, by their text: widgets of a pag
 
 function addressOf(modules, name) {
   const [folder] = name.split(/\/[^/]*$/);
-  const text = modules[name].replace(/(^(?:import|export) [^;]*?from )"(\.[^"]+)";$/gm, (_, head, path) => {
+  const imports = /(^(?:import|export) [^;]*?from )"(\.[^"]+)";$/gm;
+  const text = modules[name].replace(imports, (_, head, path) => {
     const place = new URL(path, `http://web/${folder}/`).pathname.slice(1);
     return `${head}"${addressOf(modules, place)}";`;
   });
-  if (!made.has(text)) made.set(text, URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
+  if (!made.has(text)) {
+    const blob = new Blob([text], { type: "text/javascript" });
+    made.set(text, URL.createObjectURL(blob));
+  }
   return made.get(text);
 }
 
@@ -63,7 +69,9 @@ export default { render };
 
 CSS = """
 .isogi { display: inline-grid; gap: 0.3em; max-width: 100%; }
-.isogi .stage { position: relative; max-width: 100%; cursor: grab; touch-action: none; user-select: none; }
+.isogi .stage {
+  position: relative; max-width: 100%; cursor: grab; touch-action: none; user-select: none;
+}
 .isogi .stage > * { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; }
 .isogi canvas { pointer-events: none; }
 .isogi canvas[data-faded] { opacity: 0; transition: opacity 0.15s; }
@@ -73,13 +81,15 @@ CSS = """
 
 
 class Viewer(anywidget.AnyWidget):
-    """A view of a scene on a server, which is dragged (with Shift the light), zoomed by the wheel, and slid.
+    """A view of a scene on a server, which is dragged (with Shift the light), zoomed by the wheel,
+    and slid.
 
-    Its knobs can be read, set and observed: ``isovalue``, ``azimuth``, ``elevation``, ``distance``, ``yaw``, ``pitch``,
-    ``roll``, and the ``target`` that the camera turns about, None for the volume's centre. The other parameters of the
-    HTTP interface are given once. The visitor's graphics card draws while the view moves, and the server's picture
-    becomes better while it rests. ``draw="server"`` leaves all to the server, and ``draw="card"`` draws by the
-    processor where the browser has no card.
+    Its knobs can be read, set and observed: ``isovalue``, ``azimuth``, ``elevation``, ``distance``,
+    ``yaw``, ``pitch``, ``roll``, and the ``target`` that the camera turns about, None for the
+    volume's centre. The other parameters of the HTTP interface are given once. The visitor's
+    graphics card draws while the view moves, and the server's picture becomes better while it
+    rests. ``draw="server"`` leaves all to the server, and ``draw="card"`` draws by the processor
+    where the browser has no card.
     """
 
     _esm = ESM
@@ -106,13 +116,23 @@ class Viewer(anywidget.AnyWidget):
     start = traitlets.Unicode(NOTEBOOK_MODULE).tag(sync=True)
 
     def __init__(self, isogi: Isogi, scene: str, **view: Any) -> None:
-        """Show the view, which takes what is not given from the scene's defaults. Raises IsogiError."""
-        facts, modules = isogi.scene(scene), modules_of(isogi)
-        knobs = {name: float(view.pop(name, facts["defaults"].get(name, 0.0))) for name in MOVED_PARAMETERS}
-        target, given = view.pop("target", None), query(view)
+        """Show the view, which takes what is not given from the scene's defaults. Raises
+        IsogiError.
+        """
+        facts = isogi.scene(scene)
+        modules = modules_of(isogi)
+        knobs = {
+            name: float(view.pop(name, facts["defaults"].get(name, 0.0)))
+            for name in MOVED_PARAMETERS
+        }
+        target = view.pop("target", None)
+        given = query(view)
         view.pop("draw", None)
-        self._isogi, self._scene, self._more = isogi, scene, view
-        self._moved, self._closed = threading.Event(), False
+        self._isogi = isogi
+        self._scene = scene
+        self._more = view
+        self._moved = threading.Event()
+        self._closed = False
         self._answers = ThreadPoolExecutor(2, "isogi-viewer")
         self.frame: Frame | None = None
         super().__init__(
@@ -132,8 +152,13 @@ class Viewer(anywidget.AnyWidget):
 
     @property
     def view(self) -> dict[str, Any]:
-        """The parameters of what is shown, such as for ``isogi.frame(scene, wait="final", **viewer.view)``."""
-        target = {} if self.target is None else {"target": self.target}
+        """The parameters of what is shown, such as for ``isogi.frame(scene, wait="final",
+        **viewer.view)``.
+        """
+        if self.target is None:
+            target = {}
+        else:
+            target = {"target": self.target}
         return {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}, **target}
 
     def close(self) -> None:
@@ -158,7 +183,10 @@ class Viewer(anywidget.AnyWidget):
                 frame = self._show("now")
                 while frame.facts.provisional and not self._moved.is_set():
                     frame = self._show(REFINE_SECONDS)
-            except (IsogiError, RuntimeError) as error:  # a RuntimeError where the connections were closed
+            except (
+                IsogiError,
+                RuntimeError,
+            ) as error:  # a RuntimeError where the connections were closed
                 self.told = str(error)
 
     def _show(self, wait: Any) -> Frame:
@@ -167,26 +195,44 @@ class Viewer(anywidget.AnyWidget):
         self.frame = frame = self._isogi.frame(self._scene, wait=wait, f="jpeg", **view)
         if not self._closed:
             with self.hold_sync():
-                self.told, self.picture, self.seen = str(frame.facts), frame.content, seen
-                self.provisional, self.shown = frame.facts.coverage.get("provisional", 0.0), self.shown + 1
+                self.told = str(frame.facts)
+                self.picture = frame.content
+                self.seen = seen
+                self.provisional = frame.facts.coverage.get("provisional", 0.0)
+                self.shown = self.shown + 1
         return frame
 
     def _answer(self, asked: dict[str, Any]) -> None:
         """Hand the page what it asks the server for."""
-        number, path = asked["number"], asked["path"]
-        place = path if path.startswith("web/") else f"{scene_path(self._scene)}/{path}"
+        number = asked["number"]
+        path = asked["path"]
+        if path.startswith("web/"):
+            place = path
+        else:
+            place = f"{scene_path(self._scene)}/{path}"
         try:
             self.send({"number": number}, [self._isogi.read(place)])
         except (IsogiError, RuntimeError) as error:
-            self.send({"number": number, "status": getattr(error, "status", None) or 503, "detail": str(error)})
+            self.send(
+                {
+                    "number": number,
+                    "status": getattr(error, "status", None) or 503,
+                    "detail": str(error),
+                }
+            )
 
 
 def modules_of(isogi: Isogi) -> dict[str, str]:
-    """The modules of a server's page that show a view in a notebook, by their places. Raises IsogiError."""
-    found, waiting = {}, [NOTEBOOK_MODULE]
+    """The modules of a server's page that show a view in a notebook, by their places. Raises
+    IsogiError.
+    """
+    found = {}
+    waiting = [NOTEBOOK_MODULE]
     while waiting:
         name = waiting.pop()
         found[name] = isogi.read(f"web/{name}").decode()
-        paths = {normpath(join(dirname(name), path)) for path in IMPORT_STATEMENT.findall(found[name])}
+        paths = {
+            normpath(join(dirname(name), path)) for path in IMPORT_STATEMENT.findall(found[name])
+        }
         waiting += sorted(paths - found.keys() - set(waiting))
     return found

@@ -1,4 +1,5 @@
-"""The bench of a report: one view of a scene, its references and its light, made once for all studies.
+"""The bench of a report: one view of a scene, its references and its light, made once for all
+studies.
 
 Light is baked in memory: that of a few texels, or of all that one view reads, for frames with it.
 """
@@ -49,7 +50,8 @@ TEXELS_A_PIECE = 256
 
 
 class Bake:
-    """The ``light`` of ``texels`` (m, 3; z, y, x) of a look; ``seconds`` of the processor were spent on it.
+    """The ``light`` of ``texels`` (m, 3; z, y, x) of a look; ``seconds`` of the processor were
+    spent on it.
 
     Those with a ``level`` (m,) that is not NaN lie on the isosurface of that normalised isovalue.
     """
@@ -62,14 +64,23 @@ class Bake:
         texels: np.ndarray,
         levels: np.ndarray | None = None,
     ) -> None:
-        """Begin with ``layers`` of darkness, to be baked on the threads of ``tiles``; by default without levels."""
-        self.tiles, self.spec, self.layers, self.texels = tiles, spec, layers, texels
-        self.levels = np.full(len(texels), np.nan) if levels is None else levels
+        """Begin with ``layers`` of darkness, to be baked on the threads of ``tiles``; by default
+        without levels.
+        """
+        self.tiles = tiles
+        self.spec = spec
+        self.layers = layers
+        self.texels = texels
+        if levels is None:
+            self.levels = np.full(len(texels), np.nan)
+        else:
+            self.levels = levels
         self.light = dark(layers, len(texels))
         self.seconds = 0.0
 
     def grow(self, until: int, target: float = UNREACHED_TARGET) -> None:
-        """Bring all texels to ``until`` samples each, or to what is final for a ``target`` error. Raises Cancelled.
+        """Bring all texels to ``until`` samples each, or to what is final for a ``target`` error.
+        Raises Cancelled.
 
         What it calls is compiled before, on a texel of which nothing is kept.
         """
@@ -91,7 +102,10 @@ class Bake:
         levels = self.levels[a:b]
         for level in np.unique(levels).tolist():
             shown = None if math.isnan(level) else level
-            own = np.isnan(levels) if shown is None else levels == level
+            if shown is None:
+                own = np.isnan(levels)
+            else:
+                own = levels == level
             yield replace(self.spec, shown=shown), a + np.flatnonzero(own)
 
     @property
@@ -103,14 +117,17 @@ class Bake:
 class ViewBake(Bake):
     """The light of the texels that a ``view`` reads: layers of its scene's plan, or those given.
 
-    Where projection pays, those that are far from the view's isosurface are lit there too, after all others.
+    Where projection pays, those that are far from the view's isosurface are lit there too, after
+    all others.
     """
 
     def __init__(self, renderer: Renderer, view: View, layers: tuple[Layer, ...] = ()) -> None:
         """Find the texels; they are in the order of the view's own numbers."""
-        self.renderer, self.view = renderer, view
+        self.renderer = renderer
+        self.view = view
         self.shown = renderer.texels(view, renderer.gbuffer(view))
-        spec, places = renderer.caches.spec(view.shading), self.shown.positions
+        spec = renderer.caches.spec(view.shading)
+        places = self.shown.positions
         self.distant = distant_texels(renderer, view, self.shown)
         levels = np.full(len(places) + len(self.distant), np.nan)
         levels[len(places) :] = self.shown.gbuffer.isovalue
@@ -122,7 +139,9 @@ class ViewBake(Bake):
 
         Raises StoreError where the memory for light cannot hold all of it.
         """
-        caches, light, own = self.renderer.caches, light or self.light, len(self.shown.places)
+        caches = self.renderer.caches
+        light = light or self.light
+        own = len(self.shown.places)
         self.show(light, np.arange(own))
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
@@ -130,17 +149,25 @@ class ViewBake(Bake):
         return self.renderer.render(self.view, UNREACHED_TARGET)
 
     def show(self, light: Light, numbers: np.ndarray) -> None:
-        """Have frames read this ``light`` of the view's texels with these ``numbers``, and none of others."""
+        """Have frames read this ``light`` of the view's texels with these ``numbers``, and none of
+        others.
+        """
         pool = self.renderer.caches.of(self.view.shading).pool
         pool.insert(self._chunks(light, numbers, 0), self.shown.chunks)
 
     def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
         """The texels with these ``numbers`` in the view, and their light from row ``first`` on."""
-        shown, counts = self.shown, np.diff(np.searchsorted(numbers, self.shown.bounds))
+        shown = self.shown
+        counts = np.diff(np.searchsorted(numbers, self.shown.bounds))
         some = np.flatnonzero(counts)
         offsets = np.concatenate([np.empty(0, np.int32), *shown.offsets])[numbers]
         indices = tuple(shown.chunks[i] for i in some.tolist())
-        return Chunks(indices, np.cumsum([0, *counts[some]]), offsets, light.rows(first + np.arange(len(numbers))))
+        return Chunks(
+            indices,
+            np.cumsum([0, *counts[some]]),
+            offsets,
+            light.rows(first + np.arange(len(numbers))),
+        )
 
 
 def distant_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndarray:
@@ -148,7 +175,9 @@ def distant_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndar
     scene = renderer.prepared.scene
     if spec_name(view.shading) != "gi" or not scene.projection.projects(shown.gbuffer.isovalue):
         return np.empty(0, np.int64)
-    return np.flatnonzero(find_distances(shown, renderer.prepared, renderer.tiles).beyond(scene.target_error))
+    return np.flatnonzero(
+        find_distances(shown, renderer.prepared, renderer.tiles).beyond(scene.target_error)
+    )
 
 
 def dark(layers: tuple[Layer, ...], texels: int) -> Light:
@@ -159,24 +188,27 @@ def dark(layers: tuple[Layer, ...], texels: int) -> Light:
 BENCH_CACHE_BYTES = 1 << 30
 """Bytes of light that frames of one scene may hold."""
 
-MIN_REFERENCE_PATHS, MAX_REFERENCE_PATHS = 64, 16384
+MIN_REFERENCE_PATHS = 64
+MAX_REFERENCE_PATHS = 16384
 """Paths from each pixel of the shortest reference, and of the longest."""
 
 REFERENCE_NOISE_SHARE = 0.1
 """What a reference's noise may be of the error that it is to tell."""
 
 REFERENCE_SHARE = 0.1
-"""What growing a reference may take of the time that is left; two more of as many paths are made for the split."""
+"""What growing a reference may take of the time that is left; two more of as many paths are made
+for the split.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
     """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its references.
 
-    ``cancelled`` stops all work on the ``threads``; ``deadline``, a time of ``time.monotonic``, is when studies should
-    have ended. ``hurry`` is set where one had to make do with less for it. Light is kept in memory alone, and baked
-    again by the next bench: what that costs is among what is measured. Pictures are judged at an ``exposure``, by
-    default the scene's own.
+    ``cancelled`` stops all work on the ``threads``; ``deadline``, a time of ``time.monotonic``, is
+    when studies should have ended. ``hurry`` is set where one had to make do with less for it.
+    Light is kept in memory alone, and baked again by the next bench: what that costs is among what
+    is measured. Pictures are judged at an ``exposure``, by default the scene's own.
     """
 
     scene: Scene
@@ -204,7 +236,9 @@ class Bench:
 
     @property
     def hurried(self) -> bool:
-        """Whether something gave way to time in the study that was begun last: a later one may find more."""
+        """Whether something gave way to time in the study that was begun last: a later one may find
+        more.
+        """
         return self.hurry.is_set()
 
     @property
@@ -213,11 +247,15 @@ class Bench:
         return whole_paths(self.scene)
 
     def renderer(self, scene: Scene) -> Renderer:
-        """A renderer of the scene, or of one like it; its store in the folder stays without light."""
+        """A renderer of the scene, or of one like it; its store in the folder stays without
+        light.
+        """
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
-            return Renderer(Caches(PreparedScene(scene), store, BENCH_CACHE_BYTES), self.tiles, filters=False)
+            return Renderer(
+                Caches(PreparedScene(scene), store, BENCH_CACHE_BYTES), self.tiles, filters=False
+            )
 
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
@@ -226,23 +264,30 @@ class Bench:
         """Where the view shows the surface, (h, w) bool; ViewError where it does nowhere."""
         gbuffer = self.renderer(self.scene).gbuffer(self.view)
         if not len(gbuffer.pixels):
-            raise ViewError(f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view.")
+            raise ViewError(
+                f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view."
+            )
         on = np.zeros(gbuffer.shape, bool)
         on.flat[gbuffer.pixels] = True
         return on
 
     @cached_property
     def planned(self) -> ViewBake:
-        """The view's light as the scene's plan has it, baked to the target error. ViewError where nothing is seen."""
+        """The view's light as the scene's plan has it, baked to the target error. ViewError where
+        nothing is seen.
+        """
         self.surface  # noqa: B018
-        renderer, target = self.renderer(self.scene), self.scene.target_error
+        renderer = self.renderer(self.scene)
+        target = self.scene.target_error
         bake = ViewBake(renderer, self.view)
         bake.grow(most_samples(target), target)
         return bake
 
     @property
     def best(self) -> Reference:
-        """The view's reference, grown until its noise is a tenth of the plan's error, or time is short."""
+        """The view's reference, grown until its noise is a tenth of the plan's error, or time is
+        short.
+        """
         return self.grown(REFERENCE_NOISE_SHARE * self._first_error)
 
     @cached_property
@@ -251,15 +296,21 @@ class Bench:
         return self.score(self.planned.frame().leaving, self.reference(MIN_REFERENCE_PATHS)).rmse
 
     def grown(self, noise: float) -> Reference:
-        """The view's reference, grown once until its own ``noise`` is so small, or as far as the time left allows."""
+        """The view's reference, grown once until its own ``noise`` is so small, or as far as the
+        time left allows.
+        """
         found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
         if not goal_of(noise).met(found):
             self.hurry.set()
         return found
 
     def _grow(self, noise: float) -> Reference:
-        found, scene = self.reference(MIN_REFERENCE_PATHS), self.whole
-        goal = replace(goal_of(noise), seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None)
+        found = self.reference(MIN_REFERENCE_PATHS)
+        scene = self.whole
+        goal = replace(
+            goal_of(noise),
+            seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None,
+        )
         for grown in grow_reference(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found
@@ -270,10 +321,14 @@ class Bench:
         width, height = (max(round(scale * n), 1) for n in (self.view.width, self.view.height))
         return replace(self, view=replace(self.view, width=width, height=height), _made={})
 
-    def reference(self, samples: int, scene: Scene | None = None, bounces: int | None = None) -> Reference:
-        """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown from there.
+    def reference(
+        self, samples: int, scene: Scene | None = None, bounces: int | None = None
+    ) -> Reference:
+        """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown
+        from there.
 
-        Of the ``scene`` given, with ``bounces``: by default, where its paths have any, as many as may matter.
+        Of the ``scene`` given, with ``bounces``: by default, where its paths have any, as many as
+        may matter.
         """
         scene = whole_paths(scene or self.scene, bounces)
         former = self._kept(scene)
@@ -297,11 +352,16 @@ class Bench:
         return reference
 
     def _path(self, scene: Scene) -> Path:
-        return self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
+        return (
+            self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
+        )
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
         """The score of a picture of the view, against its own reference unless another is given."""
-        exposure = self.scene.default_exposure if self.exposure is None else self.exposure
+        if self.exposure is None:
+            exposure = self.scene.default_exposure
+        else:
+            exposure = self.exposure
         return score(radiance, best or self.best, exposure)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
@@ -317,7 +377,9 @@ def goal_of(noise: float) -> Goal:
 
 
 def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:
-    """The scene with so many ``bounces``; by default with as many as may matter, where it has any."""
+    """The scene with so many ``bounces``; by default with as many as may matter, where it has
+    any.
+    """
     return with_bounces(scene, bounces if scene.bounces else 0)
 
 

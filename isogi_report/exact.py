@@ -1,4 +1,6 @@
-"""Exact counterparts of what a frame reads: texels with hardly any noise, and light at the pixels' own points."""
+"""Exact counterparts of what a frame reads: texels with hardly any noise, and light at the pixels'
+own points.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -30,13 +32,16 @@ TRANSFER_PATHS = 1024
 CONVERGED_SAMPLE_FACTOR = 4
 """How many times the samples that a texel of the frame has make converged light of it, at most."""
 
-MIN_EXACT_SAMPLES, MAX_EXACT_SAMPLES = 256, 16384
+MIN_EXACT_SAMPLES = 256
+MAX_EXACT_SAMPLES = 16384
 """Bounds of these samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """``light`` (m,) float64, the luminance of surface pixels, and the ``noise`` (m,), its variance."""
+    """``light`` (m,) float64, the luminance of surface pixels, and the ``noise`` (m,), its
+    variance.
+    """
 
     light: np.ndarray
     noise: np.ndarray
@@ -57,8 +62,8 @@ def lit_by_paths(best: Reference) -> Lit:
 def reference_difference(one: Reference, other: Reference) -> Lit:
     """What one reference's surface pixels have more of than the other's, and the variance of that.
 
-    Both are of the same random numbers, so that most of their noise may cancel: it is estimated from the differences of
-    their replicas.
+    Both are of the same random numbers, so that most of their noise may cancel: it is estimated
+    from the differences of their replicas.
     """
     differences = replicas(one) - replicas(other)
     return Lit(luminance_of(differences.mean(axis=1)), variance_of_mean(differences))
@@ -75,7 +80,9 @@ def short_paths(bench: Bench) -> Reference:
 
 
 def own_light(bench: Bench) -> Lit:
-    """The surface pixels lit as texels of their own would be: the light that interpolation is to come to."""
+    """The surface pixels lit as texels of their own would be: the light that interpolation is to
+    come to.
+    """
     if not cuts_harmonics(bench.scene):
         return lit_by_paths(short_paths(bench))
     return bench.once("own light", lambda: lit_by_transfer(bench, TRANSFER_PATHS))
@@ -87,14 +94,18 @@ def cuts_harmonics(scene: Scene) -> bool:
 
 
 def lit_by_transfer(bench: Bench, samples: int) -> Lit:
-    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths each, unrounded.
+    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths
+    each, unrounded.
 
     What comes straight from lobes is the frame's. Raises Cancelled.
     """
-    renderer, view = bench.renderer(bench.scene), bench.view
-    spec, gbuffer = renderer.caches.spec(view.shading), renderer.gbuffer(view)
+    renderer = bench.renderer(bench.scene)
+    view = bench.view
+    spec = renderer.caches.spec(view.shading)
+    gbuffer = renderer.gbuffer(view)
     normals = gbuffer.normals(bench.tiles)
-    turned, halves = RotatedLight(spec, view), np.zeros((len(gbuffer.points), 2, 3))
+    turned = RotatedLight(spec, view)
+    halves = np.zeros((len(gbuffer.points), 2, 3))
 
     def piece(a: int, b: int) -> None:
         place = bake_place(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
@@ -104,19 +115,29 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
     if turned.coloured:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
-    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS + straight_light(bench), half**2)
+    return Lit(
+        np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS + straight_light(bench), half**2
+    )
 
 
 def straight_light(bench: Bench) -> np.ndarray:
-    """Luminance that comes straight from lobes, which no texel keeps, to the surface pixels; (m,) float64."""
-    renderer, view = bench.renderer(bench.scene), bench.view
-    spec, gbuffer = renderer.caches.spec(view.shading), renderer.gbuffer(view)
+    """Luminance that comes straight from lobes, which no texel keeps, to the surface pixels; (m,)
+    float64.
+    """
+    renderer = bench.renderer(bench.scene)
+    view = bench.view
+    spec = renderer.caches.spec(view.shading)
+    gbuffer = renderer.gbuffer(view)
     light = RotatedLight(spec, view)
     lit = renderer.lobes(light, gbuffer).lit[:, :3]
-    return spec.unit * luminance_of(lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit)
+    return spec.unit * luminance_of(
+        lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit
+    )
 
 
-def bake_place(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue) -> Place:
+def bake_place(
+    pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
+) -> Place:
     """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
@@ -126,10 +147,13 @@ def bake_place(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isov
 
 def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
     """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under ``turned`` lights."""
-    spec, void = turned.spec, np.zeros(len(place[3]), np.bool_)
+    spec = turned.spec
+    void = np.zeros(len(place[3]), np.bool_)
     halves = light_of_glow(turned, place, samples)
     layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW_KIND)
-    for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True):
+    for layer, (sums, _) in zip(
+        layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True
+    ):
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
         colours = turned.colours_of(layer, sums)
@@ -138,13 +162,20 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, of what glows; zero where nothing does."""
-    spec, void, halves = turned.spec, np.zeros(len(place[3]), np.bool_), np.zeros((len(place[3]), 2, 3))
+    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, of what glows; zero where nothing
+    does.
+    """
+    spec = turned.spec
+    void = np.zeros(len(place[3]), np.bool_)
+    halves = np.zeros((len(place[3]), 2, 3))
     for layer in spec.plan.layers:
         if isinstance(layer, GlowLayer):
             ((sums, _),) = sample_glow([layer], place, void, spec, 0, samples)
             lights = np.hstack(layer.lights(spec.prepared.scene.lighting.glowing.radiances))
-            arriving = sums[..., 0] * lights[:, 0] if layer.glows == 1 else sums[..., 0] @ lights.T
+            if layer.glows == 1:
+                arriving = sums[..., 0] * lights[:, 0]
+            else:
+                arriving = sums[..., 0] @ lights.T
             halves += turned.albedo * arriving / (samples // 2)
     return halves
 
@@ -170,11 +201,20 @@ def converge(bench: Bench) -> Converged:
     """Bake it. Raises Cancelled."""
     layers = bench.scene.plan.layers
     twins = tuple(map(unrounded, layers))
-    both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
+    both = ViewBake(
+        bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins)
+    )
     taken = np.max([part.samples for part in bench.planned.light.parts], axis=0)
     for samples in np.unique(taken).tolist():
-        grow_some(both, np.flatnonzero(taken == samples), rung_below(CONVERGED_SAMPLE_FACTOR * samples), bench)
-    kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))
+        grow_some(
+            both,
+            np.flatnonzero(taken == samples),
+            rung_below(CONVERGED_SAMPLE_FACTOR * samples),
+            bench,
+        )
+    kept, exact = (
+        both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers))
+    )
     return Converged(kept, exact, both.samples)
 
 
@@ -191,7 +231,9 @@ def unrounded(layer: Layer) -> Layer:
 
 
 def rung_below(samples: float) -> int:
-    """The last rung of the ladder of samples, of those that count as converged, that is not above ``samples``."""
+    """The last rung of the ladder of samples, of those that count as converged, that is not above
+    ``samples``.
+    """
     rung = MIN_EXACT_SAMPLES
     while 2 * rung <= min(samples, MAX_EXACT_SAMPLES):
         rung *= 2

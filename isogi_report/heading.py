@@ -15,7 +15,9 @@ from server.inspect.text import amount, by, plan_rows, summary
 from server.schemas import SceneSchema
 
 PARALLEL_VIEW_DEGREES = 1e-3
-"""Degrees of a field of view below which rays count as parallel: those of an orthographic camera are narrower."""
+"""Degrees of a field of view below which rays count as parallel: those of an orthographic camera
+are narrower.
+"""
 
 REPORTED_PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
 
@@ -73,7 +75,10 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of Python and of what measures and draws; None where it is missing."""
-    return {"python": platform.python_version(), **{name: installed(name) for name in REPORTED_PACKAGES}}
+    return {
+        "python": platform.python_version(),
+        **{name: installed(name) for name in REPORTED_PACKAGES},
+    }
 
 
 def installed(name: str) -> str | None:
@@ -87,7 +92,10 @@ def installed(name: str) -> str | None:
 def scene_rows(scene: Scene, view: View) -> Rows:
     """Name and text of each fact of the scene and its view, for a person."""
     facts = scene_schema(scene)
-    return (*inspected_facts(facts, "scene", "volume", "solid", "albedo", "lights", "target error"), *view_rows(view))
+    return (
+        *inspected_facts(facts, "scene", "volume", "solid", "albedo", "lights", "target error"),
+        *view_rows(view),
+    )
 
 
 def inspected_facts(facts: SceneSchema, *names: str) -> Rows:
@@ -100,16 +108,27 @@ def view_rows(view: View) -> Rows:
     """Name and text of each fact of a view."""
     return (
         ("isovalue", f"{view.isovalue:.10g}"),
-        ("picture", f"{by((view.width, view.height))} pixels, {standpoint(view.camera.in_world(view.orientation))}"),
+        (
+            "picture",
+            (
+                f"{by((view.width, view.height))} pixels, "
+                f"{standpoint(view.camera.in_world(view.orientation))}"
+            ),
+        ),
     )
 
 
 def standpoint(camera: Camera) -> str:
-    """Where a camera of the world stands, and what it sees; of one with parallel rays, where it looks."""
+    """Where a camera of the world stands, and what it sees; of one with parallel rays, where it
+    looks.
+    """
     if camera.fov > PARALLEL_VIEW_DEGREES:
         return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
     height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
-    return f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, {height:.4g} high there"
+    return (
+        f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, "
+        f"{height:.4g} high there"
+    )
 
 
 def listed(numbers: Iterable[float]) -> str:
@@ -130,8 +149,14 @@ def left_out_rows(scene: Scene) -> tuple[tuple[str, str, str], ...]:
 
 def machine_rows(head: Mapping[str, Any]) -> Rows:
     """Name and text of machine and versions, for a person."""
-    box, known = head["machine"], head["versions"]
+    box = head["machine"]
+    known = head["versions"]
     texts = ", ".join(f"{name} {text}" for name, text in known.items() if text is not None)
     missing = [name for name, text in known.items() if text is None]
-    rows = (("machine", f"{box['processor']}, {box['cores']} cores, {box['system']}"), ("versions", texts))
-    return (*rows, ("missing", ", ".join(missing))) if missing else rows
+    rows = (
+        ("machine", f"{box['processor']}, {box['cores']} cores, {box['system']}"),
+        ("versions", texts),
+    )
+    if missing:
+        return (*rows, ("missing", ", ".join(missing)))
+    return rows

@@ -1,7 +1,9 @@
-"""A report and its journal: each section kept as soon as it is measured, so that an interrupted report goes on.
+"""A report and its journal: each section kept as soon as it is measured, so that an interrupted
+report goes on.
 
-A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON file and the
-pixels of its pictures beside it. What other code has measured does not count as done, nor does what is damaged.
+A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON
+file and the pixels of its pictures beside it. What other code has measured does not count as done,
+nor does what is damaged.
 """
 
 import fcntl
@@ -26,7 +28,8 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from isogi_report.sections import Section, document_of, section_of
 
-PAGE_FILE, DATA_FILE = "index.html", "report.json"
+PAGE_FILE = "index.html"
+DATA_FILE = "report.json"
 JOURNAL_FOLDER = "journal"
 SUBJECT_FILE = "report.json"
 LOCK_FILE = "lock"
@@ -51,7 +54,8 @@ class Entry:
 class Report:
     """The sections of a view, in the order of the page, and ``notes`` on what is missing.
 
-    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background beside it.
+    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background
+    beside it.
     """
 
     scene: Scene
@@ -76,8 +80,11 @@ class Journal:
     """The sections that are done of a report in ``folder`` about ``subject``."""
 
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
-        """Go on with the journal, or begin it where it has no section; ReportError where it is of something else."""
-        self.folder, self.code = folder / JOURNAL_FOLDER, code_digest()
+        """Go on with the journal, or begin it where it has no section; ReportError where it is of
+        something else.
+        """
+        self.folder = folder / JOURNAL_FOLDER
+        self.code = code_digest()
         path = self.folder / SUBJECT_FILE
         if sections_in(self.folder):
             refuse_other(folder, read(path), subject)
@@ -103,22 +110,34 @@ class Journal:
         pixels = io.BytesIO()
         np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
         write_whole(self.folder / f"{key}.npz", pixels.getvalue())
-        document = {"code": self.code, "seconds": entry.seconds, "section": document_of(entry.section)}
+        document = {
+            "code": self.code,
+            "seconds": entry.seconds,
+            "section": document_of(entry.section),
+        }
         write_whole(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
 
 
 @contextmanager
 def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
-    """The journal of ``folder``, for this process alone; ReportError where the folder is another's, or in use."""
+    """The journal of ``folder``, for this process alone; ReportError where the folder is another's,
+    or in use.
+    """
     journal = folder / JOURNAL_FOLDER
-    if folder.exists() and (not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))):
-        raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
+    if folder.exists() and (
+        not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))
+    ):
+        raise ReportError(
+            f"{folder} is there and holds no report: choose a new or an empty folder."
+        )
     journal.mkdir(parents=True, exist_ok=True)
     with (journal / LOCK_FILE).open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ReportError(f"{folder} is being written by another report: wait for its end.") from None
+            raise ReportError(
+                f"{folder} is being written by another report: wait for its end."
+            ) from None
         yield Journal(folder, subject)
 
 
@@ -167,9 +186,14 @@ def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any
     """ReportError where the folder's report is of something else than what is ``wanted``."""
     other = [name for name in wanted if held.get(name) != wanted[name]]
     if other:
-        what = "scene" if {"scene", "digest", "volume"} & set(other) else f"view (by its {' and '.join(other)})"
+        if {"scene", "digest", "volume"} & set(other):
+            what = "scene"
+        else:
+            what = f"view (by its {' and '.join(other)})"
         held_of = f"a report of {held.get('scene')} at {held.get('isovalue')}"
-        raise ReportError(f"{folder} holds {held_of}, which is another {what}: choose another folder.")
+        raise ReportError(
+            f"{folder} holds {held_of}, which is another {what}: choose another folder."
+        )
 
 
 def code_digest() -> str:

@@ -21,12 +21,16 @@ from server.progress import WEIGHTED_BAR_FORMAT, ticking
 log = logging.getLogger("isogi.report")
 
 DEADLINE_GRACE_SHARE = 0.1
-"""What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
+"""What a study may take beyond its deadline, of the time that all of them had, before it is
+cancelled.
+"""
 
 
 @dataclass(frozen=True)
 class Study:
-    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the ``key`` is stable."""
+    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the
+    ``key`` is stable.
+    """
 
     key: str
     title: str
@@ -39,16 +43,19 @@ STUDIES = (
     Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
     Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
 )
-"""All of them, the most important first. What one makes, such as the reference, the next ones find on the bench."""
+"""All of them, the most important first. What one makes, such as the reference, the next ones find
+on the bench.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
     """What became of the studies: entries that are ``done``, in order, and studies that are not.
 
-    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now, ``failed`` those that
-    raised an error, with what it says; ``hurried`` of those that are done had too little time for all that is
-    in them, and ``found`` of them were in the journal; ``stopped`` is whether a person stopped the work.
+    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now,
+    ``failed`` those that raised an error, with what it says; ``hurried`` of those that are done had
+    too little time for all that is in them, and ``found`` of them were in the journal; ``stopped``
+    is whether a person stopped the work.
     """
 
     done: tuple[Entry, ...]
@@ -60,14 +67,21 @@ class Measured:
     stopped: bool
 
 
-def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal) -> Measured:
-    """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench`` or a Ctrl-C.
+def measure(
+    studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal
+) -> Measured:
+    """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench``
+    or a Ctrl-C.
 
-    A study that gave way to time is shown, but not kept; one that fails is reported, and the next ones are run.
+    A study that gave way to time is shown, but not kept; one that fails is reported, and the next
+    ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
-    found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
-    failed, hurried = [], []
+    found = len(done)
+    stop = threading.Event()
+    bar = progress_of(wanted, done, bench.left)
+    failed = []
+    hurried = []
     with interruptible(bench, stop), limited(bench), bar.ticking():
         for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
             if isinstance(result, str):
@@ -87,20 +101,33 @@ def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, jou
 
 
 class Pieces:
-    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within ``limit`` seconds."""
+    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within
+    ``limit`` seconds.
+    """
 
     def __init__(self, what: str, total: float, before: float, limit: float) -> None:
         """Draw the bar."""
         self.end = time.monotonic() + limit
-        self.rest, self.done, self.taken, self.begun = total - before, 0.0, 0.0, time.monotonic()
+        self.rest = total - before
+        self.done = 0.0
+        self.taken = 0.0
+        self.begun = time.monotonic()
         self._bar = tqdm(desc=what, total=total, initial=before, bar_format=WEIGHTED_BAR_FORMAT)
 
     @property
     def left(self) -> float:
-        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite where unknown."""
+        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite
+        where unknown.
+        """
         now = time.monotonic()
-        pace = self.taken / self.done if self.done else float("inf")
-        rest = max(self.rest * pace - (now - self.begun), 0.0) if self.rest else 0.0
+        if self.done:
+            pace = self.taken / self.done
+        else:
+            pace = float("inf")
+        if self.rest:
+            rest = max(self.rest * pace - (now - self.begun), 0.0)
+        else:
+            rest = 0.0
         return min(rest, max(self.end - now, 0.0))
 
     def begin(self, name: str) -> None:
@@ -120,7 +147,9 @@ class Pieces:
     def show(self) -> None:
         """Draw the bar with the time that is left now."""
         left = self.left
-        self._bar.set_postfix_str(f"{tqdm.format_interval(left)} left" if left < float("inf") else "")
+        self._bar.set_postfix_str(
+            f"{tqdm.format_interval(left)} left" if left < float("inf") else ""
+        )
 
     @contextmanager
     def ticking(self) -> Iterator[Self]:
@@ -133,8 +162,12 @@ class Pieces:
             self._bar.close()
 
 
-def worked(studies: Iterable[Study], bench: Bench, bar: Pieces) -> Iterator[tuple[Study, Entry | str]]:
-    """The studies in turn, with what they found or what failed, until the time is over or they are cancelled."""
+def worked(
+    studies: Iterable[Study], bench: Bench, bar: Pieces
+) -> Iterator[tuple[Study, Entry | str]]:
+    """The studies in turn, with what they found or what failed, until the time is over or they are
+    cancelled.
+    """
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
             return
@@ -153,7 +186,9 @@ def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float
 
 
 def run(study: Study, bench: Bench) -> Entry | str | None:
-    """The study's section and what it took; what went wrong where it failed, and None where it was cancelled."""
+    """The study's section and what it took; what went wrong where it failed, and None where it was
+    cancelled.
+    """
     begun = time.process_time()
     bench.hurry.clear()
     try:
@@ -170,7 +205,9 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
 
 @contextmanager
 def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
-    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at once."""
+    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at
+    once.
+    """
 
     def ask(*_: object) -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -189,13 +226,15 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def limited(bench: Bench) -> Iterator[None]:
-    """Cancel the work when its deadline has passed by DEADLINE_GRACE_SHARE; studies themselves look at the deadline
-    before.
+    """Cancel the work when its deadline has passed by DEADLINE_GRACE_SHARE; studies themselves look
+    at the deadline before.
     """
     if bench.left == float("inf"):
         yield
         return
-    timer = threading.Timer(max((1.0 + DEADLINE_GRACE_SHARE) * bench.left, 0.0), bench.cancelled.set)
+    timer = threading.Timer(
+        max((1.0 + DEADLINE_GRACE_SHARE) * bench.left, 0.0), bench.cancelled.set
+    )
     timer.daemon = True
     timer.start()
     try:

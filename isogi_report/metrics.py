@@ -1,4 +1,6 @@
-"""Scores: how far a picture is from its reference, in figures that say what the reference's own noise is."""
+"""Scores: how far a picture is from its reference, in figures that say what the reference's own
+noise is.
+"""
 
 import importlib
 import math
@@ -27,7 +29,8 @@ SCORE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Spread:
-    """Errors of pixels over the reference's mean: root mean square, without noise that is known, and signed mean.
+    """Errors of pixels over the reference's mean: root mean square, without noise that is known,
+    and signed mean.
 
     ``p99`` is what 99 % of them stay below, noise and all.
     """
@@ -39,12 +42,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of a picture's luminance over surface pixels, relative to the reference's mean luminance.
+    """Errors of a picture's luminance over surface pixels, relative to the reference's mean
+    luminance.
 
-    ``rmse`` root mean square, less the reference's own noise; ``p99`` that 99 % of pixels stay below, and
-    ``bias`` the signed mean, both as they are; ``noise`` the reference's own relative error; ``flip`` the mean of
-    FLIP over surface pixels, 0 … 1, of both pictures as a screen shows them; None where FLIP is not installed.
-    Source of FLIP: Andersson et al., Proceedings of the ACM in Computer Graphics 3(2), 2020.
+    ``rmse`` root mean square, less the reference's own noise; ``p99`` that 99 % of pixels stay
+    below, and ``bias`` the signed mean, both as they are; ``noise`` the reference's own relative
+    error; ``flip`` the mean of FLIP over surface pixels, 0 … 1, of both pictures as a screen shows
+    them; None where FLIP is not installed. Source of FLIP: Andersson et al., Proceedings of the ACM
+    in Computer Graphics 3(2), 2020.
     """
 
     rmse: float
@@ -55,10 +60,13 @@ class Score:
 
 
 def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
-    """The score of a picture, ``radiance`` (h, w, 3) linear RGB, that shows the same surface as the ``best``."""
+    """The score of a picture, ``radiance`` (h, w, 3) linear RGB, that shows the same surface as the
+    ``best``.
+    """
     light = luminance_of(best.mean[best.on])
     wrong = luminance_of(radiance[best.on]) - light
-    mean, noise = mean_of(light), best.variance[best.on].astype(np.float64)
+    mean = mean_of(light)
+    noise = best.variance[best.on].astype(np.float64)
     spread = spread_of(wrong, noise, mean)
     return Score(
         rmse=spread.rmse,
@@ -70,7 +78,9 @@ def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
 
 
 def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spread:
-    """The spread of pixels' errors (m,) around 0, over ``mean``; ``noise`` (m,) is the variance that is not theirs."""
+    """The spread of pixels' errors (m,) around 0, over ``mean``; ``noise`` (m,) is the variance
+    that is not theirs.
+    """
     if not len(wrong):
         return Spread(0.0, 0.0, 0.0)
     square = max(float((wrong**2).mean()) - float(np.mean(noise)), 0.0)
@@ -88,39 +98,62 @@ def luminance_of(radiance: np.ndarray) -> np.ndarray:
 
 def mean_of(light: np.ndarray) -> float:
     """The mean luminance that errors are held against; tiny where all is black."""
-    return max(float(light.mean()), 1e-30) if len(light) else 1.0
+    if len(light):
+        return max(float(light.mean()), 1e-30)
+    return 1.0
 
 
 def error_map(radiance: np.ndarray, best: Reference) -> np.ndarray:
-    """Signed errors of the luminance over the reference's mean; (h, w) float32, NaN off the surface."""
+    """Signed errors of the luminance over the reference's mean; (h, w) float32, NaN off the
+    surface.
+    """
     light = luminance_of(best.mean[best.on])
     return map_of(luminance_of(radiance[best.on]) - light, best.on, mean_of(light))
 
 
 def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
-    """Errors ``wrong`` (m,) of the pixels ``on`` (h, w) the surface over a ``mean``; (h, w) float32, NaN off it."""
+    """Errors ``wrong`` (m,) of the pixels ``on`` (h, w) the surface over a ``mean``; (h, w)
+    float32, NaN off it.
+    """
     errors = np.full(on.shape, np.nan, np.float32)
     errors[on] = wrong / mean
     return errors
 
 
 def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None:
-    """Mean of FLIP over surface pixels, of both pictures through the film's own tone curve; None without FLIP."""
+    """Mean of FLIP over surface pixels, of both pictures through the film's own tone curve; None
+    without FLIP.
+    """
     try:
         evaluator = importlib.import_module("flip_evaluator")
     except ImportError:
         return None
-    shown = [shown_as(each, best.on, exposure).astype(np.float32) / 255.0 for each in (best.mean, radiance)]
+    shown = [
+        shown_as(each, best.on, exposure).astype(np.float32) / 255.0
+        for each in (best.mean, radiance)
+    ]
     errors, _, _ = evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)
     on = np.asarray(errors)[..., 0][best.on]
     return float(on.mean()) if len(on) else 0.0
 
 
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
-    """The picture on a screen, by the curve that frames have, ``on`` (h, w) the surface: sRGB (h, w, 3) uint8."""
-    picture, colours = np.empty(radiance.shape, np.uint8), np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
+    """The picture on a screen, by the curve that frames have, ``on`` (h, w) the surface: sRGB (h,
+    w, 3) uint8.
+    """
+    picture = np.empty(radiance.shape, np.uint8)
+    colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
     light = np.ascontiguousarray(radiance, np.float32)
-    develop_rows(light, np.ascontiguousarray(on, np.uint8), 0, exposure, colours, False, tone_table(), picture)
+    develop_rows(
+        light,
+        np.ascontiguousarray(on, np.uint8),
+        0,
+        exposure,
+        colours,
+        False,
+        tone_table(),
+        picture,
+    )
     return picture
 
 

@@ -1,4 +1,5 @@
-"""A report as files: ``index.html``, ``report.json``, ``pictures/`` and ``plots/``, each whole or not there at all.
+"""A report as files: ``index.html``, ``report.json``, ``pictures/`` and ``plots/``, each whole or
+not there at all.
 
 The page has everything in one file, asks for nothing else and runs no script.
 """
@@ -58,7 +59,9 @@ def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) ->
     )
 
 
-def settings(report: Report, head: Mapping[str, Any]) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
+def settings(
+    report: Report, head: Mapping[str, Any]
+) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
     """What was measured, and with what, in groups of names and texts."""
     return (
         ("Scene and view", scene_rows(report.scene, report.view)),
@@ -69,9 +72,11 @@ def settings(report: Report, head: Mapping[str, Any]) -> tuple[tuple[str, tuple[
 
 def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
     """What the template draws of each section; tables and plots are numbered through the page."""
-    tables, plots = count(1), count(1)
+    tables = count(1)
+    plots = count(1)
     for entry in report.entries:
-        section, scales = entry.section, scales_of(entry.section.pictures)
+        section = entry.section
+        scales = scales_of(entry.section.pictures)
         yield {
             "key": section.key,
             "title": section.title,
@@ -93,45 +98,74 @@ def table_part(table: Table, number: int) -> Part:
 
 def plot_part(plot: Plot, number: int) -> Part:
     """A plot: its drawing, its legend, and its points as a table."""
-    points = [(curve.name, x, y) for curve in plot.curves for x, y in zip(curve.x, curve.y, strict=True)]
-    columns = [text_column(plot.x, [x for _, x, _ in points]), text_column(plot.y, [y for _, _, y in points])]
+    points = [
+        (curve.name, x, y) for curve in plot.curves for x, y in zip(curve.x, curve.y, strict=True)
+    ]
+    columns = [
+        text_column(plot.x, [x for _, x, _ in points]),
+        text_column(plot.y, [y for _, _, y in points]),
+    ]
     names = [name for name, _, _ in points]
     return {
         "number": number,
         "caption": plot.caption,
         "svg": Markup(draw(plot)),
         "legend": keys(plot),
-        "alt": f"{plot.y.name} over {plot.x.name}: {', '.join(curve.name for curve in plot.curves)}. {plot.caption}",
+        "alt": (
+            f"{plot.y.name} over {plot.x.name}: "
+            f"{', '.join(curve.name for curve in plot.curves)}. {plot.caption}"
+        ),
         "points": columns,
         "rows": list(zip(names, columns[0].cells, columns[1].cells, strict=True)),
     }
 
 
 def picture_part(section: Section, i: int, scale: float | None, files: Mapping[str, bytes]) -> Part:
-    """A picture, with its file in itself; ``scale`` is the error at the ends of an error map's colours."""
+    """A picture, with its file in itself; ``scale`` is the error at the ends of an error map's
+    colours.
+    """
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
-    ends = None if scale is None else f"{100 * scale:g}{NO_BREAK_SPACE}%"
-    caption = picture.caption if ends is None else f"{picture.caption} (±{ends})"
-    return {"source": source, "caption": caption, "alt": alt(picture, ends), "width": width, "height": height}
+    if scale is None:
+        ends = None
+    else:
+        ends = f"{100 * scale:g}{NO_BREAK_SPACE}%"
+    if ends is None:
+        caption = picture.caption
+    else:
+        caption = f"{picture.caption} (±{ends})"
+    return {
+        "source": source,
+        "caption": caption,
+        "alt": alt(picture, ends),
+        "width": width,
+        "height": height,
+    }
 
 
 def alt(picture: Picture, ends: str | None) -> str:
     """What a picture is, for who does not see it."""
     if ends is not None:
-        return f"Error map, from blue, {ends} too dark, to red, {ends} too bright: {picture.caption}"
+        return (
+            f"Error map, from blue, {ends} too dark, to red, {ends} too bright: {picture.caption}"
+        )
     return f"Picture: {picture.caption}"
 
 
 def write_report(folder: Path, report: Report) -> Path:
-    """Write everything into ``folder``, the page last; gives the page's path back. Raises OSError."""
-    head, files = heading(report.scene, report.view), dict(drawings(report))
+    """Write everything into ``folder``, the page last; gives the page's path back. Raises
+    OSError.
+    """
+    head = heading(report.scene, report.view)
+    files = dict(drawings(report))
     for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         write_whole(folder / name, data)
     forget(folder, set(files))
-    write_whole(folder / DATA_FILE, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode())
+    write_whole(
+        folder / DATA_FILE, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode()
+    )
     write_whole(folder / PAGE_FILE, page(report, head, files).encode())
     return folder / PAGE_FILE
 
@@ -164,12 +198,18 @@ def forget(folder: Path, names: set[str]) -> None:
 def data_of(report: Report, head: Mapping[str, Any]) -> dict[str, Any]:
     """Everything that the page says, as a document for JSON."""
     sections = [section_data(entry) for entry in report.entries]
-    return {**plain(head), "exposure": report.exposure, "notes": list(report.notes), "sections": sections}
+    return {
+        **plain(head),
+        "exposure": report.exposure,
+        "notes": list(report.notes),
+        "sections": sections,
+    }
 
 
 def section_data(entry: Entry) -> dict[str, Any]:
     """A section with where its pictures and plots are, and what it took."""
-    section, document = entry.section, document_of(entry.section)
+    section = entry.section
+    document = document_of(entry.section)
     scales = scales_of(section.pictures)
     pictures = [
         {

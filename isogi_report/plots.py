@@ -1,6 +1,7 @@
 """Plots as SVG, and pictures as PNG.
 
-Text of plots stays text; colours are names that the page, or the file itself, gives a value in light and dark.
+Text of plots stays text; colours are names that the page, or the file itself, gives a value in
+light and dark.
 """
 
 import io
@@ -25,7 +26,8 @@ from isogi_report.metrics import shown_as
 from isogi_report.sections import PREFIXES, Column, Curve, Picture, Plot
 from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
-PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
+PLOT_WIDTH = 4.6
+PLOT_HEIGHT = 3.1
 """Inches of a plot, 72 units of SVG each."""
 
 TICK_STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
@@ -75,7 +77,9 @@ def dashes_of(i: int) -> tuple[float, ...]:
 
 @lru_cache(64)
 def draw(plot: Plot) -> str:
-    """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes each time."""
+    """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes
+    each time.
+    """
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
         figure = Figure(figsize=(PLOT_WIDTH, PLOT_HEIGHT), layout="constrained")
         fill(figure.add_subplot(), plot)
@@ -85,12 +89,18 @@ def draw(plot: Plot) -> str:
 
 
 def standalone(plot: Plot) -> str:
-    """The plot as a file that has its own colours, light and dark, and its legend below the axes."""
+    """The plot as a file that has its own colours, light and dark, and its legend below the
+    axes.
+    """
     entries = keys(plot) if len(keys(plot)) > 1 else ()
     width, height = 72 * PLOT_WIDTH, 72 * PLOT_HEIGHT
     size = f'viewBox="0 0 {width:g} {height:g}"'
-    below = "".join(legend_line(key, height + LEGEND_ROW_HEIGHT * (i + 0.5)) for i, key in enumerate(entries))
-    svg = draw(plot).replace(size, f'viewBox="0 0 {width:g} {height + LEGEND_ROW_HEIGHT * len(entries):g}"', 1)
+    below = "".join(
+        legend_line(key, height + LEGEND_ROW_HEIGHT * (i + 0.5)) for i, key in enumerate(entries)
+    )
+    svg = draw(plot).replace(
+        size, f'viewBox="0 0 {width:g} {height + LEGEND_ROW_HEIGHT * len(entries):g}"', 1
+    )
     head, _, rest = svg.removesuffix("</svg>").partition(">")
     style = f"<style>{SCHEME}svg {{ background: var(--paper); }}</style>"
     return f'<?xml version="1.0" encoding="utf-8"?>\n{head}>{style}{rest}{below}</svg>\n'
@@ -98,13 +108,21 @@ def standalone(plot: Plot) -> str:
 
 def legend_line(key: Key, y: float) -> str:
     """An entry of a legend, at height ``y``."""
-    line = f'<path d="M8 {y:g}h28" style="fill: none; stroke: {key.colour}; stroke-dasharray: {key.dashes}"/>'
-    text = f'<text x="44" y="{y + 3:g}" style="font: 9.5px var(--text); fill: var(--ink)">{escape(key.name)}</text>'
+    line = (
+        f'<path d="M8 {y:g}h28" style="fill: none; stroke: {key.colour}; stroke-dasharray: '
+        f'{key.dashes}"/>'
+    )
+    text = (
+        f'<text x="44" y="{y + 3:g}" style="font: 9.5px var(--text); fill: '
+        f'var(--ink)">{escape(key.name)}</text>'
+    )
     return f"{line}{text}"
 
 
 def inline_svg(svg: str) -> str:
-    """matplotlib's file as an element: names for colours and fonts, nothing that a page holds once."""
+    """matplotlib's file as an element: names for colours and fonts, nothing that a page holds
+    once.
+    """
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r'(<g) id="[^"]*"', r"\1", svg)
@@ -120,7 +138,9 @@ def fill(axes: Axes, plot: Plot) -> None:
     for i, curve in enumerate(plot.curves):
         x, y = drawable(curve)
         style = (0, dashes_of(i)) if dashes_of(i) else "solid"
-        axes.plot(x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2)
+        axes.plot(
+            x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(color=LINE_STAND_IN, linewidth=0.7)
@@ -136,7 +156,11 @@ def fill(axes: Axes, plot: Plot) -> None:
 
 def drawable(curve: Curve) -> tuple[list[float], list[float]]:
     """The points of a curve that logarithmic axes can show."""
-    points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if 0.0 < x < math.inf and 0.0 < y < math.inf]
+    points = [
+        (x, y)
+        for x, y in zip(curve.x, curve.y, strict=True)
+        if 0.0 < x < math.inf and 0.0 < y < math.inf
+    ]
     return [x for x, _ in points], [y for _, y in points]
 
 
@@ -144,7 +168,9 @@ def mark_ticks(axis: Axis, column: Column) -> None:
     """Ticks with the unit in them."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in TICK_STEPS if high >= times * low)))
+    axis.set_major_locator(
+        LogLocator(10, next(firsts for times, firsts in TICK_STEPS if high >= times * low))
+    )
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
 
@@ -154,7 +180,9 @@ def tick(value: float, unit: str) -> str:
     if unit == "share":
         return f"{100 * value:.6g} %"
     if unit in PREFIXES:
-        step = next((step for step in reversed(PREFIXES[unit]) if abs(value) >= step[1]), PREFIXES[unit][0])
+        step = next(
+            (step for step in reversed(PREFIXES[unit]) if abs(value) >= step[1]), PREFIXES[unit][0]
+        )
         return f"{value / step[1]:.3g} {step[0]}"
     return f"{value:,.6g}"
 
@@ -175,22 +203,33 @@ MIN_SCALE_SHARE = 0.1
 def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
     """The error at the ends of each map's colours; None for what is no map of errors.
 
-    It is round, the same for all maps of a section, and at least what SCALE_PERCENTILE percent of their pixels stay
-    below. A map in which that is less than a MIN_SCALE_SHARE part of it has another scale.
+    It is round, the same for all maps of a section, and at least what SCALE_PERCENTILE percent of
+    their pixels stay below. A map in which that is less than a MIN_SCALE_SHARE part of it has
+    another scale.
     """
-    maps = [each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures]
-    common = round_up(most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)])))
+    maps = [
+        each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures
+    ]
+    common = round_up(
+        most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)]))
+    )
     return tuple(None if errors is None else own_scale(most_of(errors), common) for errors in maps)
 
 
 def own_scale(most: float, common: float) -> float:
-    """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common`` one."""
-    return round_up(most) if 0.0 < most < MIN_SCALE_SHARE * common else common
+    """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common``
+    one.
+    """
+    if 0.0 < most < MIN_SCALE_SHARE * common:
+        return round_up(most)
+    return common
 
 
 def most_of(errors: np.ndarray) -> float:
     """What SCALE_PERCENTILE percent of errors stay below."""
-    return float(np.percentile(np.abs(errors), SCALE_PERCENTILE)) if errors.size else 0.0
+    if errors.size:
+        return float(np.percentile(np.abs(errors), SCALE_PERCENTILE))
+    return 0.0
 
 
 def round_up(error: float) -> float:
@@ -203,16 +242,19 @@ def round_up(error: float) -> float:
 
 def print_picture(picture: Picture, report: Report, scale: float | None) -> bytes:
     """The picture's PNG; ``scale`` is the error at the ends of an error map's colours."""
-    shown = (
-        shown_as(picture.pixels, report.on, report.exposure) if scale is None else error_colours(picture.pixels, scale)
-    )
+    if scale is None:
+        shown = shown_as(picture.pixels, report.on, report.exposure)
+    else:
+        shown = error_colours(picture.pixels, scale)
     file = io.BytesIO()
     Image.fromarray(shown).save(file, "png", optimize=True)
     return file.getvalue()
 
 
 def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
-    """Signed errors as (h, w, 3) uint8 sRGB, ±``scale`` at the ends, the film's background where there are none."""
+    """Signed errors as (h, w, 3) uint8 sRGB, ±``scale`` at the ends, the film's background where
+    there are none.
+    """
     on = np.isfinite(errors)
     places = np.where(on, 0.5 + 0.5 * np.clip(np.nan_to_num(errors) / scale, -1.0, 1.0), 0.5)
     shown = mpl.colormaps[ERROR_COLOURS](places, bytes=True)[..., :3]
@@ -224,4 +266,6 @@ def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
 def gradient(steps: int = 11) -> str:
     """The colours of errors as a CSS gradient, from too dark to too bright."""
     colours = mpl.colormaps[ERROR_COLOURS](np.linspace(0.0, 1.0, steps), bytes=True)[:, :3]
-    return f"linear-gradient(to right, {', '.join('#' + bytes(colour).hex() for colour in colours)})"
+    return (
+        f"linear-gradient(to right, {', '.join('#' + bytes(colour).hex() for colour in colours)})"
+    )

@@ -1,7 +1,9 @@
-"""Sections of a report: what was measured, as tables, plots and pictures, as documents for JSON, and as text of cells.
+"""Sections of a report: what was measured, as tables, plots and pictures, as documents for JSON,
+and as text of cells.
 
-They know nothing of how they are drawn. What has no value in JSON (NaN, ∞) is null there. Each column of a table is
-written in one unit, named in its head, with as many digits as its numbers are worth.
+They know nothing of how they are drawn. What has no value in JSON (NaN, ∞) is null there. Each
+column of a table is written in one unit, named in its head, with as many digits as its numbers are
+worth.
 """
 
 import math
@@ -13,10 +15,14 @@ from typing import Any
 import numpy as np
 
 Cell = str | float | None
-"""What stands in a table: words, a number in its column's unit, or nothing (it does not apply, or was not measured)."""
+"""What stands in a table: words, a number in its column's unit, or nothing (it does not apply, or
+was not measured).
+"""
 
 COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
-"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it; ``seconds`` are of the processor, all threads."""
+"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it; ``seconds`` are of the
+processor, all threads.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,8 @@ class Plot:
 class Picture:
     """A picture of a view, by its ``kind``.
 
-    "radiance": ``pixels`` (h, w, 3) float32 linear RGB, 0 off the surface. "error": (h, w) float32 signed errors
-    of the luminance over the mean luminance of the reference, NaN off the surface.
+    "radiance": ``pixels`` (h, w, 3) float32 linear RGB, 0 off the surface. "error": (h, w) float32
+    signed errors of the luminance over the mean luminance of the reference, NaN off the surface.
     """
 
     caption: str
@@ -70,7 +76,9 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One question of a report and its answer. ``about`` says in a few sentences what was done and what is seen."""
+    """One question of a report and its answer. ``about`` says in a few sentences what was done and
+    what is seen.
+    """
 
     key: str
     title: str
@@ -91,13 +99,18 @@ def document_of(section: Section) -> Document:
         "about": section.about,
         "tables": [plain(asdict(table)) for table in section.tables],
         "plots": [plain(asdict(plot)) for plot in section.plots],
-        "pictures": [{"caption": picture.caption, "kind": picture.kind} for picture in section.pictures],
+        "pictures": [
+            {"caption": picture.caption, "kind": picture.kind} for picture in section.pictures
+        ],
     }
 
 
 def section_of(document: Mapping[str, Any], pixels: Sequence[np.ndarray]) -> Section:
     """The section that a document and its pictures' pixels were made of."""
-    pictures = [Picture(**each, pixels=array) for each, array in zip(document["pictures"], pixels, strict=True)]
+    pictures = [
+        Picture(**each, pixels=array)
+        for each, array in zip(document["pictures"], pixels, strict=True)
+    ]
     return Section(
         document["key"],
         document["title"],
@@ -130,14 +143,18 @@ def number(value: float | None) -> float:
 
 
 def plain(value: Any) -> Any:
-    """``value`` in types that JSON has: NumPy's numbers as Python's, None for what is not finite."""
+    """``value`` in types that JSON has: NumPy's numbers as Python's, None for what is not
+    finite.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     if isinstance(value, np.generic):
         return plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 EMPTY_CELL = "–"
@@ -164,26 +181,40 @@ class TextColumn:
 
 def text_columns(table: Table) -> tuple[TextColumn, ...]:
     """The columns of a table, as text."""
-    return tuple(text_column(column, [row[i] for row in table.rows]) for i, column in enumerate(table.columns))
+    return tuple(
+        text_column(column, [row[i] for row in table.rows])
+        for i, column in enumerate(table.columns)
+    )
 
 
 def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
-    """One column as text: words as they are, numbers alike, a dash for nothing and for what is not finite."""
-    numbers = [float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)]
+    """One column as text: words as they are, numbers alike, a dash for nothing and for what is not
+    finite.
+    """
+    numbers = [
+        float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)
+    ]
     name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
     write = writer(column.unit, [number / size for number in numbers])
 
     def text(cell: Cell) -> str:
         if isinstance(cell, str):
             return cell
-        return write(cell / size) if cell is not None and math.isfinite(cell) else EMPTY_CELL
+        if cell is not None and math.isfinite(cell):
+            return write(cell / size)
+        return EMPTY_CELL
 
-    head = f"{column.name},{NO_BREAK_SPACE}{name}" if name else column.name
+    if name:
+        head = f"{column.name},{NO_BREAK_SPACE}{name}"
+    else:
+        head = column.name
     return TextColumn(head, tuple(map(text, cells)), column.unit != "text")
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:
-    """Name and size of what a column's numbers are written in: the last that the ``largest`` reaches."""
+    """Name and size of what a column's numbers are written in: the last that the ``largest``
+    reaches.
+    """
     if unit == "share":
         return "%", 0.01
     steps = PREFIXES.get(unit, (("", 1.0),))
@@ -191,28 +222,37 @@ def scale_of(unit: str, largest: float) -> tuple[str, float]:
 
 
 def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
-    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs, 2 at most.
+    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs,
+    2 at most.
 
     Others have three digits each, or, below 1, the decimals that give the largest three.
     """
     if unit == "share":
-        return partial(decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1)
+        return partial(
+            decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1
+        )
     largest = max(map(abs, numbers), default=0.0)
     if unit == "count" or all(number == round(number) for number in numbers):
         return partial(decimal, decimals=0)
-    return partial(decimal, decimals=2 - math.floor(math.log10(largest))) if 1e-4 < largest < 1.0 else digits
+    if 1e-4 < largest < 1.0:
+        return partial(decimal, decimals=2 - math.floor(math.log10(largest)))
+    return digits
 
 
 def decimal(number: float, decimals: int) -> str:
     """A number with so many decimals; "< 0.01" where none of them would show it."""
     least = 10.0**-decimals
     if decimals and 0.0 < abs(number) < least / 2:
-        return f"< {least:g}" if number > 0.0 else f"> −{least:g}"
+        if number > 0.0:
+            return f"< {least:g}"
+        return f"> −{least:g}"
     return signed(f"{number:,.{decimals}f}")
 
 
 def digits(number: float) -> str:
-    """A number with three digits; whole above a hundred, and with a power of ten where it is very small or large."""
+    """A number with three digits; whole above a hundred, and with a power of ten where it is very
+    small or large.
+    """
     size = abs(number)
     if size >= 1e9 or 0.0 < size < 1e-4:
         return signed(f"{number:.2e}")
@@ -221,4 +261,6 @@ def digits(number: float) -> str:
 
 def signed(text: str) -> str:
     """A number's text with a true minus sign, and none before nothing."""
-    return "−" + text[1:] if text[0] == "-" and text.strip("-0.,") else text.removeprefix("-")
+    if text[0] == "-" and text.strip("-0.,"):
+        return "−" + text[1:]
+    return text.removeprefix("-")

@@ -1,4 +1,6 @@
-"""``isogi bench``: how fast this machine is at what isogi does, and what the benchmarks measure with."""
+"""``isogi bench``: how fast this machine is at what isogi does, and what the benchmarks measure
+with.
+"""
 
 import resource
 import statistics
@@ -46,7 +48,9 @@ SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
 LOOSEST_TARGET = 1.0
-"""A target error that FEWEST samples meet: what is measured are frames of light that is final, as most light is."""
+"""A target error that FEWEST samples meet: what is measured are frames of light that is final, as
+most light is.
+"""
 
 Candidate = Callable[[int], float]
 """Does its work in the given round and returns the seconds that it took."""
@@ -58,8 +62,8 @@ Offsets = dict[Index, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """``origins`` and ``directions`` (3, n) in index space, ``levels`` (n,) normalised isovalues of the surfaces that
-    they look for, all float64, and ``sides`` (n,) int8 that they start on."""
+    """``origins`` and ``directions`` (3, n) in index space, ``levels`` (n,) normalised isovalues of
+    the surfaces that they look for, all float64, and ``sides`` (n,) int8 that they start on."""
 
     origins: np.ndarray
     directions: np.ndarray
@@ -76,19 +80,28 @@ class Rays:
 
     def part(self, which: Any) -> "Rays":
         """Some of the rays, as arrays of their own."""
-        origins, directions = (np.ascontiguousarray(v[:, which]) for v in (self.origins, self.directions))
+        origins, directions = (
+            np.ascontiguousarray(v[:, which]) for v in (self.origins, self.directions)
+        )
         return Rays(origins, directions, self.levels[which].copy(), self.sides[which].copy())
 
 
 def view_of(scene: Scene, size: int, **knobs: Any) -> View:
     """The view that is measured: azimuth 40, elevation 30, three radii away, 30 degrees wide."""
-    return View(**{"isovalue": scene.isovalue, "camera": scene.camera(40, 30, 3, 30), **knobs}, width=size, height=size)
+    return View(
+        **{"isovalue": scene.isovalue, "camera": scene.camera(40, 30, 3, 30), **knobs},
+        width=size,
+        height=size,
+    )
 
 
 def isovalues_near(scene: Scene, count: int) -> list[float]:
-    """Isovalues that differ, farther and farther to both sides of the scene's, within a tenth of its range."""
+    """Isovalues that differ, farther and farther to both sides of the scene's, within a tenth of
+    its range.
+    """
     low, high = scene.isovalues
-    down, up = scene.isovalue - low, high - scene.isovalue
+    down = scene.isovalue - low
+    up = high - scene.isovalue
     reach = 0.1 * (min(down, up) or max(down, up))
     ways = (1.0 if up else -1.0, -1.0 if down else 1.0)
     return [scene.isovalue + ways[i % 2] * reach * (i + 1) / count for i in range(count)]
@@ -104,7 +117,11 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
     wanted = wanted_of(renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES))
     bake_offsets(
-        renderer, view.shading, wanted, until, tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False)
+        renderer,
+        view.shading,
+        wanted,
+        until,
+        tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False),
     )
     return renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES)
 
@@ -115,7 +132,9 @@ def wanted_of(frame: Frame) -> Offsets:
 
 
 def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, bar: tqdm) -> None:
-    """Bake texels of chunks, for views of this ``shading``, on the renderer's threads; the ``bar`` counts chunks."""
+    """Bake texels of chunks, for views of this ``shading``, on the renderer's threads; the ``bar``
+    counts chunks.
+    """
     tasks = list(together(wanted))
     with bar:
 
@@ -140,9 +159,14 @@ def together(wanted: Offsets) -> Iterator[Offsets]:
 
 
 def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -> None:
-    """Bake texels of some chunks together, for views of this ``shading``, and keep them in the store."""
-    loader, lattice = renderer.caches.of(shading), renderer.prepared.lattice
-    chunks = [loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()]
+    """Bake texels of some chunks together, for views of this ``shading``, and keep them in the
+    store.
+    """
+    loader = renderer.caches.of(shading)
+    lattice = renderer.prepared.lattice
+    chunks = [
+        loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()
+    ]
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
     refine(light, texels, loader.chunk_store.spec, until, UNREACHED_TARGET)
@@ -159,7 +183,9 @@ def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Ligh
     return light
 
 
-def bake_pieces(prepared: PreparedScene, pieces: Sequence[np.ndarray], until: int, run: Run = serially) -> int:
+def bake_pieces(
+    prepared: PreparedScene, pieces: Sequence[np.ndarray], until: int, run: Run = serially
+) -> int:
     """Bake ``pieces`` of texels one by one, by means of ``run``; the paths that were taken."""
     paths: list[int] = []
 
@@ -176,15 +202,21 @@ def primary_rays(prepared: PreparedScene, size: int) -> Rays:
     volume = prepared.scene.volume
     camera = pinhole(view_of(prepared.scene, size).camera, size, size, volume.spacing)
     y, x = (np.mgrid[:size, :size] + 0.5).reshape(2, -1)
-    corner, right, down, eye = (np.array(v)[:, None] for v in (camera.corner, camera.right, camera.down, camera.eye))
+    corner, right, down, eye = (
+        np.array(v)[:, None] for v in (camera.corner, camera.right, camera.down, camera.eye)
+    )
     levels = np.full(len(x), prepared.surface(prepared.scene.isovalue).isovalue)
-    origins, directions = np.repeat(eye, len(x), axis=1), corner + x * right + y * down
+    origins = np.repeat(eye, len(x), axis=1)
+    directions = corner + x * right + y * down
     return Rays(origins, directions, levels, np.full(len(x), UNKNOWN_SIDE, np.int8))
 
 
-def cast(prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_batch) -> tuple[np.ndarray, np.ndarray]:
+def cast(
+    prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_batch
+) -> tuple[np.ndarray, np.ndarray]:
     """Where ``rays`` meet their surfaces: (t, came), on one thread."""
-    t, came = np.empty(len(rays)), np.empty(len(rays), np.int8)
+    t = np.empty(len(rays))
+    came = np.empty(len(rays), np.int8)
     cells = prepared.maps.covering(rays.levels)
     by(prepared.field, cells, rays.columns, t, came)
     return t, came
@@ -195,7 +227,15 @@ def bounce(prepared: PreparedScene, rays: Rays, rng: np.random.Generator) -> Ray
     t, came = cast(prepared, rays)
     hit = np.isfinite(t)
     on = rays.part(hit)
-    bounce_rays(prepared.field, on.levels, on.origins, on.directions, t[hit], came[hit], rng.random((2, len(on))))
+    bounce_rays(
+        prepared.field,
+        on.levels,
+        on.origins,
+        on.directions,
+        t[hit],
+        came[hit],
+        rng.random((2, len(on))),
+    )
     return Rays(on.origins, on.directions, on.levels, came[hit])
 
 
@@ -212,7 +252,9 @@ def timed(work: Callable[[], object]) -> Candidate:
 
 
 def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each candidate in ``repeats`` rounds; all of them work in each round, and round 0 is not counted."""
+    """Seconds of each candidate in ``repeats`` rounds; all of them work in each round, and round 0
+    is not counted.
+    """
     times: dict[str, list[float]] = {name: [] for name in candidates}
     for turn in range(repeats + 1):
         for name, candidate in candidates.items():
@@ -222,11 +264,15 @@ def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, l
 
 def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, float]:
     """Median seconds of candidates that take turns."""
-    return {name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()}
+    return {
+        name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()
+    }
 
 
 def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -> Candidate:
-    """A frame of ``view`` from a camera that is new to the renderer, whose light is final at the ``target``."""
+    """A frame of ``view`` from a camera that is new to the renderer, whose light is final at the
+    ``target``.
+    """
 
     def render(_: int) -> float:
         renderer.forget_views()
@@ -241,7 +287,9 @@ def turned(view: View, turn: float) -> View:
 
 
 def relight(renderer: Renderer, view: View) -> Candidate:
-    """A frame that differs by its light's rotation alone from the last one, whose light was turned, too."""
+    """A frame that differs by its light's rotation alone from the last one, whose light was turned,
+    too.
+    """
 
     def render(turn: int) -> float:
         renderer.render(turned(view, turn - 0.5), LOOSEST_TARGET)
@@ -253,14 +301,18 @@ def relight(renderer: Renderer, view: View) -> Candidate:
 TIMED_SHADINGS = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
 """Shadings whose frames are timed: all but the reference, which takes as long as it has paths."""
 
-BAKED_TEXELS, BAKED_SAMPLES = 8192, 64
-"""Texels that are baked to measure the speed of a bake, and samples of each: the fewest that make one final."""
+BAKED_TEXELS = 8192
+BAKED_SAMPLES = 64
+"""Texels that are baked to measure the speed of a bake, and samples of each: the fewest that make
+one final.
+"""
 
 Figures = dict[str, Any]
 
 
 def bench(target: str | None, isovalue: float | None, size: int, repeats: int) -> Figures:
-    """The figures of a scene at an isovalue, pictures of ``size`` × ``size`` pixels; see ``StepTimes``.
+    """The figures of a scene at an isovalue, pictures of ``size`` × ``size`` pixels; see
+    ``StepTimes``.
 
     Raises SceneError, VolumeError and LightError; ViewError where the view shows no surface.
     """
@@ -274,7 +326,9 @@ class StepTimes:
 
     def __init__(self, renderer: Renderer, size: int, repeats: int) -> None:
         """Measure what ``renderer`` shows at ``size`` × ``size`` pixels, in ``repeats`` rounds."""
-        self.renderer, self.size, self.repeats = renderer, size, repeats
+        self.renderer = renderer
+        self.size = size
+        self.repeats = repeats
 
     @property
     def scene(self) -> Scene:
@@ -291,13 +345,23 @@ class StepTimes:
         """The view's frame, all of its texels baked; ViewError where there are none."""
         frame = bake_view(self.renderer, self.view, MIN_SAMPLES)
         if not frame.surface:
-            raise ViewError(f"Nothing is to be seen at isovalue {self.scene.isovalue:g}: choose another.")
+            raise ViewError(
+                f"Nothing is to be seen at isovalue {self.scene.isovalue:g}: choose another."
+            )
         return frame
 
     def figures(self) -> Figures:
         """All figures, by their names."""
         stages: tuple[Callable[[], Figures], ...]
-        stages = (self.setting, self.frames, self.isovalues, self.encodings, self.rays, self.bakes, memory)
+        stages = (
+            self.setting,
+            self.frames,
+            self.isovalues,
+            self.encodings,
+            self.rays,
+            self.bakes,
+            memory,
+        )
         figures: Figures = {}
         for stage in tqdm(stages, desc="measuring", unit="stage"):
             figures |= stage()
@@ -318,16 +382,22 @@ class StepTimes:
         }
 
     def frames(self) -> Figures:
-        """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
+        """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the
+        light is turned.
+        """
         views = {name: replace(self.view, shading=name) for name in TIMED_SHADINGS}
         for spec in SPECS:
             bake_view(self.renderer, views[spec], MIN_SAMPLES)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
-        taken = milliseconds({**candidates, "relight": relight(self.renderer, self.view)}, self.repeats)
+        taken = milliseconds(
+            {**candidates, "relight": relight(self.renderer, self.view)}, self.repeats
+        )
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
 
     def isovalues(self) -> Figures:
-        """``isovalue_ms``: from an isovalue to its picture, its map made again, lit by Lambert's law."""
+        """``isovalue_ms``: from an isovalue to its picture, its map made again, lit by Lambert's
+        law.
+        """
         levels = isovalues_near(self.scene, self.repeats + 1)
 
         def show(turn: int) -> float:
@@ -353,27 +423,40 @@ class StepTimes:
         primary = primary_rays(prepared, self.size)
         rays = {"primary": primary, "diffuse": bounce(prepared, primary, np.random.default_rng(1))}
 
-        taken = medians({name: timed(partial(cast, prepared, those)) for name, those in rays.items()}, self.repeats)
+        taken = medians(
+            {name: timed(partial(cast, prepared, those)) for name, those in rays.items()},
+            self.repeats,
+        )
         return {f"{name}_mrays_per_core": len(rays[name]) / taken[name] / 1e6 for name in rays}
 
     def bakes(self) -> Figures:
-        """Millions of paths a second on one core, and texels of 64 samples a second on all cores together."""
-        prepared, pieces = self.renderer.prepared, list(self._texels())
+        """Millions of paths a second on one core, and texels of 64 samples a second on all cores
+        together.
+        """
+        prepared = self.renderer.prepared
+        pieces = list(self._texels())
         bake = partial(bake_pieces, prepared, pieces, BAKED_SAMPLES)
         paths = bake()
-        taken = medians({"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats)
+        taken = medians(
+            {"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats
+        )
         return {
             "bake_mpaths_per_core": paths / taken["one"] / 1e6,
             "bake_texels_per_s": sum(map(len, pieces)) / taken["all"],
         }
 
     def _texels(self) -> Iterator[np.ndarray]:
-        """Texels of the view, (m, 3), those of several chunks together, of which it reads most first."""
-        lattice, count = self.renderer.prepared.lattice, 0
+        """Texels of the view, (m, 3), those of several chunks together, of which it reads most
+        first.
+        """
+        lattice = self.renderer.prepared.lattice
+        count = 0
         wanted = sorted(wanted_of(self.frame).items(), key=lambda pair: -len(pair[1]))
         for task in together(dict(wanted)):
             if count < BAKED_TEXELS:
-                texels = np.concatenate([lattice.positions(index, offsets) for index, offsets in task.items()])
+                texels = np.concatenate(
+                    [lattice.positions(index, offsets) for index, offsets in task.items()]
+                )
                 count += len(texels)
                 yield texels
 
@@ -393,6 +476,11 @@ def table(figures: Figures) -> str:
     """Figures for a person, one a line; those by shading or format as ``name.which``."""
     rows: Figures = {}
     for name, value in figures.items():
-        rows |= {f"{name}.{which}": v for which, v in value.items()} if isinstance(value, dict) else {name: value}
+        if isinstance(value, dict):
+            rows |= {f"{name}.{which}": v for which, v in value.items()}
+        else:
+            rows |= {name: value}
     width = max(map(len, rows))
-    return "\n".join(f"{name:<{width}}  {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in rows.items())
+    return "\n".join(
+        f"{name:<{width}}  {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in rows.items()
+    )

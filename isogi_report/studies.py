@@ -1,8 +1,9 @@
 """The three studies of a report.
 
-The summary: what it is of, how wrong the frame is, what it took, and where it differs (S1, figure 11). The split: a
-frame's error, and its parts, each found by putting its exact counterpart in place of one ingredient. Convergence: error
-against run time, of light kept in several ways, and of paths from each pixel (S1, table 1 and figure 7).
+The summary: what it is of, how wrong the frame is, what it took, and where it differs (S1, figure
+11). The split: a frame's error, and its parts, each found by putting its exact counterpart in place
+of one ingredient. Convergence: error against run time, of light kept in several ways, and of paths
+from each pixel (S1, table 1 and figure 7).
 """
 
 import math
@@ -30,28 +31,44 @@ from isogi_report.exact import (
     reference_difference,
     short_paths,
 )
-from isogi_report.metrics import SCORE_COLUMNS, Score, Spread, error_map, map_of, mean_of, score_cells, spread_of
+from isogi_report.metrics import (
+    SCORE_COLUMNS,
+    Score,
+    Spread,
+    error_map,
+    map_of,
+    mean_of,
+    score_cells,
+    spread_of,
+)
 from isogi_report.sections import Cell, Column, Curve, Picture, Plot, Section, Table
 
-SUMMARY_KEY, SUMMARY_TITLE = "summary", "Summary"
+SUMMARY_KEY = "summary"
+SUMMARY_TITLE = "Summary"
 
 SUMMARY_TEXT = """\
-One view of a scene, each of its texels baked to the target error by the scene's plan, against a reference: paths from \
-each pixel to the lights themselves, with the scene's own normals and offset. Errors are of the luminance, over the \
-surface pixels, relative to the reference's mean: the root mean square (less the reference's own noise), what 99 % of \
-pixels stay below, the signed mean (bias); FLIP is of the pictures as a screen shows them. Random numbers belong to \
-texels and pixels, so that light of as many samples has the same bits again; how many the reference has may hang on \
-the time that there was. Seconds are of the processor, all threads together."""
+One view of a scene, each of its texels baked to the target error by the scene's plan, against a \
+reference: paths from each pixel to the lights themselves, with the scene's own normals and \
+offset. Errors are of the luminance, over the surface pixels, relative to the reference's mean: \
+the root mean square (less the reference's own noise), what 99 % of pixels stay below, the signed \
+mean (bias); FLIP is of the pictures as a screen shows them. Random numbers belong to texels and \
+pixels, so that light of as many samples has the same bits again; how many the reference has may \
+hang on the time that there was. Seconds are of the processor, all threads together."""
 
 
 def study_summary(bench: Bench) -> Section:
     """The headline, the facts, and the pictures."""
-    planned, best = bench.planned, bench.best
+    planned = bench.planned
+    best = bench.best
     frame = planned.frame()
     own = score_cells(bench.score(frame.leaving))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
     headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
-    measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
+    measured = (
+        Column("reference's noise", "share"),
+        Column("paths per pixel", "count"),
+        Column("time", "seconds"),
+    )
     reference = Table("Its reference", measured, ((best.noise, best.samples, best.seconds),))
     scene = Table("The scene", (Column("what"), Column("is")), measured_facts(bench))
     pictures = (
@@ -59,12 +76,16 @@ def study_summary(bench: Bench) -> Section:
         Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
         Picture("the frame's error", "error", error_map(frame.leaving, best)),
     )
-    return Section(SUMMARY_KEY, SUMMARY_TITLE, SUMMARY_TEXT, (headline, reference, scene), (), pictures)
+    return Section(
+        SUMMARY_KEY, SUMMARY_TITLE, SUMMARY_TEXT, (headline, reference, scene), (), pictures
+    )
 
 
 def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     """What is measured, in words."""
-    scene, view, planned = bench.scene, bench.view, bench.planned
+    scene = bench.scene
+    view = bench.view
+    planned = bench.planned
     lights = " + ".join(light.name for light in scene.lighting.lights) or "no light"
     layers = " + ".join(map(layer_in_words, scene.plan.layers))
     size = " × ".join(map(str, scene.volume.size))
@@ -75,8 +96,14 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
             f"{scene.volume.name}, {size} voxels, isovalue {view.isovalue:g}",
         ),
         ("lights", f"{lights}, {'may turn' if scene.lighting.rotating else 'stay where they are'}"),
-        ("picture", f"{view.width} × {view.height}, {int(bench.best.on.sum()):,} surface pixels, {texels}"),
-        ("plan", f"{scene.plan.representation}: {layers}; {scene.plan.bytes_per_texel} bytes per texel"),
+        (
+            "picture",
+            f"{view.width} × {view.height}, {int(bench.best.on.sum()):,} surface pixels, {texels}",
+        ),
+        (
+            "plan",
+            f"{scene.plan.representation}: {layers}; {scene.plan.bytes_per_texel} bytes per texel",
+        ),
         ("bounces", f"{scene.bounces} of the plan, {bench.whole.bounces} of the reference"),
         ("target error", f"{scene.target_error:.1%} of noise, at most, in pixels of final texels"),
     )
@@ -84,25 +111,36 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
 
 def layer_in_words(layer: Layer) -> str:
     """A layer in words."""
-    order = f" of order {layer.order}" if layer.kind != "irradiance" else ""
+    if layer.kind != "irradiance":
+        order = f" of order {layer.order}"
+    else:
+        order = ""
     return f"{layer.kind} light{order}, {layer.channels} × {layer.order**2} in {layer.precision}"
 
 
-SPLIT_KEY, SPLIT_TITLE = "split", "Where the error comes from"
+SPLIT_KEY = "split"
+SPLIT_TITLE = "Where the error comes from"
 
-SPLIT_COLUMNS = (Column("part"), Column("relative RMSE", "share"), Column("bias", "share"), Column("what is compared"))
+SPLIT_COLUMNS = (
+    Column("part"),
+    Column("relative RMSE", "share"),
+    Column("bias", "share"),
+    Column("what is compared"),
+)
 
 SPLIT_TEXT = """\
-Each part is the difference that remains when one ingredient of the frame gives way to its exact counterpart, one \
-after the other, so that biases add up to the total's. Noise that is known of either side is taken off. The parts' \
-root sum of squares equals the total where they are independent. Normals and offset are the scene's own choice, and so \
-the reference's too: what they change is listed apart."""
+Each part is the difference that remains when one ingredient of the frame gives way to its exact \
+counterpart, one after the other, so that biases add up to the total's. Noise that is known of \
+either side is taken off. The parts' root sum of squares equals the total where they are \
+independent. Normals and offset are the scene's own choice, and so the reference's too: what they \
+change is listed apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of a frame's error: its ``name``, ``what`` was compared, and ``wrong`` (m,), the pixels' luminance too
-    much; ``noise`` (m,) is the variance of it that belongs to no part, negative where some of the part is missing.
+    """One part of a frame's error: its ``name``, ``what`` was compared, and ``wrong`` (m,), the
+    pixels' luminance too much; ``noise`` (m,) is the variance of it that belongs to no part,
+    negative where some of the part is missing.
     """
 
     name: str
@@ -113,9 +151,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The ``parts`` of a frame's error, and the ``whole`` of it; ``mean`` is the luminance that they are relative to.
+    """The ``parts`` of a frame's error, and the ``whole`` of it; ``mean`` is the luminance that
+    they are relative to.
 
-    ``surface`` is what the scene's normals and offset make of it, and ``beyond`` the whole with that.
+    ``surface`` is what the scene's normals and offset make of it, and ``beyond`` the whole with
+    that.
     """
 
     parts: tuple[Part, ...]
@@ -143,26 +183,40 @@ def study_split(bench: Bench) -> Section:
         *(row_of(part, split) for part in split.parts),
         ("parts together", split.together, bias, "root sum of squares, sum of biases"),
         row_of(split.whole, split),
-        ("the frame's own estimate", reported, None, "Monte Carlo noise alone, estimated by the texels"),
+        (
+            "the frame's own estimate",
+            reported,
+            None,
+            "Monte Carlo noise alone, estimated by the texels",
+        ),
         row_of(split.surface, split),
         row_of(split.beyond, split),
     )
     shown = (*split.parts, split.whole, split.surface)
-    pictures = tuple(Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown)
+    pictures = tuple(
+        Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown
+    )
     table = Table("Error of the plan's frame and its parts", SPLIT_COLUMNS, rows)
-    return Section(SPLIT_KEY, SPLIT_TITLE, f"{SPLIT_TEXT} {missing(bench)}".strip(), (table,), (), pictures)
+    return Section(
+        SPLIT_KEY, SPLIT_TITLE, f"{SPLIT_TEXT} {missing(bench)}".strip(), (table,), (), pictures
+    )
 
 
 def split_error(bench: Bench) -> Split:
     """Split the error of the plan's frame."""
     best = lit_by_paths(bench.best)
     planned = lit_by_frame(bench.planned.frame())
-    whole = Part("total, measured", "the frame and the reference", planned.light - best.light, best.noise)
+    whole = Part(
+        "total, measured", "the frame and the reference", planned.light - best.light, best.noise
+    )
     bare = bench.reference(bench.best.samples, true_surface(bench.scene))
-    true, change = lit_by_paths(bare), reference_difference(bench.best, bare)
+    true = lit_by_paths(bare)
+    change = reference_difference(bench.best, bare)
     what = "the scene's normals and offset, and plain gradients with rays from the surface itself"
     surface = Part("normals and offset", what, change.light, change.noise)
-    beyond = Part("total with these", "the frame and such a reference", planned.light - true.light, true.noise)
+    beyond = Part(
+        "total with these", "the frame and such a reference", planned.light - true.light, true.noise
+    )
     return Split(tuple(parts_of(bench, planned, best)), whole, surface, beyond, mean_of(best.light))
 
 
@@ -173,20 +227,30 @@ def true_surface(scene: Scene) -> Scene:
 
 def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     """The parts, from the frame to the reference."""
-    pair, plan = converged(bench), bench.scene.plan
-    kept, exact = lit_by_frame(pair.kept), lit_by_frame(pair.exact)
+    pair = converged(bench)
+    plan = bench.scene.plan
+    kept = lit_by_frame(pair.kept)
+    exact = lit_by_frame(pair.exact)
     what = f"texels as they are, and after {pair.samples:,.0f} samples each on average"
     yield Part("Monte Carlo noise", what, planned.light - kept.light, -kept.noise)
     if plan.precision != "single":
         yield Part("quantization", f"{plan.precision} and single floats", kept.light - exact.light)
-    own, short = own_light(bench), short_paths(bench)
+    own = own_light(bench)
+    short = short_paths(bench)
     noise = exact.noise + own.noise
-    yield Part("interpolation", "texels around a pixel, and light at its own point", exact.light - own.light, noise)
+    yield Part(
+        "interpolation",
+        "texels around a pixel, and light at its own point",
+        exact.light - own.light,
+        noise,
+    )
     if cuts_harmonics(bench.scene):
-        what, lights = f"{harmonics(plan)}, and the lights themselves", lit_by_paths(short)
+        what = f"{harmonics(plan)}, and the lights themselves"
+        lights = lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
     if bench.scene.bounces:
-        cut, what = reference_difference(short, bench.best), f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
+        cut = reference_difference(short, bench.best)
+        what = f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
         yield Part("bounces cut off", what, cut.light, cut.noise)
 
 
@@ -215,7 +279,8 @@ def row_of(part: Part, split: Split) -> tuple[str, float, float, str]:
     return part.name, spread.rmse, spread.bias, part.what
 
 
-CONVERGENCE_KEY, CONVERGENCE_TITLE = "convergence", "Error against run time"
+CONVERGENCE_KEY = "convergence"
+CONVERGENCE_TITLE = "Error against run time"
 
 CURVE_PIXELS = 32
 """Pixels of the longer side of the picture."""
@@ -223,20 +288,24 @@ CURVE_PIXELS = 32
 CURVE_SAMPLES = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
 
-MAX_POINT_SECONDS, POINT_SHARE = 120.0, 0.1
-"""Seconds that the next point of a curve may take, by what the last one took, and the share of those that are left."""
+MAX_POINT_SECONDS = 120.0
+POINT_SHARE = 0.1
+"""Seconds that the next point of a curve may take, by what the last one took, and the share of
+those that are left.
+"""
 
 PATH_TRACING_CURVE = "path tracing from each pixel"
 """The name of the curve that has no light of texels."""
 
 CONVERGENCE_TEXT = """\
-Errors against the reference, of one view, as more samples are taken. Light of texels is baked once and serves all \
-cameras and, where it turns, all lights; paths from each pixel serve one picture. Where a curve levels off, \
-more samples do not help: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
-the one before; seconds are of the processor, all threads together, without compiling. The bake pays for itself after \
-so many pictures that read the texels of this one, from cameras that see the same surface or under turned lights, as \
-paths from each pixel could trace to its own error in its time; frames of baked light take milliseconds, and count as \
-nothing here."""
+Errors against the reference, of one view, as more samples are taken. Light of texels is baked \
+once and serves all cameras and, where it turns, all lights; paths from each pixel serve one \
+picture. Where a curve levels off, more samples do not help: interpolation, harmonics and bounces \
+that are cut off. Each point of baked light grows from the one before; seconds are of the \
+processor, all threads together, without compiling. The bake pays for itself after so many \
+pictures that read the texels of this one, from cameras that see the same surface or under turned \
+lights, as paths from each pixel could trace to its own error in its time; frames of baked light \
+take milliseconds, and count as nothing here."""
 
 CURVE_COLUMNS = (
     Column("way"),
@@ -247,7 +316,9 @@ CURVE_COLUMNS = (
 
 
 END_ERROR_FACTOR = 1.1
-"""How many times the error that a curve ends at its point may have that stands for the whole bake."""
+"""How many times the error that a curve ends at its point may have that stands for the whole
+bake.
+"""
 
 EQUAL_ERROR_COLUMNS = (
     Column("way"),
@@ -275,13 +346,28 @@ def study_convergence(bench: Bench) -> Section:
     """The curves, their points as a table, and where baked light begins to pay."""
     small = bench.sized(CURVE_PIXELS)
     found = points_of(small)
-    rows = tuple((name, p.samples, p.seconds, *score_cells(p.score)) for name, own in found.items() for p in own)
+    rows = tuple(
+        (name, p.samples, p.seconds, *score_cells(p.score))
+        for name, own in found.items()
+        for p in own
+    )
     curves = tuple(curve(name, own) for name, own in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
-    plot = Plot(f"Error against run time, {size}", Column("time", "seconds"), Column("error", "share"), curves)
+    plot = Plot(
+        f"Error against run time, {size}",
+        Column("time", "seconds"),
+        Column("error", "share"),
+        curves,
+    )
     table = Table(f"Points of the curves, {size}", CURVE_COLUMNS, rows)
     tables = evens(curves[:-1], curves[-1], size), table
-    return Section(CONVERGENCE_KEY, CONVERGENCE_TITLE, " ".join([CONVERGENCE_TEXT, *ends(found)]), tables, (plot,))
+    return Section(
+        CONVERGENCE_KEY,
+        CONVERGENCE_TITLE,
+        " ".join([CONVERGENCE_TEXT, *ends(found)]),
+        tables,
+        (plot,),
+    )
 
 
 def points_of(bench: Bench) -> dict[str, list[Point]]:
@@ -308,19 +394,31 @@ def as_s1(scene: Scene) -> Scene | None:
         return None
     whole = Layer("whole", MEASURED_BANDS, 3, half=False)
     return with_plan(
-        scene, representation="transfer", layers=(whole, *of_glow(scene)), order=MEASURED_BANDS, lobes=0, survival=1.0
+        scene,
+        representation="transfer",
+        layers=(whole, *of_glow(scene)),
+        order=MEASURED_BANDS,
+        lobes=0,
+        survival=1.0,
     )
 
 
 def as_irradiance(scene: Scene) -> Scene:
     """The scene under lights that stay: a texel keeps the light that it receives."""
-    channels = 1 if scene.inputs.grey and scene.inputs.grey_light else 3
+    if scene.inputs.grey and scene.inputs.grey_light:
+        channels = 1
+    else:
+        channels = 3
     layer = Layer("irradiance", channels=channels, scale=unit_of(scene.inputs))
-    return with_plan(scene, representation="irradiance", layers=(layer, *of_glow(scene)), order=1, lobes=0)
+    return with_plan(
+        scene, representation="irradiance", layers=(layer, *of_glow(scene)), order=1, lobes=0
+    )
 
 
 def of_glow(scene: Scene) -> tuple[Layer, ...]:
-    """The layer of what glows in a scene, which is the same whatever else is kept; none where nothing does."""
+    """The layer of what glows in a scene, which is the same whatever else is kept; none where
+    nothing does.
+    """
     return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW_KIND)
 
 
@@ -332,7 +430,8 @@ def curve(name: str, own: list[Point]) -> Curve:
 def ends(found: dict[str, list[Point]]) -> list[str]:
     """A sentence on each curve that ends before the last of CURVE_SAMPLES."""
     return [
-        f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next point would have taken too "
+        f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next "
+        "point would have taken too "
         f"long, about {own[-1].foresee(CURVE_SAMPLES[len(own)]):.0f} seconds."
         for name, own in found.items()
         if len(own) < len(CURVE_SAMPLES)
@@ -351,8 +450,11 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def traced(bench: Bench, best: Reference) -> list[Point]:
-    """The points of paths from each pixel, each picture traced again; with as many bounces as may matter."""
-    renderer, view = bench.renderer(bench.whole), replace(bench.view, shading="path_traced")
+    """The points of paths from each pixel, each picture traced again; with as many bounces as may
+    matter.
+    """
+    renderer = bench.renderer(bench.whole)
+    view = replace(bench.view, shading="path_traced")
     renderer.render(replace(view, samples=1))
 
     def frame(samples: int) -> tuple[Frame, float]:
@@ -363,8 +465,11 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
     return points(bench, best, frame)
 
 
-def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> list[Point]:
-    """The points of ``frame``, which returns its seconds too, over CURVE_SAMPLES, until the next would take too long.
+def points(
+    bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]
+) -> list[Point]:
+    """The points of ``frame``, which returns its seconds too, over CURVE_SAMPLES, until the next
+    would take too long.
 
     The first one is made in any case.
     """
@@ -385,29 +490,39 @@ def fits(bench: Bench, seconds: float) -> bool:
 
 
 def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
-    """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one; ``size`` in words."""
+    """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one;
+    ``size`` in words.
+    """
     rows = tuple(even(curve, traced) for curve in baked)
     return Table(f"When baked light pays, {size}", EQUAL_ERROR_COLUMNS, rows)
 
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
-    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1])
+    seconds, error = next(
+        (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
+    )
     picture = seconds_at(traced, error)
-    pictures = None if picture is None else math.ceil(seconds / picture)
+    if picture is None:
+        pictures = None
+    else:
+        pictures = math.ceil(seconds / picture)
     return baked.name, error, seconds, picture, pictures
 
 
 def seconds_at(curve: Curve, error: float) -> float | None:
-    """The seconds after which a curve has come to an error, linear in their logarithms between its points.
+    """The seconds after which a curve has come to an error, linear in their logarithms between its
+    points.
 
-    Beyond its first and last point the line through the nearest two goes on. None where that never meets the error:
-    the curve has a single point, does not fall, or its error is 0.
+    Beyond its first and last point the line through the nearest two goes on. None where that never
+    meets the error: the curve has a single point, does not fall, or its error is 0.
     """
     if len(curve.x) < 2 or min(error, *curve.y) <= 0.0:
         return None
     i = min(max(bisect_left([-y for y in curve.y], -error), 1), len(curve.x) - 1)
-    (x0, x1), (y0, y1) = ([math.log(v) for v in values[i - 1 : i + 1]] for values in (curve.x, curve.y))
+    (x0, x1), (y0, y1) = (
+        [math.log(v) for v in values[i - 1 : i + 1]] for values in (curve.x, curve.y)
+    )
     if y1 >= y0 or x1 <= x0:
         return None
     return math.exp(x0 + (math.log(error) - y0) * (x1 - x0) / (y1 - y0))
