@@ -7,7 +7,8 @@ const SVG = "http://www.w3.org/2000/svg";
  * @template {Element} [T=HTMLElement]
  * @param {ParentNode} root
  * @param {string} selector
- * @param {new (...args: any[]) => T} [kind] class of the element, `HTMLElement` where it is left out
+ * @param {new (...args: any[]) => T} [kind] class of the element, `HTMLElement` where it is left
+ *   out
  * @returns {T}
  * @throws {TypeError} where there is none of that class: the page and its modules do not fit
  */
@@ -49,7 +50,8 @@ const SIZES = new WeakMap();
 let watching = null;
 
 /**
- * The size of an element's box inside its border, CSS pixels, as it was last laid out: to ask the element itself would
+ * The size of an element's box inside its border, CSS pixels, as it was last laid out: to ask the
+ * element itself would
  * have the page laid out at once.
  * @param {Element} element one that stays on the page
  * @returns {{width: number, height: number}}

@@ -5,7 +5,22 @@ import { find } from "./dom.js";
 import { Live } from "./live/live.js";
 import { Player } from "./live/player.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readBlocks, readCard, readCardBytes, readChunks, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
+import {
+  listScenes,
+  openStream,
+  readBlocks,
+  readCard,
+  readCardBytes,
+  readChunks,
+  readFrame,
+  readLight,
+  readPoint,
+  readReadiness,
+  readScene,
+  readSize,
+  readSlice,
+  readSurfacePoint,
+} from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
@@ -59,9 +74,13 @@ const REFUSED = 422;
  */
 const $ = (id, kind) => find(document, `#${id}`, kind);
 
-/** Load the scene that the address names (else the first) and start; keep trying while the server is away. */
+/**
+ * Load the scene that the address names (else the first) and start; keep trying while the server is
+ * away.
+ */
 async function start() {
-  const trouble = new TroublePanel($("trouble")), compiling = new CompilingLine($("compiling"), readReadiness);
+  const trouble = new TroublePanel($("trouble"));
+  const compiling = new CompilingLine($("compiling"), readReadiness);
   compiling.watch();
   const { scene: wanted, start: knobs } = readAddress(location.search);
   for (;;) {
@@ -73,7 +92,8 @@ async function start() {
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
       const { environment = "", material = "" } = new ViewModel(scene, knobs).values;
-      if (environment || material) Object.assign(scene, await readLight(scene.id, { environment, material }));
+      if (environment || material)
+        Object.assign(scene, await readLight(scene.id, { environment, material }));
       return assemble(scene, knobs, trouble);
     } catch (error) {
       const failure = /** @type {import("./net/trouble.js").Trouble} */ (error);
@@ -94,13 +114,28 @@ async function start() {
  */
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
-  const picture = new Picture($("stage"), $("picture", HTMLImageElement), $("draft", HTMLCanvasElement));
+  const picture = new Picture(
+    $("stage"),
+    $("picture", HTMLImageElement),
+    $("draft", HTMLCanvasElement),
+  );
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
   const { loop, live } = startLoop(scene, view, picture, { trouble, card, shown, say });
-  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => unfold($("cuts", HTMLDetailsElement)), v: () => slices.toggle() };
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
+  const keys = {
+    f: toggleFull,
+    p: () => reading.middle(),
+    m: () => reading.measure(),
+    r: () => toggleRulers(view),
+    c: () => unfold($("cuts", HTMLDetailsElement)),
+    v: () => slices.toggle(),
+  };
+  const options = {
+    onRest: () => loop.settle(),
+    toggleHelp: () => $("help").togglePopover(),
+    keys,
+  };
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
   new Player($("play", HTMLButtonElement), scene, view, shown);
@@ -112,10 +147,22 @@ function assemble(scene, knobs, trouble) {
   attachMaterial($("material"), scene, view);
   const slices = attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
-  attachSize($("size", HTMLDetailsElement), scene, view, (values, signal) => readSize(scene, values, signal));
+  attachSize($("size", HTMLDetailsElement), scene, view, (values, signal) =>
+    readSize(scene, values, signal),
+  );
   const showLight = attachLight($("light"), scene, view, options.onRest);
   const follow = () => followView(view, picture, shown, loop, live);
-  attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); follow(); }, say);
+  attachEnvironments(
+    $("light"),
+    scene,
+    view,
+    () => {
+      showLight();
+      showScene(form, scene);
+      follow();
+    },
+    say,
+  );
   attachGestures($("stage"), scene, view, options);
   attachKeys(scene, view, options);
   attachSides($("sides"), scene, shown);
@@ -128,7 +175,8 @@ function assemble(scene, knobs, trouble) {
     query: () => queryOf(scene, view.values, picture),
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
-    rulers: (/** @type {{width: number, height: number}} */ size) => rulerShapes(scene, view.values, size),
+    rulers: (/** @type {{width: number, height: number}} */ size) =>
+      rulerShapes(scene, view.values, size),
     legend: (/** @type {{width: number, height: number}} */ size) => {
       const legend = legendOf(scene, view.values);
       return legend && legendShapes(legend, size);
@@ -141,7 +189,8 @@ function assemble(scene, knobs, trouble) {
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
   form.inert = false;
-  for (const id of ["share-button", "save-button", "reset", "slices-button"]) $(id, HTMLButtonElement).disabled = false;
+  for (const id of ["share-button", "save-button", "reset", "slices-button"])
+    $(id, HTMLButtonElement).disabled = false;
   view.subscribe(follow);
   picture.onResize(follow);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", follow);
@@ -154,7 +203,8 @@ function assemble(scene, knobs, trouble) {
 }
 
 /**
- * Clicks and double clicks on the picture: the first read a point, or measure; the second bring it to the middle.
+ * Clicks and double clicks on the picture: the first read a point, or measure; the second bring it
+ * to the middle.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
@@ -166,7 +216,8 @@ function attachReading(scene, view, picture, say) {
   const pick = (values, right, up) => readSurfacePoint(scene, values, right, up);
   const marks = new Marks($("marks", SVGElement), scene, view, pick);
   const card = new PointCard($("point"), scene, marks, (right, up) =>
-    readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
+    readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)),
+  );
   const reading = new Reading($("measuring"), card, marks, view, pick, say);
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {
@@ -183,7 +234,8 @@ function attachReading(scene, view, picture, say) {
 }
 
 /**
- * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open, the card of a point,
+ * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open,
+ * the card of a point,
  * and slices, which cut away what is before them.
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -195,9 +247,20 @@ function attachCutting(scene, view, card, onRest) {
   const folder = $("cuts", HTMLDetailsElement);
   const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
   folder.addEventListener("toggle", () => handles.draw());
-  /** @param {Vec3|null} point @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye */
+  /**
+   * @param {Vec3|null} point
+   * @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye
+   */
   const cut = (point, normalOf) => {
-    if (point) view.set({ planes: cutAt(view.values.planes, scene.volume.bounds, point, normalOf(towardsEye(scene, view.values, point))) });
+    if (point)
+      view.set({
+        planes: cutAt(
+          view.values.planes,
+          scene.volume.bounds,
+          point,
+          normalOf(towardsEye(scene, view.values, point)),
+        ),
+      });
     folder.open = true;
   };
   $("point-cut").addEventListener("click", () => {
@@ -207,7 +270,8 @@ function attachCutting(scene, view, card, onRest) {
   const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
     read: (axis, at, time) => readSlice(scene.id, axis, at, time),
     cuts: folder,
-    cut: (point, normal) => cut(point, (towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),
+    cut: (point, normal) =>
+      cut(point, (towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),
     onRest,
   });
   card.onOpen = ({ voxel }) => slices.follow(voxel);
@@ -220,7 +284,10 @@ function toggleRulers(view) {
   view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
 }
 
-/** Open a folded part, where it can be seen unless the picture would go for it; or fold it. @param {HTMLDetailsElement} part */
+/**
+ * Open a folded part, where it can be seen unless the picture would go for it; or fold it.
+ * @param {HTMLDetailsElement} part
+ */
 function unfold(part) {
   part.open = !part.open;
   const stays = getComputedStyle(find(document, ".picture")).position === "sticky";
@@ -237,42 +304,76 @@ function toggleFull() {
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
- * @param {{trouble: TroublePanel, card: PointCard, shown: Shown, say: (words: string) => void}} parts
+ * @param {{trouble: TroublePanel, card: PointCard, shown: Shown, say: (words: string) => void}}
+ *   parts
  */
 function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number, moving?: boolean) => ReturnType<typeof frameQuery>} */
-  const query = (values, scale = 1, moving = false) => queryOf(scene, values, picture, scale, moving);
-  const ask = (/** @type {() => Partial<Knobs>} */ other) => async (/** @type {FrameOptions} */ options, /** @type {AbortSignal} */ signal) => {
-    const of = shown.asked, values = { ...of.values, ...other() };
-    return { ...await readFrame(scene.id, { ...query(values, options.scale, options.draft), ...formatOf(options) }, { etag: options.etag, signal }), of };
-  };
+  const query = (values, scale = 1, moving = false) =>
+    queryOf(scene, values, picture, scale, moving);
+  const ask =
+    (/** @type {() => Partial<Knobs>} */ other) =>
+    async (/** @type {FrameOptions} */ options, /** @type {AbortSignal} */ signal) => {
+      const of = shown.asked;
+      const values = { ...of.values, ...other() };
+      return {
+        ...(await readFrame(
+          scene.id,
+          { ...query(values, options.scale, options.draft), ...formatOf(options) },
+          { etag: options.etag, signal },
+        )),
+        of,
+      };
+    };
   const server = {
     open: () => openStream(scene.id),
-    view: (/** @type {boolean} */ moving) => ({ query: query(shown.asked.values, 1, moving), chunks: live.draws(shown.asked.values), of: shown.asked }),
+    view: (/** @type {boolean} */ moving) => ({
+      query: query(shown.asked.values, 1, moving),
+      chunks: live.draws(shown.asked.values),
+      of: shown.asked,
+    }),
     ask: ask(() => ({})),
     drafts: () => !live.draws(shown.asked.values),
   };
   const canvas = $("live", HTMLCanvasElement);
-  const live = new Live(canvas, scene, cardSource(scene), {
-    open: (allowed) => Card.open(canvas, allowed),
-    size: () => picture.size(1, true),
-    drawn() {
-      const { predicted } = live, { asked } = shown;
-      if (shown.pictureOf !== asked || (!shown.facts && shown.predicted !== predicted)) shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
-      $("stage").dataset.ground = ground(shown.asked.values);
+  const live = new Live(
+    canvas,
+    scene,
+    cardSource(scene),
+    {
+      open: (allowed) => Card.open(canvas, allowed),
+      size: () => picture.size(1, true),
+      drawn() {
+        const { predicted } = live;
+        const { asked } = shown;
+        if (shown.pictureOf !== asked || (!shown.facts && shown.predicted !== predicted))
+          shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
+        $("stage").dataset.ground = ground(shown.asked.values);
+      },
+      lost: () => loop.redraw(),
+      refused: (reason) => say(reason),
     },
-    lost: () => loop.redraw(),
-    refused: (reason) => say(reason),
-  }, readAddress(location.search).draw);
+    readAddress(location.search).draw,
+  );
   const other = ask(() => ({ shading: view.values.compare }));
-  const comparison = new Comparison($("comparison"), new Picture($("stage"), $("other", HTMLImageElement)), other, view);
+  const comparison = new Comparison(
+    $("comparison"),
+    new Picture($("stage"), $("other", HTMLImageElement)),
+    other,
+    view,
+  );
   const loop = new FrameLoop(server, {
     async frame({ blob, facts, chunks, of }, draft) {
-      const { sharp } = picture, words = describe(scene, of.values);
-      if (shown.surpasses(of) || (blob && !(await (draft ? picture.sketch(blob, words) : picture.show(blob, words))))) return;
+      const { sharp } = picture;
+      const words = describe(scene, of.values);
+      if (
+        shown.surpasses(of) ||
+        (blob && !(await (draft ? picture.sketch(blob, words) : picture.show(blob, words))))
+      )
+        return;
       trouble.hide();
       shown.show({ of, draft, sharp, facts });
       $("stage").dataset.ground = ground(of.values);
@@ -312,7 +413,11 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   return { loop, live };
 }
 
-/** What a graphics card draws a scene from, as the server has it. @param {Scene} scene @returns {import("./live/live.js").Source} */
+/**
+ * What a graphics card draws a scene from, as the server has it.
+ * @param {Scene} scene
+ * @returns {import("./live/live.js").Source}
+ */
 function cardSource({ id }) {
   return {
     document: (query) => readCard(id, query),
@@ -345,7 +450,8 @@ function keyOf(scene, values, picture) {
 }
 
 /**
- * Show a view that has changed, if another picture is asked for: at first with as many pixels as come quickly.
+ * Show a view that has changed, if another picture is asked for: at first with as many pixels as
+ * come quickly.
  * @param {ViewModel} view
  * @param {Picture} picture
  * @param {Shown} shown
@@ -371,7 +477,9 @@ function formatOf({ draft, waitMs }) {
  */
 function offerScenes(scenes, current) {
   const select = $("scene", HTMLSelectElement);
-  select.replaceChildren(...scenes.map(({ id, name }) => new Option(name, id, id === current, id === current)));
+  select.replaceChildren(
+    ...scenes.map(({ id, name }) => new Option(name, id, id === current, id === current)),
+  );
   select.hidden = scenes.length < 2;
   $("scene-name").hidden = !select.hidden;
   select.onchange = () => openScene(select.value);

@@ -1,15 +1,23 @@
 /** Draws a scene on the visitor's graphics card: a class with few methods, which knows no server and no page.
  *
- *     const card = await Card.open(canvas);                    // throws a Refusal: let the server draw
- *     await card.load(document.scene, slabs);                  // GET …/card, and the voxels that it links to
+ *     const card = await Card.open(canvas);                    // throws a Refusal: let the server
+ * draw
+ *     await card.load(document.scene, slabs);                  // GET …/card, and the voxels that
+ * it links to
  *     card.onlost = () => …; card.onrestored = () => …;        // the server draws between
- *     const { light, transfer } = card.lacking(chunks, turn);  // of GET …/card/chunks: what to ask the server for
- *     card.take(answer, turn);                                 // an answer of …/card/light or …/card/transfer
- *     card.draw(view);                                         // while anything moves, once an animation frame
- *     card.refine();                                           // at rest, once an animation frame, until it says false
+ *     const { light, transfer } = card.lacking(chunks, turn);  // of GET …/card/chunks: what to ask
+ * the server for
+ *     card.take(answer, turn);                                 // an answer of …/card/light or
+ * …/card/transfer
+ *     card.draw(view);                                         // while anything moves, once an
+ * animation frame
+ *     card.refine();                                           // at rest, once an animation frame,
+ * until it says false
  *
- * `draw` says false while the card is busy: ask again in the next animation frame. It draws fewer pixels while the card is
- * slow. `refine` adds a sample to the last view at full size: edges and half-shadows come smooth. The canvas has the size
+ * `draw` says false while the card is busy: ask again in the next animation frame. It draws fewer
+ * pixels while the card is
+ * slow. `refine` adds a sample to the last view at full size: edges and half-shadows come smooth.
+ * The canvas has the size
  * that its `width` and `height` say; to draw is all that may change its content.
  */
 
@@ -31,7 +39,11 @@ const UNLIT = /^0+$/; // version of a chunk without light
 
 /** A graphics card that draws one scene. */
 export class Card {
-  /** @param {HTMLCanvasElement|OffscreenCanvas} canvas @param {import("./device.js").Device} device @param {(name: string) => Promise<string>} read text of a shader's file */
+  /**
+   * @param {HTMLCanvasElement|OffscreenCanvas} canvas
+   * @param {import("./device.js").Device} device
+   * @param {(name: string) => Promise<string>} read text of a shader's file
+   */
   constructor(canvas, device, read) {
     this.canvas = canvas;
     this.device = device;
@@ -52,7 +64,8 @@ export class Card {
   /**
    * Open the card behind a canvas that nobody else draws on.
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
-   * @param {{software?: boolean, readShader?: (name: string) => Promise<string>}} [given] whether a processor may stand in
+   * @param {{software?: boolean, readShader?: (name: string) => Promise<string>}} [given] whether a
+   *   processor may stand in
    *   for a card, and where shaders are read, by default beside these modules
    * @returns {Card}
    * @throws {import("./device.js").Refusal} where this browser has no card that can draw
@@ -64,36 +77,48 @@ export class Card {
   /**
    * Load a scene in place of the one before, which is drawn until then.
    * @param {CardDocument} document `scene` of a drawable one
-   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of its volume, in the order of the document; programs are compiled
+   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of its volume, in the order of the
+   *   document; programs are compiled
    *   while they come
-   * @throws {import("./device.js").Refusal} where the card's textures or its memory are too small for it
+   * @throws {import("./device.js").Refusal} where the card's textures or its memory are too small
+   *   for it
    */
   async load(document, slabs) {
-    await this.#load(document, Promise.resolve(slabs).then((all) => joinSlabs(document, all)));
+    await this.#load(
+      document,
+      Promise.resolve(slabs).then((all) => joinSlabs(document, all)),
+    );
   }
 
   /**
-   * Which of some chunks to ask the server for: folded light, and raw transfer of chunks whose folded light is here.
+   * Which of some chunks to ask the server for: folded light, and raw transfer of chunks whose
+   * folded light is here.
    * @param {ListedChunk[]} chunks that a view reads
    * @param {Quaternion} turn of the light that is asked for
    * @returns {{light: string[], transfer: string[]}} parts of addresses, in the order of the list
    */
   lacking(chunks, turn) {
     if (!this.drawing) return { light: [], transfer: [] };
-    const here = this.drawing.texels.chunks, { takesRaw } = this.drawing.texels;
+    const here = this.drawing.texels.chunks;
+    const { takesRaw } = this.drawing.texels;
     const lit = chunks.filter(({ version }) => !UNLIT.test(version));
-    const isHere = (/** @type {ListedChunk} */ { at, version }) => here.get(at)?.version === version;
-    const mayStay = (/** @type {ListedChunk} */ { at }) => here.get(at)?.raw || here.get(at)?.lightKey === keyOf(turn);
+    const isHere = (/** @type {ListedChunk} */ { at, version }) =>
+      here.get(at)?.version === version;
+    const mayStay = (/** @type {ListedChunk} */ { at }) =>
+      here.get(at)?.raw || here.get(at)?.lightKey === keyOf(turn);
     return {
       light: lit.filter((chunk) => !isHere(chunk) || !mayStay(chunk)).map(addressOf),
-      transfer: takesRaw ? lit.filter((chunk) => isHere(chunk) && !here.get(chunk.at)?.raw).map(addressOf) : [],
+      transfer: takesRaw
+        ? lit.filter((chunk) => isHere(chunk) && !here.get(chunk.at)?.raw).map(addressOf)
+        : [],
     };
   }
 
   /**
    * Take an answer of the server: blocks of folded light or of transfer.
    * @param {ArrayBuffer} answer
-   * @param {Quaternion|null} turn of the light that it was asked for by; null for transfer in few bits, which is of none
+   * @param {Quaternion|null} turn of the light that it was asked for by; null for transfer in few
+   *   bits, which is of none
    * @param {readonly number[]} [steps] of its codes, where it is in few bits
    */
   take(answer, turn, steps) {
@@ -106,7 +131,8 @@ export class Card {
   /**
    * Draw a view that moves, in as many pixels as the card draws quickly.
    * @param {View} view
-   * @returns {boolean} whether it was drawn; else the card is lost, compiles, or is busy with the view before
+   * @returns {boolean} whether it was drawn; else the card is lost, compiles, or is busy with the
+   *   view before
    */
   draw(view) {
     if (!this.drawing || this.lost || this.pace.busy || !this.drawing.isReady(view)) return false;
@@ -121,7 +147,8 @@ export class Card {
    */
   refine() {
     if (!this.drawing || this.lost || !this.last) return false;
-    const { view, size, samples } = this.last, whole = this.#sizeAt(1);
+    const { view, size, samples } = this.last;
+    const whole = this.#sizeAt(1);
     if (samples > SAMPLES) return false;
     if (this.pace.busy) return true;
     const goesOn = size[0] === whole[0] && size[1] === whole[1];
@@ -138,17 +165,30 @@ export class Card {
     this.last = { view, size, samples: n + 1 };
   }
 
-  /** Pixels of the canvas at a share of its width. @param {number} share @returns {[number, number]} */
+  /**
+   * Pixels of the canvas at a share of its width.
+   * @param {number} share
+   * @returns {[number, number]}
+   */
   #sizeAt(share) {
-    return [Math.max(Math.round(share * this.canvas.width), 1), Math.max(Math.round(share * this.canvas.height), 1)];
+    return [
+      Math.max(Math.round(share * this.canvas.width), 1),
+      Math.max(Math.round(share * this.canvas.height), 1),
+    ];
   }
 
-  /** @param {CardDocument} document @param {Promise<import("./cells.js").Voxels>} codes @param {import("./texels.js").Run[]} [runs] */
+  /**
+   * @param {CardDocument} document
+   * @param {Promise<import("./cells.js").Voxels>} codes
+   * @param {import("./texels.js").Run[]} [runs]
+   */
   async #load(document, codes, runs) {
-    const { gl } = this.device, load = ++this.loads;
+    const { gl } = this.device;
+    const load = ++this.loads;
     const [programs, voxels] = await Promise.all([programsOf(gl, document, this.read), codes]);
     if (load !== this.loads) return; // another scene was asked for meanwhile
-    const volume = new Volume(this.device, document, voxels), texels = new Texels(this.device, document, BUDGET, runs);
+    const volume = new Volume(this.device, document, voxels);
+    const texels = new Texels(this.device, document, BUDGET, runs);
     const drawing = new Drawing(this.device, document, volume, texels, programs);
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       drawing.release();
@@ -167,10 +207,16 @@ export class Card {
   }
 
   async #restore() {
-    const { drawing } = this, shown = this.last;
+    const { drawing } = this;
+    const shown = this.last;
     this.device = openDevice(this.canvas, { software: this.device.software });
     this.pace = new Pace(this.device.gl);
-    if (drawing) await this.#load(drawing.document, Promise.resolve(drawing.volume.source), drawing.texels.runs);
+    if (drawing)
+      await this.#load(
+        drawing.document,
+        Promise.resolve(drawing.volume.source),
+        drawing.texels.runs,
+      );
     this.lost = false;
     if (shown) this.draw(shown.view);
     this.onrestored();

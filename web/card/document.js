@@ -1,4 +1,7 @@
-/** All that a card needs to draw a scene: the object `scene` of `GET /v1/scenes/{scene}/card`; see docs/card.md. */
+/**
+ * All that a card needs to draw a scene: the object `scene` of `GET /v1/scenes/{scene}/card`; see
+ * docs/card.md.
+ */
 
 /** @typedef {[number, number, number]} Vec3 */
 /** @typedef {import("../documents.js").CardScene} CardDocument */
@@ -24,6 +27,8 @@ const PAPER = 0.8;
  * @returns {{greys: [number, number], paper: number}}
  */
 export function facesOf({ values, volume, exposure }) {
-  const { core } = values, span = Math.max(core[1] - core[0], Number.MIN_VALUE), zero = values.offset + values.scale * volume.base - core[0];
+  const { core } = values;
+  const span = Math.max(core[1] - core[0], Number.MIN_VALUE);
+  const zero = values.offset + values.scale * volume.base - core[0];
   return { greys: [(values.scale * volume.gain) / span, zero / span], paper: PAPER / exposure };
 }

@@ -1,4 +1,7 @@
-/** A scene on a card: its volume, texels and programs, and the pictures that these make. All of it goes with the context. */
+/**
+ * A scene on a card: its volume, texels and programs, and the pictures that these make. All of it
+ * goes with the context.
+ */
 
 import { codeOf, facesOf } from "./document.js";
 import { turnLight } from "./light.js";
@@ -19,34 +22,65 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {import("./rays.js").Camera} camera in the world
  * @property {import("./light.js").Quaternion} light the light's turn in the world
  * @property {number} exposure
- * @property {import("./document.js").Vec3} [albedo] as a multiple of the document's: what is shown is then predicted
+ * @property {import("./document.js").Vec3} [albedo] as a multiple of the document's: what is shown
+ *   is then predicted
  * @property {import("./document.js").Vec3} ground linear light behind the surface
- * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in the world; 12 at most
+ * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in
+ *   the world; 12 at most
  * @property {boolean} [marked] whether what lacks light of its texels is hatched
  * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
  */
 
-/** Distances between the neighbours that light which converges is filtered by, pass by pass; an even number of passes. */
+/**
+ * Distances between the neighbours that light which converges is filtered by, pass by pass; an even
+ * number of passes.
+ */
 const FILTER_DISTANCES = [1, 2];
 
 /** Names the turn of a light. @param {import("./light.js").Quaternion} light @returns {string} */
 export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
 
 /**
- * The programs that draw a scene, once the driver has compiled them; that of the local model once it is asked for.
+ * The programs that draw a scene, once the driver has compiled them; that of the local model once
+ * it is asked for.
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
  * @param {(name: string) => Promise<string>} read text of a shader's file
- * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal: () => Promise<Program>}>}
+ * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal: () =>
+ *   Promise<Program>}>}
  */
 export async function programsOf(gl, { grid, volume, plan, light }, read) {
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
-  const common = { VOXELS: sampler, SMOOTH: Number(grid.smooth), RATIOS: Number(plan.ratios), LOBES: light.lobes.length };
-  const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, TERMS: light.terms.length, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
-  const [view, fold, filter, show] = await Promise.all(["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)));
-  const compiled = [compile(gl, view, { ...common, SHADING: 1 }), compile(gl, fold, { ...common, ...numbers }), compile(gl, filter, common), compile(gl, show)];
+  const common = {
+    VOXELS: sampler,
+    SMOOTH: Number(grid.smooth),
+    RATIOS: Number(plan.ratios),
+    LOBES: light.lobes.length,
+  };
+  const numbers = {
+    NUMBERS: plan.channels * plan.columns,
+    COLUMNS: plan.columns,
+    TERMS: light.terms.length,
+    STRAIGHT: plan.straight,
+    WHOLE: Number(plan.whole),
+  };
+  const [view, fold, filter, show] = await Promise.all(
+    ["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)),
+  );
+  const compiled = [
+    compile(gl, view, { ...common, SHADING: 1 }),
+    compile(gl, fold, { ...common, ...numbers }),
+    compile(gl, filter, common),
+    compile(gl, show),
+  ];
   const [lit, folding, filtering, showing] = await Promise.all(compiled);
-  return { lit, fold: folding, filter: filtering, show: showing, makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }) };
+  return {
+    lit,
+    fold: folding,
+    filter: filtering,
+    show: showing,
+    makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }),
+  };
 }
 
 /** What is drawn of a scene. */
@@ -75,10 +109,17 @@ export class Drawing {
     this.compiling = false;
   }
 
-  /** Whether a view can be drawn; else its program is compiled meanwhile. @param {View} view @returns {boolean} */
+  /**
+   * Whether a view can be drawn; else its program is compiled meanwhile.
+   * @param {View} view
+   * @returns {boolean}
+   */
   isReady({ lambert }) {
     if (!lambert || this.local) return true;
-    if (!this.compiling) this.programs.makeLocal().then((program) => { this.local = program; });
+    if (!this.compiling)
+      this.programs.makeLocal().then((program) => {
+        this.local = program;
+      });
     this.compiling = true;
     return false;
   }
@@ -92,18 +133,23 @@ export class Drawing {
   release() {
     const { gl, volume, texels, programs } = this;
     this.picture?.release();
-    for (const { id } of [this.turned, ...volume.textures, ...texels.textures]) gl.deleteTexture(id);
-    for (const program of [programs.lit, programs.fold, programs.filter, programs.show, this.local]) if (program) gl.deleteProgram(program.id);
+    for (const { id } of [this.turned, ...volume.textures, ...texels.textures])
+      gl.deleteTexture(id);
+    for (const program of [programs.lit, programs.fold, programs.filter, programs.show, this.local])
+      if (program) gl.deleteProgram(program.id);
   }
 
   /**
-   * Draw sample n of a view into the picture: the first one replaces it, and the others join its mean.
+   * Draw sample n of a view into the picture: the first one replaces it, and the others join its
+   * mean.
    * @param {View} view
    * @param {Size} size pixels
    * @param {number} n
    */
   sample(view, size, n) {
-    const { document } = this, light = this.#turn(view.light), records = this.#fold(light, keyOf(view.light));
+    const { document } = this;
+    const light = this.#turn(view.light);
+    const records = this.#fold(light, keyOf(view.light));
     const picture = this.#pictureOf(size);
     picture.begin(n, size);
     run(this.gl, (view.lambert && this.local) || this.programs.lit, {
@@ -133,11 +179,18 @@ export class Drawing {
    * @param {Size} size pixels that are drawn of it
    */
   show({ exposure, ground }, size) {
-    const { gl, picture } = this, screen = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+    const { gl, picture } = this;
+    const screen = [gl.drawingBufferWidth, gl.drawingBufferHeight];
     if (!picture) return;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, screen[0], screen[1]);
-    run(gl, this.programs.show, { picture: picture.texture, drawn: size, screen, ground, ...filmOf(this.document, exposure) });
+    run(gl, this.programs.show, {
+      picture: picture.texture,
+      drawn: size,
+      screen,
+      ground,
+      ...filmOf(this.document, exposure),
+    });
   }
 
   /** The light as it is turned now. @param {import("./light.js").Quaternion} rotation */
@@ -147,13 +200,22 @@ export class Drawing {
     return this.light.light;
   }
 
-  /** The records under a light: as the server folded them where it was all by that, else folded here. @param {import("./light.js").TurnedLight} light @param {string} key @returns {Texture} */
+  /**
+   * The records under a light: as the server folded them where it was all by that, else folded
+   * here.
+   * @param {import("./light.js").TurnedLight} light
+   * @param {string} key
+   * @returns {Texture}
+   */
   #fold(light, key) {
     const { texels } = this;
     if (texels.runs.every((each) => each.lightKey === key)) return texels.records;
     if (this.folded !== key) {
       this.#foldRuns(light);
-      if (texels.grainy) FILTER_DISTANCES.forEach((apart, pass) => this.#filter(light, apart, texels.turned[pass % 2], texels.turned[1 - (pass % 2)]));
+      if (texels.grainy)
+        FILTER_DISTANCES.forEach((apart, pass) =>
+          this.#filter(light, apart, texels.turned[pass % 2], texels.turned[1 - (pass % 2)]),
+        );
     }
     this.folded = key;
     return texels.turned[0].records;
@@ -161,15 +223,39 @@ export class Drawing {
 
   /** @param {import("./light.js").TurnedLight} light */
   #foldRuns({ columns, quadric }) {
-    const { gl, texels, document } = this, { least, terms } = document.light, { channels } = document.plan, green = Math.min(channels - 1, 1);
-    const met = (/** @type {number} */ c) => columns.map(([r, g, b, square]) => [...[r, g, b].map((x, i) => (channels === 1 || i === c ? x : 0)), c === green ? square : 0]);
-    fillTexture(gl, this.turned, new Float32Array(Array.from({ length: channels }, (_, c) => met(c)).flat(2)));
-    const firsts = terms.map((_, k) => green * columns.length + terms.slice(0, k).reduce((sum, { order }) => sum + order ** 2, 0));
-    const [{ records, noise }] = texels.turned, framebuffer = drawInto(gl, records, noise);
+    const { gl, texels, document } = this;
+    const { least, terms } = document.light;
+    const { channels } = document.plan;
+    const green = Math.min(channels - 1, 1);
+    const met = (/** @type {number} */ c) =>
+      columns.map(([r, g, b, square]) => [
+        ...[r, g, b].map((x, i) => (channels === 1 || i === c ? x : 0)),
+        c === green ? square : 0,
+      ]);
+    fillTexture(
+      gl,
+      this.turned,
+      new Float32Array(Array.from({ length: channels }, (_, c) => met(c)).flat(2)),
+    );
+    const firsts = terms.map(
+      (_, k) =>
+        green * columns.length + terms.slice(0, k).reduce((sum, { order }) => sum + order ** 2, 0),
+    );
+    const [{ records, noise }] = texels.turned;
+    const framebuffer = drawInto(gl, records, noise);
     for (const each of texels.runs) {
       gl.viewport(0, each.row, records.size[0], each.rows);
       const raw = texels.takesRaw && isRaw(each);
-      run(gl, this.programs.fold, { records: texels.records, transfer: texels.transfer, turned: this.turned, firsts, raw: Number(raw), quadric, quadric_then: each.quadric, least });
+      run(gl, this.programs.fold, {
+        records: texels.records,
+        transfer: texels.transfer,
+        turned: this.turned,
+        firsts,
+        raw: Number(raw),
+        quadric,
+        quadric_then: each.quadric,
+        least,
+      });
     }
     gl.deleteFramebuffer(framebuffer);
   }
@@ -182,9 +268,19 @@ export class Drawing {
    * @param {import("./texels.js").Folded} to
    */
   #filter({ quadric }, apart, from, to) {
-    const { gl, texels, document } = this, framebuffer = drawInto(gl, to.records, to.noise);
+    const { gl, texels, document } = this;
+    const framebuffer = drawInto(gl, to.records, to.noise);
     gl.viewport(0, 0, to.records.size[0], texels.rows);
-    run(gl, this.programs.filter, { records: from.records, noises: from.noise, places: texels.places, bricks: texels.bricks, lattice: document.lattice.size, apart, quadric, least: document.light.least });
+    run(gl, this.programs.filter, {
+      records: from.records,
+      noises: from.noise,
+      places: texels.places,
+      bricks: texels.bricks,
+      lattice: document.lattice.size,
+      apart,
+      quadric,
+      least: document.light.least,
+    });
     gl.deleteFramebuffer(framebuffer);
   }
 
@@ -197,15 +293,38 @@ export class Drawing {
   }
 }
 
-/** Uniforms of the light. @param {CardDocument} document @param {import("./light.js").TurnedLight} light */
+/**
+ * Uniforms of the light.
+ * @param {CardDocument} document
+ * @param {import("./light.js").TurnedLight} light
+ */
 function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
-  const least = plan.ratios ? light.least : [0, 0, 0], [east, north] = [0, 1].map((i) => edges.flatMap((edge) => edge[i]));
-  return { quadric, least, unit: light.unit, towards: towards.flat(), east, north, shine: light.lobes.flatMap((lobe) => lobe.shine), offset: grid.offset, ...lambert };
+  const least = plan.ratios ? light.least : [0, 0, 0];
+  const [east, north] = [0, 1].map((i) => edges.flatMap((edge) => edge[i]));
+  return {
+    quadric,
+    least,
+    unit: light.unit,
+    towards: towards.flat(),
+    east,
+    north,
+    shine: light.lobes.flatMap((lobe) => lobe.shine),
+    offset: grid.offset,
+    ...lambert,
+  };
 }
 
-/** Uniforms of a window. @param {CardDocument} document @param {readonly import("./rays.js").Plane[]} planes */
+/**
+ * Uniforms of a window.
+ * @param {CardDocument} document
+ * @param {readonly import("./rays.js").Plane[]} planes
+ */
 function sightOf(document, planes) {
-  return { planes: planes.length, window: planes.length ? windowOf(document.grid, planes) : [0, 0, 0, 1], ...facesOf(document) };
+  return {
+    planes: planes.length,
+    window: planes.length ? windowOf(document.grid, planes) : [0, 0, 0, 1],
+    ...facesOf(document),
+  };
 }
 
 /** Uniforms of the lattice. @param {CardDocument} document */

@@ -4,7 +4,16 @@
 
 /** @typedef {number[][]} Matrix rows */
 
-/** P_i(l; m, n) of table 2. @param {Matrix} first of band 1 @param {Matrix} before of band l - 1 @param {number} l @param {number} i @param {number} m @param {number} n @returns {number} */
+/**
+ * P_i(l; m, n) of table 2.
+ * @param {Matrix} first of band 1
+ * @param {Matrix} before of band l - 1
+ * @param {number} l
+ * @param {number} i
+ * @param {number} m
+ * @param {number} n
+ * @returns {number}
+ */
 function step(first, before, l, i, m, n) {
   const row = before[m + l - 1];
   if (n === l) return first[1 + i][2] * row[2 * l - 2] - first[1 + i][0] * row[0];
@@ -19,20 +28,43 @@ function innerWeights(m) {
   return m > 0 ? [same, -other] : [other, same];
 }
 
-/** Element (m, n) of band l: u U + v V + w W of tables 1 and 2 as corrected. @param {Matrix} first @param {Matrix} before @param {number} l @param {number} m @param {number} n @returns {number} */
+/**
+ * Element (m, n) of band l: u U + v V + w W of tables 1 and 2 as corrected.
+ * @param {Matrix} first
+ * @param {Matrix} before
+ * @param {number} l
+ * @param {number} m
+ * @param {number} n
+ * @returns {number}
+ */
 function element(first, before, l, m, n) {
-  const k = Math.abs(m), s = m > 0 ? 1 : -1;
+  const k = Math.abs(m);
+  const s = m > 0 ? 1 : -1;
   const below = Math.abs(n) === l ? 2 * l * (2 * l - 1) : (l + n) * (l - n);
-  const u = Math.sqrt(((l + m) * (l - m)) / below), v = 0.5 * Math.sqrt(((l + k - 1) * (l + k)) / below);
+  const u = Math.sqrt(((l + m) * (l - m)) / below);
+  const v = 0.5 * Math.sqrt(((l + k - 1) * (l + k)) / below);
   const w = k > 0 ? 0.5 * Math.sqrt(Math.max(0, (l - k - 1) * (l - k)) / below) : 0;
   const [plus, minus] = innerWeights(m);
-  const parts = /** @type {[number, number, number][]} */ ([[0, m, u], [1, m - s, v * plus], [-1, s - m, v * minus], [1, m + s, -w], [-1, -m - s, -s * w]]);
-  return parts.reduce((sum, [i, row, weight]) => (weight === 0 || Math.abs(row) > l - 1 ? sum : sum + weight * step(first, before, l, i, row, n)), 0);
+  const parts = /** @type {[number, number, number][]} */ ([
+    [0, m, u],
+    [1, m - s, v * plus],
+    [-1, s - m, v * minus],
+    [1, m + s, -w],
+    [-1, -m - s, -s * w],
+  ]);
+  return parts.reduce(
+    (sum, [i, row, weight]) =>
+      weight === 0 || Math.abs(row) > l - 1
+        ? sum
+        : sum + weight * step(first, before, l, i, row, n),
+    0,
+  );
 }
 
 /**
  * Matrices of the bands 0 … order - 1 of a rotation.
- * Source: Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102, 9099 (1998).
+ * Source: Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102,
+ * 9099 (1998).
  * @param {number} order
  * @param {Matrix} matrix the rotation, 3 × 3
  * @returns {Matrix[]} element (m, n) of band l at [m + l][n + l]
@@ -48,7 +80,8 @@ export function bandRotations(order, matrix) {
 }
 
 /**
- * Coefficients of a function that is turned: always of the unturned ones, as chained rotations drift.
+ * Coefficients of a function that is turned: always of the unturned ones, as chained rotations
+ * drift.
  * @param {Matrix[]} bands of the rotation, at least as many as the function has
  * @param {readonly number[]} coefficients
  * @returns {number[]}

@@ -1,4 +1,7 @@
-/** The light of a scene, turned, as shaders take it. Source in the core: `RotatedLight` of isogi_core/frame/lighting.py. */
+/**
+ * The light of a scene, turned, as shaders take it. Source in the core: `RotatedLight` of
+ * isogi_core/frame/lighting.py.
+ */
 
 import { bandRotations, turned } from "./harmonics.js";
 
@@ -8,13 +11,18 @@ import { bandRotations, turned } from "./harmonics.js";
 
 /**
  * @typedef {object} TurnedLight
- * @property {number[][]} columns what each column of a texel's transfer meets, r, g, b, and their luminance squared
+ * @property {number[][]} columns what each column of a texel's transfer meets, r, g, b, and their
+ *   luminance squared
  * @property {number[]} quadric unshadowed light, nine times r, g, b
  * @property {Vec3[]} towards of each lobe
  * @property {[Vec3, Vec3][]} edges of each lobe
  */
 
-/** The matrix that turns a vector by a unit quaternion. @param {Quaternion} q @returns {[Vec3, Vec3, Vec3]} rows */
+/**
+ * The matrix that turns a vector by a unit quaternion.
+ * @param {Quaternion} q
+ * @returns {[Vec3, Vec3, Vec3]} rows
+ */
 export function rotationMatrix([w, x, y, z]) {
   return [
     [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -23,14 +31,25 @@ export function rotationMatrix([w, x, y, z]) {
   ];
 }
 
-/** The rotation in a box whose axes in the world are the columns of `rotation`: rotationᵀ · Q. @param {Vec3[]} rotation @param {Vec3[]} q @returns {[Vec3, Vec3, Vec3]} */
+/**
+ * The rotation in a box whose axes in the world are the columns of `rotation`: rotationᵀ · Q.
+ * @param {Vec3[]} rotation
+ * @param {Vec3[]} q
+ * @returns {[Vec3, Vec3, Vec3]}
+ */
 function inBox(rotation, q) {
-  const row = (/** @type {number} */ i) => /** @type {Vec3} */ ([0, 1, 2].map((j) => rotation[0][i] * q[0][j] + rotation[1][i] * q[1][j] + rotation[2][i] * q[2][j]));
+  const row = (/** @type {number} */ i) =>
+    /** @type {Vec3} */ (
+      [0, 1, 2].map(
+        (j) => rotation[0][i] * q[0][j] + rotation[1][i] * q[1][j] + rotation[2][i] * q[2][j],
+      )
+    );
   return [row(0), row(1), row(2)];
 }
 
 /**
- * Harmonics of a colour, of order 3 at most, as a polynomial of the unit vector: over 1, y, z, x, xy, yz, z², xz, x² - y².
+ * Harmonics of a colour, of order 3 at most, as a polynomial of the unit vector: over 1, y, z, x,
+ * xy, yz, z², xz, x² - y².
  * Source: Ramamoorthi and Hanrahan 2001, eq. 13; `quadric_of` in the core.
  * @param {readonly number[]} harmonics
  * @returns {number[]}
@@ -38,7 +57,9 @@ function inBox(rotation, q) {
 export function quadricOf(harmonics) {
   const s = Array.from({ length: 9 }, (_, i) => harmonics[i] ?? 0);
   s[0] -= Math.sqrt(5 / 4) * s[6];
-  return s.map((x, i) => x * Math.sqrt([1, 3, 3, 3, 15, 15, 45 / 4, 15, 15 / 4][i] / (4 * Math.PI)));
+  return s.map(
+    (x, i) => x * Math.sqrt([1, 3, 3, 3, 15, 15, 45 / 4, 15, 15 / 4][i] / (4 * Math.PI)),
+  );
 }
 
 /**
@@ -51,10 +72,15 @@ export function turnLight({ grid, light }, rotation) {
   const matrix = inBox(grid.rotation, rotationMatrix(rotation));
   const order = Math.max(...light.terms.map((term) => term.order), Math.sqrt(light.sky[0].length));
   const bands = bandRotations(order, matrix);
-  const terms = light.terms.flatMap((term) => byColumn([...term.light, term.square].map((each) => turned(bands, each))));
+  const terms = light.terms.flatMap((term) =>
+    byColumn([...term.light, term.square].map((each) => turned(bands, each))),
+  );
   const quadric = byColumn(light.sky.map((colour) => quadricOf(turned(bands, colour)))).flat();
-  const turn = (/** @type {Vec3} */ v) => /** @type {Vec3} */ (matrix.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]));
-  const edges = light.lobes.map((lobe) => /** @type {[Vec3, Vec3]} */ ([turn(lobe.edges[0]), turn(lobe.edges[1])]));
+  const turn = (/** @type {Vec3} */ v) =>
+    /** @type {Vec3} */ (matrix.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]));
+  const edges = light.lobes.map(
+    (lobe) => /** @type {[Vec3, Vec3]} */ ([turn(lobe.edges[0]), turn(lobe.edges[1])]),
+  );
   return { columns: terms, quadric, towards: light.lobes.map((lobe) => turn(lobe.towards)), edges };
 }
 

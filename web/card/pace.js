@@ -18,7 +18,8 @@ export function nextShare(share, ms) {
   const wanted = share * Math.sqrt(TARGET_MS / ms);
   if (wanted >= share) return wanted < WORTH * share ? share : Math.min(wanted, GROWTH * share, 1);
   const atLeast = ms * (LEAST / share) ** 2;
-  const bearable = atLeast <= SLOW_MS ? Math.max(wanted, Math.min(LEAST, share)) : share * Math.sqrt(SLOW_MS / ms);
+  const bearable =
+    atLeast <= SLOW_MS ? Math.max(wanted, Math.min(LEAST, share)) : share * Math.sqrt(SLOW_MS / ms);
   return Math.max(bearable, FEWEST);
 }
 
@@ -34,7 +35,10 @@ export class Pace {
     this.pending = null;
   }
 
-  /** Whether the card still draws what it was asked for last; a picture more would only wait. @returns {boolean} */
+  /**
+   * Whether the card still draws what it was asked for last; a picture more would only wait.
+   * @returns {boolean}
+   */
   get busy() {
     const { gl, pending } = this;
     if (!pending) return false;
@@ -46,7 +50,10 @@ export class Pace {
     return false;
   }
 
-  /** Wait for the picture that was just asked for. @param {boolean} [learns] whether its time says how large the next may be */
+  /**
+   * Wait for the picture that was just asked for.
+   * @param {boolean} [learns] whether its time says how large the next may be
+   */
   time(learns = true) {
     const fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     if (fence) this.pending = { fence, began: this.now(), learns };

@@ -1,4 +1,7 @@
-/** A picture of linear light on a card: what the pixels' middles show, and the mean of samples that make edges smooth. */
+/**
+ * A picture of linear light on a card: what the pixels' middles show, and the mean of samples that
+ * make edges smooth.
+ */
 
 import { drawInto, makeTexture } from "./textures.js";
 
@@ -11,19 +14,33 @@ export const SAMPLES = 16;
 /** The golden angle, in radians: discs are filled as a sunflower is. Source: Vogel 1979. */
 const GOLDEN = Math.PI * (3 - Math.sqrt(5));
 
-/** Digits of n in a base behind the point, in reverse. Source: Halton 1964. @param {number} n @param {number} base @returns {number} */
+/**
+ * Digits of n in a base behind the point, in reverse. Source: Halton 1964.
+ * @param {number} n
+ * @param {number} base
+ * @returns {number}
+ */
 function halton(n, base) {
   let sum = 0;
-  for (let share = 1 / base; n > 0; n = Math.floor(n / base), share /= base) sum += (n % base) * share;
+  for (let share = 1 / base; n > 0; n = Math.floor(n / base), share /= base)
+    sum += (n % base) * share;
   return sum;
 }
 
-/** Where sample n of a pixel is, from its middle; the middle for 0. @param {number} n @returns {[number, number]} pixels */
+/**
+ * Where sample n of a pixel is, from its middle; the middle for 0.
+ * @param {number} n
+ * @returns {[number, number]} pixels
+ */
 export function jitterOf(n) {
   return n === 0 ? [0, 0] : [halton(n, 2) - 0.5, halton(n, 3) - 0.5];
 }
 
-/** Where the rays of sample n meet a disc, in radii; the middle for 0. @param {number} n @returns {[number, number]} */
+/**
+ * Where the rays of sample n meet a disc, in radii; the middle for 0.
+ * @param {number} n
+ * @returns {[number, number]}
+ */
 export function discOf(n) {
   const radius = n === 0 ? 0 : Math.sqrt(halton(n - 1, 2) + 0.5 / SAMPLES);
   return [radius * Math.cos(n * GOLDEN), radius * Math.sin(n * GOLDEN)];
@@ -52,12 +69,14 @@ export class Picture {
   }
 
   /**
-   * Have what is drawn next become sample n: the first one replaces the picture, and the others join its mean.
+   * Have what is drawn next become sample n: the first one replaces the picture, and the others
+   * join its mean.
    * @param {number} n
    * @param {Size} size
    */
   begin(n, size) {
-    const { gl, targets } = this, [width, height] = size;
+    const { gl, targets } = this;
+    const [width, height] = size;
     if (n === 1) {
       gl.bindFramebuffer(gl.READ_FRAMEBUFFER, targets[0]);
       gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, targets[1]);

@@ -1,8 +1,17 @@
-/** Programs of a card: shaders are files in `shaders/`, joined where they include each other, compiled beside the page. */
+/**
+ * Programs of a card: shaders are files in `shaders/`, joined where they include each other,
+ * compiled beside the page.
+ */
 
 /** @typedef {import("./textures.js").Texture} Texture */
-/** @typedef {number|readonly number[]|Float32Array|Int32Array|Uint32Array|Texture} Value of a uniform */
-/** @typedef {{id: WebGLProgram, uniforms: Map<string, {place: WebGLUniformLocation, kind: number}>}} Program */
+/**
+ * @typedef {number|readonly number[]|Float32Array|Int32Array|Uint32Array|Texture} Value of a
+ *   uniform
+ */
+/**
+ * @typedef {{id: WebGLProgram, uniforms: Map<string, {place: WebGLUniformLocation, kind: number}>}}
+ *   Program
+ */
 
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
 const INCLUDE = /^#include "([^"]+)"$/gm;
@@ -20,7 +29,8 @@ const SCREEN = `${HEAD}void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl
 export async function joined(name, read, seen = new Set()) {
   if (seen.has(name)) return "";
   seen.add(name);
-  const text = await read(name), parts = [];
+  const text = await read(name);
+  const parts = [];
   let end = 0;
   for (const found of text.matchAll(INCLUDE)) {
     parts.push(text.slice(end, found.index), await joined(found[1], read, seen));
@@ -45,20 +55,31 @@ export async function readShader(name) {
  */
 export async function compile(gl, text, defines = {}) {
   const lines = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}\n`);
-  const shaders = [shaderOf(gl, gl.VERTEX_SHADER, SCREEN), shaderOf(gl, gl.FRAGMENT_SHADER, HEAD + lines.join("") + text)];
+  const shaders = [
+    shaderOf(gl, gl.VERTEX_SHADER, SCREEN),
+    shaderOf(gl, gl.FRAGMENT_SHADER, HEAD + lines.join("") + text),
+  ];
   const id = gl.createProgram();
   shaders.forEach((shader) => gl.attachShader(id, shader));
   gl.linkProgram(id);
   await compiled(gl, id);
   if (!gl.getProgramParameter(id, gl.LINK_STATUS) && !gl.isContextLost()) {
-    const logs = [...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(id)];
+    const logs = [
+      ...shaders.map((shader) => gl.getShaderInfoLog(shader)),
+      gl.getProgramInfoLog(id),
+    ];
     throw new Error(`The graphics card refuses a shader: ${logs.join(" ").trim()}`);
   }
   shaders.forEach((shader) => gl.deleteShader(shader));
   return { id, uniforms: uniformsOf(gl, id) };
 }
 
-/** @param {WebGL2RenderingContext} gl @param {number} kind @param {string} text @returns {WebGLShader} */
+/**
+ * @param {WebGL2RenderingContext} gl
+ * @param {number} kind
+ * @param {string} text
+ * @returns {WebGLShader}
+ */
 function shaderOf(gl, kind, text) {
   const shader = gl.createShader(kind);
   if (!shader) throw new Error("The graphics card was lost.");
@@ -67,10 +88,18 @@ function shaderOf(gl, kind, text) {
   return shader;
 }
 
-/** Wait until a driver that compiles beside the page has done so. @param {WebGL2RenderingContext} gl @param {WebGLProgram} id */
+/**
+ * Wait until a driver that compiles beside the page has done so.
+ * @param {WebGL2RenderingContext} gl
+ * @param {WebGLProgram} id
+ */
 async function compiled(gl, id) {
   const beside = gl.getExtension("KHR_parallel_shader_compile");
-  while (beside && !gl.isContextLost() && !gl.getProgramParameter(id, beside.COMPLETION_STATUS_KHR)) {
+  while (
+    beside &&
+    !gl.isContextLost() &&
+    !gl.getProgramParameter(id, beside.COMPLETION_STATUS_KHR)
+  ) {
     await new Promise((done) => setTimeout(done, 10));
   }
 }
@@ -79,7 +108,8 @@ async function compiled(gl, id) {
 function uniformsOf(gl, id) {
   const found = new Map();
   for (let i = 0; i < (gl.getProgramParameter(id, gl.ACTIVE_UNIFORMS) ?? 0); i++) {
-    const uniform = gl.getActiveUniform(id, i), place = uniform && gl.getUniformLocation(id, uniform.name);
+    const uniform = gl.getActiveUniform(id, i);
+    const place = uniform && gl.getUniformLocation(id, uniform.name);
     if (uniform && place) found.set(uniform.name.replace("[0]", ""), { place, kind: uniform.type });
   }
   return found;
@@ -106,7 +136,12 @@ export function run(gl, program, values) {
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
-/** @param {WebGL2RenderingContext} gl @param {WebGLUniformLocation} place @param {number} kind @param {Iterable<number>} value */
+/**
+ * @param {WebGL2RenderingContext} gl
+ * @param {WebGLUniformLocation} place
+ * @param {number} kind
+ * @param {Iterable<number>} value
+ */
 function put(gl, place, kind, value) {
   const numbers = [...value];
   if (kind === gl.FLOAT) gl.uniform1fv(place, numbers);

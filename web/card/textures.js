@@ -1,9 +1,15 @@
 /** Textures of a card: made once at their size, as WebGL 2 has it, and filled part by part. */
 
 /** @typedef {"R8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGBA16F"|"RGBA32F"} Format */
-/** @typedef {{id: WebGLTexture, target: number, format: Format, size: readonly number[]}} Texture */
+/**
+ * @typedef {{id: WebGLTexture, target: number, format: Format, size: readonly number[]}} Texture
+ */
 
-/** Format and type of the data of each internal format. @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGBA_INTEGER"|"RGBA", "UNSIGNED_BYTE"|"UNSIGNED_SHORT"|"FLOAT"|"UNSIGNED_INT"|"HALF_FLOAT"]>} */
+/**
+ * Format and type of the data of each internal format.
+ * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGBA_INTEGER"|"RGBA",
+ *   "UNSIGNED_BYTE"|"UNSIGNED_SHORT"|"FLOAT"|"UNSIGNED_INT"|"HALF_FLOAT"]>}
+ */
 const DATA = {
   R8UI: ["RED_INTEGER", "UNSIGNED_BYTE"],
   R16UI: ["RED_INTEGER", "UNSIGNED_SHORT"],
@@ -16,22 +22,34 @@ const DATA = {
 };
 
 /** Bytes of a texel of each format. @type {Record<Format, number>} */
-const BYTES = { R8UI: 1, R16UI: 2, R32F: 4, R32UI: 4, RG32UI: 8, RGBA32UI: 16, RGBA16F: 8, RGBA32F: 16 };
+const BYTES = {
+  R8UI: 1,
+  R16UI: 2,
+  R32F: 4,
+  R32UI: 4,
+  RG32UI: 8,
+  RGBA32UI: 16,
+  RGBA16F: 8,
+  RGBA32F: 16,
+};
 
 /**
  * A texture without content: of two dimensions, or of three where `size` has three numbers.
  * @param {WebGL2RenderingContext} gl
  * @param {Format} format
  * @param {readonly number[]} size texels along x, y, and z
- * @param {{layered?: boolean, smooth?: boolean}} [options] an array of layers in place of a volume; filtered linearly
+ * @param {{layered?: boolean, smooth?: boolean}} [options] an array of layers in place of a volume;
+ *   filtered linearly
  * @returns {Texture}
  */
 export function makeTexture(gl, format, size, { layered = false, smooth = false } = {}) {
   const target = size.length === 2 ? gl.TEXTURE_2D : layered ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_3D;
   const id = gl.createTexture();
   gl.bindTexture(target, id);
-  for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(target, side, smooth ? gl.LINEAR : gl.NEAREST);
-  for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(target, side, gl.CLAMP_TO_EDGE);
+  for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+    gl.texParameteri(target, side, smooth ? gl.LINEAR : gl.NEAREST);
+  for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R])
+    gl.texParameteri(target, side, gl.CLAMP_TO_EDGE);
   const [x, y, z] = size;
   if (size.length === 2) gl.texStorage2D(target, 1, gl[format], x, y);
   else gl.texStorage3D(target, 1, gl[format], x, y, z);
@@ -50,8 +68,10 @@ export function fillTexture(gl, texture, data, at = [0, 0, 0], size = texture.si
   const [format, type] = DATA[texture.format].map((name) => gl[name]);
   gl.bindTexture(texture.target, texture.id);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  const [x, y, z = 0] = at, [width, height, depth = 1] = size;
-  if (texture.size.length === 2) gl.texSubImage2D(texture.target, 0, x, y, width, height, format, type, data);
+  const [x, y, z = 0] = at;
+  const [width, height, depth = 1] = size;
+  if (texture.size.length === 2)
+    gl.texSubImage2D(texture.target, 0, x, y, width, height, format, type, data);
   else gl.texSubImage3D(texture.target, 0, x, y, z, width, height, depth, format, type, data);
 }
 
@@ -65,11 +85,19 @@ export function bytesOf(format, size) {
   return size.reduce((product, n) => product * n, BYTES[format]);
 }
 
-/** A framebuffer that draws into textures of one size. @param {WebGL2RenderingContext} gl @param {Texture[]} textures @returns {WebGLFramebuffer} */
+/**
+ * A framebuffer that draws into textures of one size.
+ * @param {WebGL2RenderingContext} gl
+ * @param {Texture[]} textures
+ * @returns {WebGLFramebuffer}
+ */
 export function drawInto(gl, ...textures) {
-  const framebuffer = gl.createFramebuffer(), places = textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i);
+  const framebuffer = gl.createFramebuffer();
+  const places = textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i);
   gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-  textures.forEach(({ target, id }, i) => gl.framebufferTexture2D(gl.FRAMEBUFFER, places[i], target, id, 0));
+  textures.forEach(({ target, id }, i) =>
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, places[i], target, id, 0),
+  );
   gl.drawBuffers(places);
   return framebuffer;
 }

@@ -12,10 +12,17 @@ const FORMATS = /** @type {const} */ ({ uint8: "R8UI", uint16: "R16UI", float32:
 const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, float32: Float32Array };
 const MAP_ROW = 2048; // marked bricks in a row of `cells`: ROW in volume.glsl
 
-/** Codes of a volume, as the document's slabs hold them side by side. @param {CardDocument} document @param {ArrayBuffer[]} slabs @returns {Voxels} */
+/**
+ * Codes of a volume, as the document's slabs hold them side by side.
+ * @param {CardDocument} document
+ * @param {ArrayBuffer[]} slabs
+ * @returns {Voxels}
+ */
 export function joinSlabs({ grid: { size }, volume }, slabs) {
   const codes = new ARRAYS[volume.type](size[0] * size[1] * size[2]);
-  volume.slabs.forEach(({ first }, i) => codes.set(new ARRAYS[volume.type](slabs[i]), first * size[0] * size[1]));
+  volume.slabs.forEach(({ first }, i) =>
+    codes.set(new ARRAYS[volume.type](slabs[i]), first * size[0] * size[1]),
+  );
   return codes;
 }
 
@@ -29,14 +36,17 @@ export class Volume {
    */
   constructor({ gl, most3d }, { grid, volume }, codes) {
     if (Math.max(...grid.size) > most3d) {
-      throw new Refusal(`The volume has ${Math.max(...grid.size)} voxels along a side, and the graphics card takes ${most3d}: the server draws.`);
+      throw new Refusal(
+        `The volume has ${Math.max(...grid.size)} voxels along a side, and the graphics card takes ${most3d}: the server draws.`,
+      );
     }
     this.gl = gl;
     this.grid = grid;
     this.source = codes;
     this.texture = makeTexture(gl, FORMATS[volume.type], grid.size);
     fillTexture(gl, this.texture, codes);
-    this.codes = volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
+    this.codes =
+      volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
     this.ranges = findRanges(this.codes, grid.size);
     this.tops = makeTexture(gl, "R32UI", brickShape(grid.size));
     this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, 1]);
@@ -61,8 +71,10 @@ export class Volume {
 
   /** @param {number} isovalue as a code */
   #map(isovalue) {
-    const { gl } = this, map = markCells(this.codes, this.grid.size, this.ranges, isovalue);
-    const rows = Math.max(Math.ceil(map.marked / MAP_ROW), 1), words = new Uint32Array(2 * MAP_ROW * rows);
+    const { gl } = this;
+    const map = markCells(this.codes, this.grid.size, this.ranges, isovalue);
+    const rows = Math.max(Math.ceil(map.marked / MAP_ROW), 1);
+    const words = new Uint32Array(2 * MAP_ROW * rows);
     words.set(map.cells);
     if (this.cells.size[1] < rows) {
       gl.deleteTexture(this.cells.id);

@@ -1,4 +1,7 @@
-/** Light of texels for the card: what its view reads, most visible first, and as transfer once the light is turned. */
+/**
+ * Light of texels for the card: what its view reads, most visible first, and as transfer once the
+ * light is turned.
+ */
 
 import { CLOCK } from "../net/trouble.js";
 import { fromAngles } from "../view/rotation.js";
@@ -13,16 +16,19 @@ import { anglesOf } from "./view.js";
  * @property {CardChunk[]} chunks most visible first
  * @property {Knobs} values
  * @property {boolean} moving
- * @property {Set<string>} asked what was asked for: a chunk that grew meanwhile comes with a version of the next list
+ * @property {Set<string>} asked what was asked for: a chunk that grew meanwhile comes with a
+ *   version of the next list
  */
 
 /**
  * @typedef {object} LightCard what of a card takes light
- * @property {(chunks: CardChunk[], turn: import("../card/light.js").Quaternion) => {light: string[], transfer: string[]}} lacking
+ * @property {(chunks: CardChunk[], turn: import("../card/light.js").Quaternion) => {light:
+ *   string[], transfer: string[]}} lacking
  * @property {(answer: ArrayBuffer, turn: import("../card/light.js").Quaternion) => void} take
  */
 
-const [FIRST, TOGETHER] = [16, 64]; // chunks of a request: the most visible ones are soon on the screen
+// chunks of a request: the most visible ones are soon on the screen
+const [FIRST, TOGETHER] = [16, 64];
 const AGAIN_MS = 2000; // until light that converges is brought again; each time twice as long
 
 /** Keeps the light on a card up with the views that it draws. */
@@ -35,7 +41,11 @@ export class Feed {
   /** @type {Wanted|null} */
   #wanted = null;
   #clock;
-  /** When light of a chunk may be brought again that is not final, and how long that waited, by its place. @type {Map<string, {due: number, wait: number}>} */
+  /**
+   * When light of a chunk may be brought again that is not final, and how long that waited, by its
+   * place.
+   * @type {Map<string, {due: number, wait: number}>}
+   */
   #here = new Map();
   #working = false;
   #closed = false;
@@ -93,8 +103,10 @@ export class Feed {
   }
 
   /**
-   * What to ask for next: chunks of which nothing is here, or that are final, and others ever more rarely. Light that
-   * converges is filtered as it is folded, and so a view at rest in a turned light has it folded once more; of light that
+   * What to ask for next: chunks of which nothing is here, or that are final, and others ever more
+   * rarely. Light that
+   * converges is filtered as it is folded, and so a view at rest in a turned light has it folded
+   * once more; of light that
    * is final transfer serves all turns.
    * @param {Wanted} wanted
    * @returns {{what: "light"|"transfer", chunks: string[]}|null}
@@ -106,10 +118,15 @@ export class Feed {
       this.#here.clear();
     }
     const { light, transfer } = this.#card.lacking(chunks, fromAngles(this.#turn));
-    const final = new Set(chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`));
+    const final = new Set(
+      chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`),
+    );
     const due = light.filter((name) => final.has(name) || this.#isDue(placeOf(name)));
     const lasting = isTurned ? transfer.filter((name) => final.has(name)) : [];
-    for (const [what, names] of /** @type {const} */ ([["light", due], ["transfer", lasting]])) {
+    for (const [what, names] of /** @type {const} */ ([
+      ["light", due],
+      ["transfer", lasting],
+    ])) {
       const left = names.filter((name) => !asked.has(`${what} ${name}`));
       if (left.length) return { what, chunks: left.slice(0, asked.size ? TOGETHER : FIRST) };
     }

@@ -1,9 +1,20 @@
-/** Who draws: the visitor's card what moves, as far as it can; the server what rests, and all else. Nobody chooses. */
+/**
+ * Who draws: the visitor's card what moves, as far as it can; the server what rests, and all else.
+ * Nobody chooses.
+ */
 
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
 import { Feed } from "./feed.js";
-import { albedoOf, anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
+import {
+  albedoOf,
+  anglesOf,
+  cardView,
+  chunksQuery,
+  documentQuery,
+  lightQuery,
+  viewNear,
+} from "./view.js";
 
 /** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../documents.js").Card} CardFacts */
@@ -23,17 +34,21 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  * @property {(query: FrameQuery) => Promise<CardFacts>} document
  * @property {(href: string) => Promise<ArrayBuffer>} bytes
  * @property {(query: FrameQuery) => Promise<CardChunk[]>} chunks
- * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) => Promise<ArrayBuffer>} blocks
+ * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) =>
+ *   Promise<ArrayBuffer>} blocks
  *
- * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
+ * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts:
+ *   NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
  *   what the card has, what of a view that depends on, also but for the albedo, and that
  *
  * @typedef {object} LiveHooks
- * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where there is none
+ * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where
+ *   there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
  * @property {() => void} drawn the card's picture of the newest view is on the stage
  * @property {() => void} lost the card draws no more: the server is to draw the view that moves
- * @property {(reason: string) => void} refused why the card, which was asked for by force, does not draw
+ * @property {(reason: string) => void} refused why the card, which was asked for by force, does not
+ *   draw
  */
 
 /** Draws the views of one scene by the card, as far as it can. */
@@ -49,7 +64,11 @@ export class Live {
   #loaded = null;
   /** What the newest list names. @type {CardChunk[]} */
   #chunks = [];
-  /** Lists of all final light, by what they were asked for by: asking once more would tell nothing new. @type {Map<string, CardChunk[]>} */
+  /**
+   * Lists of all final light, by what they were asked for by: asking once more would tell nothing
+   * new.
+   * @type {Map<string, CardChunk[]>}
+   */
   #known = new Map();
   #preparing = "";
   #refused = false;
@@ -78,10 +97,18 @@ export class Live {
     this.#refused = choice === "server";
   }
 
-  /** Whether the card draws this view while it moves: also in another albedo, as predicted. @param {Knobs} values @returns {boolean} */
+  /**
+   * Whether the card draws this view while it moves: also in another albedo, as predicted.
+   * @param {Knobs} values
+   * @returns {boolean}
+   */
   draws(values) {
     if (this.#refused || this.#card?.lost || !this.#loaded) return false;
-    return this.#has(values) || (this.#loaded.look === this.#lookOf(values) && this.#loaded.albedo.every((share) => share > 0));
+    return (
+      this.#has(values) ||
+      (this.#loaded.look === this.#lookOf(values) &&
+        this.#loaded.albedo.every((share) => share > 0))
+    );
   }
 
   /** Whether the card has the light of this view. @param {Knobs} values @returns {boolean} */
@@ -90,15 +117,26 @@ export class Live {
   }
 
   /**
-   * The error of the card's pictures, as far as it can be predicted: once light of all that the view reads is here, and
+   * The error of the card's pictures, as far as it can be predicted: once light of all that the
+   * view reads is here, and
    * final, by the light's target and what the plan expects besides.
    * @returns {number|null}
    */
   get predicted() {
-    if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values) || !this.#chunks.length) return null;
+    if (
+      !this.#card ||
+      !this.#loaded ||
+      !this.#values ||
+      !this.#has(this.#values) ||
+      !this.#chunks.length
+    )
+      return null;
     if (!this.#chunks.every(({ final }) => final)) return null;
-    const here = this.#card.drawing?.texels.chunks, { target, expected } = this.#loaded.facts;
-    return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version) ? Math.hypot(target, expected) : null;
+    const here = this.#card.drawing?.texels.chunks;
+    const { target, expected } = this.#loaded.facts;
+    return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version)
+      ? Math.hypot(target, expected)
+      : null;
   }
 
   /** Whether the card's picture is on the stage. @returns {boolean} */
@@ -125,7 +163,8 @@ export class Live {
   }
 
   /**
-   * The server's picture of a view at rest is there, under the card's: lay it open where it shows light all over, and
+   * The server's picture of a view at rest is there, under the card's: lay it open where it shows
+   * light all over, and
    * have the card ready for what comes next.
    * @param {Knobs} values
    * @param {{coverage: {provisional: number}}|null} facts
@@ -143,26 +182,46 @@ export class Live {
   /** Have the card take on what a view shows. @param {Knobs} values */
   async #prepare(values) {
     const key = this.#keyOf(values);
-    if (values.shading !== "gi" || this.#refused || this.#preparing === key || this.#card?.lost) return;
+    if (values.shading !== "gi" || this.#refused || this.#preparing === key || this.#card?.lost)
+      return;
     this.#preparing = key;
     try {
       const card = this.#card ?? this.#open();
-      const { scene: facts, reason } = await this.#source.document(documentQuery(this.#scene, values));
+      const { scene: facts, reason } = await this.#source.document(
+        documentQuery(this.#scene, values),
+      );
       if (!facts) return this.#decline(reason);
-      const slabs = await Promise.all(facts.volume.slabs.map(({ href }) => this.#source.bytes(href)));
+      const slabs = await Promise.all(
+        facts.volume.slabs.map(({ href }) => this.#source.bytes(href)),
+      );
       if (this.#preparing !== key) return;
       this.#loaded?.feed.close();
       this.#loaded = null;
       this.#known.clear();
       await card.load(facts, slabs);
-      const ask = (/** @type {"light"|"transfer"} */ what, /** @type {string[]} */ chunks, /** @type {Angles} */ turn) =>
-        this.#source.blocks(what, chunks, lightQuery(this.#scene, values, what === "light" ? turn : null));
-      this.#loaded = { key, look: this.#lookOf(values), albedo: albedoOf(this.#scene, values), facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
+      const ask = (
+        /** @type {"light"|"transfer"} */ what,
+        /** @type {string[]} */ chunks,
+        /** @type {Angles} */ turn,
+      ) =>
+        this.#source.blocks(
+          what,
+          chunks,
+          lightQuery(this.#scene, values, what === "light" ? turn : null),
+        );
+      this.#loaded = {
+        key,
+        look: this.#lookOf(values),
+        albedo: albedoOf(this.#scene, values),
+        facts,
+        feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()),
+      };
       this.#list(true);
     } catch (error) {
       this.#preparing = "";
       if (error instanceof Refusal) this.#refuse(error.message);
-      else if (!(error instanceof Trouble)) throw error; // the server's pictures say what is wrong with it
+      // the server's pictures say what is wrong with it
+      else if (!(error instanceof Trouble)) throw error;
     }
   }
 
@@ -210,7 +269,10 @@ export class Live {
       return;
     }
     this.#fit();
-    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))) this.#put();
+    if (
+      this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))
+    )
+      this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
   }
@@ -241,16 +303,22 @@ export class Live {
   /** Give the canvas the pixels of the stage. */
   #fit() {
     const { width, height } = this.#hooks.size();
-    if (this.#canvas.width !== width || this.#canvas.height !== height) Object.assign(this.#canvas, { width, height });
+    if (this.#canvas.width !== width || this.#canvas.height !== height)
+      Object.assign(this.#canvas, { width, height });
   }
 
   /** Ask which chunks the view reads: of one that moves now and then. @param {boolean} [now] */
   async #list(now = false) {
-    const values = this.#values, time = performance.now();
+    const values = this.#values;
+    const time = performance.now();
     if (!values || (!now && time - this.#listed < LIST_MS)) return;
     this.#listed = time;
     try {
-      this.#bring(await this.#listOf(chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size())));
+      this.#bring(
+        await this.#listOf(
+          chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size()),
+        ),
+      );
     } catch (error) {
       if (!(error instanceof Trouble)) throw error;
     }
@@ -258,7 +326,8 @@ export class Live {
 
   /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<CardChunk[]>} */
   async #listOf(query) {
-    const key = JSON.stringify(query), known = this.#known.get(key);
+    const key = JSON.stringify(query);
+    const known = this.#known.get(key);
     if (known) return known;
     const chunks = await this.#source.chunks(query);
     if (this.#known.size === MOST_KNOWN) this.#known.clear();
@@ -271,7 +340,8 @@ export class Live {
     if (!this.#loaded || !this.#values) return;
     this.#chunks = chunks;
     this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
-      if (!(error instanceof Trouble)) this.#leave(error.message); // of trouble, the next list asks again
+      // of trouble, the next list asks again
+      if (!(error instanceof Trouble)) this.#leave(error.message);
     });
   }
 

@@ -1,4 +1,7 @@
-/** Plays a series in time: one step after the other, each once the one before it is seen, round and round. */
+/**
+ * Plays a series in time: one step after the other, each once the one before it is seen, round and
+ * round.
+ */
 
 import { CLOCK } from "../net/trouble.js";
 
@@ -63,7 +66,9 @@ export class Player {
     this.#step = plays ? (this.#view.values.time ?? 0) : NaN;
   }
 
-  /** Show the next step where it is time for it, and the one before has been seen: none is skipped. */
+  /**
+   * Show the next step where it is time for it, and the one before has been seen: none is skipped.
+   */
   #go() {
     if (!this.plays || !this.#due || this.#shown.pictureOf !== this.#shown.asked) return;
     this.#due = false;

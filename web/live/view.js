@@ -1,4 +1,7 @@
-/** The view of the page's knobs, as the graphics card draws it, and as the server is asked for what that takes. */
+/**
+ * The view of the page's knobs, as the graphics card draws it, and as the server is asked for what
+ * that takes.
+ */
 
 import { cutQuery, frameQuery, ground } from "../net/request.js";
 import { albedoQuery } from "../view/albedo.js";
@@ -15,9 +18,16 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
-const OF_DOCUMENT = [...VARIANT, "shading", "shine", ...NUMBERS.filter((name) => UNITS[name] === "share")];
-const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
-const WIDEST = 160; // pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
+const OF_DOCUMENT = [
+  ...VARIANT,
+  "shading",
+  "shine",
+  ...NUMBERS.filter((name) => UNITS[name] === "share"),
+];
+// what a list of chunks does not depend on
+const OF_PICTURE = ["f", "overlay", "background", "exposure"];
+// pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
+const WIDEST = 160;
 
 const STEP = 15; // degrees between the views that are listed while the camera turns
 
@@ -45,18 +55,29 @@ export function documentQuery(scene, values) {
  */
 export function chunksQuery(scene, values, { width, height }) {
   const size = { width: WIDEST, height: Math.max(Math.round((WIDEST * height) / width), 1) };
-  return Object.fromEntries(Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)));
+  return Object.fromEntries(
+    Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)),
+  );
 }
 
 /**
- * A view that reads nearly the same chunks, one for many that move: whoever turns the object asks for few lists, and
+ * A view that reads nearly the same chunks, one for many that move: whoever turns the object asks
+ * for few lists, and
  * whoever turns the light, or changes the albedo, for none.
  * @param {Knobs} values
  * @returns {Knobs}
  */
 export function viewNear(values) {
   const near = (/** @type {number} */ angle) => STEP * Math.round(angle / STEP);
-  return { ...values, albedo: undefined, yaw: 0, pitch: 0, roll: 0, azimuth: ((near(values.azimuth) + 540) % 360) - 180, elevation: near(values.elevation) };
+  return {
+    ...values,
+    albedo: undefined,
+    yaw: 0,
+    pitch: 0,
+    roll: 0,
+    azimuth: ((near(values.azimuth) + 540) % 360) - 180,
+    elevation: near(values.elevation),
+  };
 }
 
 /**
@@ -67,7 +88,10 @@ export function viewNear(values) {
  * @returns {FrameQuery}
  */
 export function lightQuery(scene, values, turn) {
-  const query = only(frameQuery(scene, values, { width: 1, height: 1 }), turn ? [...VARIANT, "albedo"] : VARIANT);
+  const query = only(
+    frameQuery(scene, values, { width: 1, height: 1 }),
+    turn ? [...VARIANT, "albedo"] : VARIANT,
+  );
   return turn && scene.turns ? { ...query, ...anglesOf(turn) } : query;
 }
 
@@ -76,7 +100,12 @@ export function anglesOf({ yaw, pitch, roll }) {
   return { yaw, pitch, roll };
 }
 
-/** What share of the light the surface reflects in a view. @param {Scene} scene @param {Knobs} values @returns {Vec3} linear RGB */
+/**
+ * What share of the light the surface reflects in a view.
+ * @param {Scene} scene
+ * @param {Knobs} values
+ * @returns {Vec3} linear RGB
+ */
 export function albedoOf(scene, values) {
   const { albedo } = albedoQuery(scene, values);
   if (albedo === undefined) return scene.albedo;
@@ -100,7 +129,9 @@ export function cardView(scene, document, values, folded) {
     camera: { eye, target, up, fov: values.fov, parallel },
     light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
     exposure: values.exposure,
-    ...(folded && { albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)) }),
+    ...(folded && {
+      albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
+    }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
     marked: values.overlay === "provisional",

@@ -1,4 +1,7 @@
-/** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
+/**
+ * The view in the address bar: read on load, written shortly after a change, so a link shows the
+ * same picture.
+ */
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
 import { readCrossHair, writeCrossHair } from "../view/crosshair.js";
@@ -12,51 +15,99 @@ import { cutQuery } from "./request.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "slices", "cut", "window", "surfaces", "hide", "material", "draw"]);
+const CHOICES = [
+  "shading",
+  "overlay",
+  "compare",
+  "tint",
+  "background",
+  "environment",
+  "shine",
+  "rulers",
+  "projection",
+];
+const KNOWN = new Set([
+  ...CHOICES,
+  "scene",
+  "target",
+  "token",
+  "measure",
+  "slices",
+  "cut",
+  "window",
+  "surfaces",
+  "hide",
+  "material",
+  "draw",
+]);
 /** Who may be made to draw, by an address of those who compare. */
 const DRAWS = ["card", "server"];
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
 /**
- * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
+ * Read knobs from an address. What is no number is left out; the view then takes the scene's
+ * default.
  * @param {string} search the part of the address from `?` on
- * @returns {{scene: string|null, draw: string|null, start: Partial<Knobs>}} `draw` names who draws: "card" or "server"
+ * @returns {{scene: string|null, draw: string|null, start: Partial<Knobs>}} `draw` names who draws:
+ *   "card" or "server"
  */
 export function readAddress(search) {
   const query = new URLSearchParams(search);
-  const numbers = NUMBERS.filter((name) => query.get(name)?.trim()).map((name) => [name, Number(query.get(name))]);
+  const numbers = NUMBERS.filter((name) => query.get(name)?.trim()).map((name) => [
+    name,
+    Number(query.get(name)),
+  ]);
   const start = Object.fromEntries(numbers.filter(([, value]) => Number.isFinite(value)));
   const target = query.get("target");
   if (target !== null) start.target = target.split(",").map(Number);
   else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
-  const planes = ["cut", "window"].map((name) => query.get(name)).filter(Boolean).join(";");
+  const planes = ["cut", "window"]
+    .map((name) => query.get(name))
+    .filter(Boolean)
+    .join(";");
   if (planes) Object.assign(start, { planes, opened: query.has("cut") });
-  for (const name of ["surfaces", "hide", "material"]) if (query.get(name)) start[name] = query.get(name);
-  const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
+  for (const name of ["surfaces", "hide", "material"])
+    if (query.get(name)) start[name] = query.get(name);
+  const measures = query
+    .getAll("measure")
+    .map(readMeasure)
+    .filter((points) => points !== null);
   if (measures.length) start.measures = measures;
   const slices = readCrossHair(query.get("slices") ?? "");
   if (slices) start.slices = slices;
-  return { scene: query.get("scene"), draw: DRAWS.find((each) => each === query.get("draw")) ?? null, start };
+  return {
+    scene: query.get("scene"),
+    draw: DRAWS.find((each) => each === query.get("draw")) ?? null,
+    start,
+  };
 }
 
 /**
- * The address query of a view. The names are those of the frame request. What the scene starts with is as short as its
+ * The address query of a view. The names are those of the frame request. What the scene starts with
+ * is as short as its
  * slider can tell it, and the exposure that is usual in its light is left out.
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
  * @returns {string}
  */
 export function writeAddress(scene, values) {
-  const query = new URLSearchParams({ scene: scene.id }), idle = idleKnobs(values.material);
+  const query = new URLSearchParams({ scene: scene.id });
+  const idle = idleKnobs(values.material);
   for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) {
-    const value = /** @type {number} */ (values[name]), usual = value === scene.defaults[name];
-    if (!usual || name !== "exposure") query.set(name, String(usual ? inShort(scene, name, value) : value));
+    const value = /** @type {number} */ (values[name]);
+    const usual = value === scene.defaults[name];
+    if (!usual || name !== "exposure")
+      query.set(name, String(usual ? inShort(scene, name, value) : value));
   }
   if (values.target) query.set("target", values.target.join(","));
-  if (values.tint && !idle.includes("tint") && [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)) query.set("tint", values.tint);
+  if (
+    values.tint &&
+    !idle.includes("tint") &&
+    [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)
+  )
+    query.set("tint", values.tint);
   if (values.shine) query.set("shine", values.shine);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
@@ -66,7 +117,8 @@ export function writeAddress(scene, values) {
   if (values.surfaces) query.set("surfaces", values.surfaces);
   if (values.hide) query.set("hide", values.hide);
   if (values.material) query.set("material", values.material);
-  if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
+  if (values.projection !== (scene.defaults?.projection ?? "perspective"))
+    query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
   for (const points of values.measures) query.append("measure", writeMeasure(points));
@@ -77,7 +129,8 @@ export function writeAddress(scene, values) {
 /**
  * What an address says that cannot be shown, in sentences.
  * @param {string} search the part of the address from `?` on
- * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene, "environments">>} scene that is shown
+ * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene,
+ *   "environments">>} scene that is shown
  * @returns {string[]}
  */
 export function complaints(search, scene) {
@@ -87,10 +140,12 @@ export function complaints(search, scene) {
   const complaint = (name, value) => {
     const number = NUMBERS.find((each) => each === name);
     if (!number) return choiceComplaint(scene, name, value);
-    if (!value.trim() || !Number.isFinite(Number(value))) return `“${value}” is no number for ${name}.`;
+    if (!value.trim() || !Number.isFinite(Number(value)))
+      return `“${value}” is no number for ${name}.`;
     return number === "isovalue" ? isovalueComplaint(scene, Number(value)) : "";
   };
-  const lost = named && named !== scene.id ? [`There is no scene “${named}”: this is ${scene.name}.`] : [];
+  const lost =
+    named && named !== scene.id ? [`There is no scene “${named}”: this is ${scene.name}.`] : [];
   return [...lost, ...[...query].map(([name, value]) => complaint(name, value)).filter(Boolean)];
 }
 
@@ -109,17 +164,31 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
   return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
 }
 
-/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string} */
-function choiceComplaint({ shadings, environments = [], surfaces = [], colours, materials = [] }, name, value) {
+/**
+ * @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene,
+ *   "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string}
+ */
+function choiceComplaint(
+  { shadings, environments = [], surfaces = [], colours, materials = [] },
+  name,
+  value,
+) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
-  if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
-  if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
-  if (name === "slices" && !readCrossHair(value)) return `“${value}” is no place of slices: it is a voxel such as 12,30,5.`;
-  if (name === "surfaces" && !areSurfaces(value, surfaces.length)) return `“${value}” does not fit the surfaces beside.`;
-  if (name === "hide" && !areHidden(value, colours?.labels ?? [])) return `“${value}” does not fit the labels.`;
-  if (name === "material" && value && !isMaterial(value, materials)) return materialComplaint(materials, value);
-  if (name === "draw" && !DRAWS.includes(value)) return `“${value}” draws nothing here: choose card or server.`;
+  if (["cut", "window"].includes(name) && !arePlanes(value))
+    return `“${value}” is no ${name}: it is planes such as x>40.`;
+  if (name === "measure" && !readMeasure(value))
+    return `“${value}” is no measure: it has two or three points.`;
+  if (name === "slices" && !readCrossHair(value))
+    return `“${value}” is no place of slices: it is a voxel such as 12,30,5.`;
+  if (name === "surfaces" && !areSurfaces(value, surfaces.length))
+    return `“${value}” does not fit the surfaces beside.`;
+  if (name === "hide" && !areHidden(value, colours?.labels ?? []))
+    return `“${value}” does not fit the labels.`;
+  if (name === "material" && value && !isMaterial(value, materials))
+    return materialComplaint(materials, value);
+  if (name === "draw" && !DRAWS.includes(value))
+    return `“${value}” draws nothing here: choose card or server.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
@@ -132,7 +201,8 @@ function materialComplaint(materials, value) {
 }
 
 /**
- * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause. A view that was at
+ * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause. A
+ * view that was at
  * rest is one to go back to; going back and forward shows what the address then says.
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -140,7 +210,8 @@ function materialComplaint(materials, value) {
  */
 export function followAddress(scene, view) {
   let [timer, changed] = [0, -Infinity]; // the latter is when the view last did
-  const { draw } = readAddress(location.search), kept = draw ? `&draw=${draw}` : "";
+  const { draw } = readAddress(location.search);
+  const kept = draw ? `&draw=${draw}` : "";
   /** @type {"replaceState"|"pushState"} */
   let entry = "replaceState";
   const write = () => {

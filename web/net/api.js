@@ -1,4 +1,7 @@
-/** The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front works. */
+/**
+ * The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front
+ * works.
+ */
 
 import { PROJECTIONS, rayThrough } from "../view/camera.js";
 import { frameQuery } from "./request.js";
@@ -14,8 +17,10 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
-const OF_SIZE = ["isovalue", "cut", "time", "hide"]; // parameters of a view that say what its surface is
-const OF_SURFACE = [...OF_SIZE, "window", "surfaces"]; // and what of it is seen, and what is beside it
+// parameters of a view that say what its surface is
+const OF_SIZE = ["isovalue", "cut", "time", "hide"];
+// and what of it is seen, and what is beside it
+const OF_SURFACE = [...OF_SIZE, "window", "surfaces"];
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
 const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
 
@@ -30,7 +35,8 @@ export async function listScenes() {
 /**
  * @typedef {object} Readiness
  * @property {boolean} ready whether pictures are drawn
- * @property {{done: number, total: number, seconds?: number}} [compiling] kernels, and the time left
+ * @property {{done: number, total: number, seconds?: number}} [compiling] kernels, and the time
+ *   left
  */
 
 /**
@@ -79,17 +85,20 @@ export async function deleteUpload(href) {
 }
 
 /**
- * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
+ * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows
+ * its surface whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
- * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] of the view; the scene's where they are left out, or have no meaning
+ * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] of the view; the scene's where
+ *   they are left out, or have no meaning
  * @returns {Promise<Scene>}
  */
 export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
   const scene = await (await ask(scenePath(id))).json();
   const { min, max } = scene.ranges?.isovalue ?? {};
   const asked = new URLSearchParams({ width: String(width), height: String(height) });
-  if (isovalue !== undefined && isovalue >= min && isovalue <= max) asked.set("isovalue", String(isovalue));
+  if (isovalue !== undefined && isovalue >= min && isovalue <= max)
+    asked.set("isovalue", String(isovalue));
   if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
   return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
 }
@@ -101,8 +110,13 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
  * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns">>}
  */
 export async function readLight(id, { environment, material }) {
-  const query = new URLSearchParams({ ...(environment && { environment }), ...(material && { material }) });
-  const { lights, plan, defaults, rotating, turns } = await (await ask(`${scenePath(id)}?${query}`)).json();
+  const query = new URLSearchParams({
+    ...(environment && { environment }),
+    ...(material && { material }),
+  });
+  const { lights, plan, defaults, rotating, turns } = await (
+    await ask(`${scenePath(id)}?${query}`)
+  ).json();
   return { lights, plan, defaults, rotating, turns };
 }
 
@@ -134,8 +148,13 @@ export async function readFrame(scene, query, { etag, signal } = {}) {
  * @returns {Promise<Vec3|null>}
  */
 export async function readSurfacePoint(scene, values, right, up) {
-  const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [name, point.join(",")]);
-  const view = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SURFACE.includes(name));
+  const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [
+    name,
+    point.join(","),
+  ]);
+  const view = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) =>
+    OF_SURFACE.includes(name),
+  );
   const query = { ...ONE_PIXEL, ...Object.fromEntries([...view, ...ray]) };
   return persistently(async () => {
     const { blob } = await readFrame(scene.id, query);
@@ -147,7 +166,8 @@ export async function readSurfacePoint(scene, values, right, up) {
 const AGAIN_MS = [300, 1000, 3000];
 
 /**
- * What is read, also where a busy server answers late; null where it does not, and the picture's own requests say why.
+ * What is read, also where a busy server answers late; null where it does not, and the picture's
+ * own requests say why.
  * @template T
  * @param {() => Promise<T>} read
  * @returns {Promise<T|null>}
@@ -160,7 +180,9 @@ async function persistently(read) {
       if (!(error instanceof Trouble)) throw error;
       const delay = failures < AGAIN_MS.length ? retryDelay(error, failures, AGAIN_MS) : null;
       if (delay === null) return null;
-      await new Promise((done) => { setTimeout(done, delay); });
+      await new Promise((done) => {
+        setTimeout(done, delay);
+      });
     }
   }
 }
@@ -186,7 +208,9 @@ export async function readPoint(scene, query) {
  * @returns {Promise<import("../documents.js").Size>}
  */
 export async function readSize(scene, values, signal) {
-  const query = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SIZE.includes(name));
+  const query = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) =>
+    OF_SIZE.includes(name),
+  );
   return (await ask(sceneAddress(scene.id, "size", Object.fromEntries(query)), { signal })).json();
 }
 
@@ -224,7 +248,8 @@ export function frameAddress(scene, query) {
 }
 
 /**
- * The values on a slice through a scene's volume, as an `npy` file; null where the server does not answer.
+ * The values on a slice through a scene's volume, as an `npy` file; null where the server does not
+ * answer.
  * @param {string} scene
  * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
  * @param {number} at voxel index
@@ -275,7 +300,9 @@ export async function readChunks(scene, query) {
  * @returns {Promise<ArrayBuffer>}
  */
 export async function readBlocks(scene, what, chunks, query) {
-  return (await ask(sceneAddress(scene, `card/${what}/${chunks.join(",")}`, query))).arrayBuffer().catch(failed);
+  return (await ask(sceneAddress(scene, `card/${what}/${chunks.join(",")}`, query)))
+    .arrayBuffer()
+    .catch(failed);
 }
 
 /**
@@ -286,7 +313,9 @@ export async function readBlocks(scene, what, chunks, query) {
  */
 export async function beginExport(scene, query) {
   const texts = Object.entries(query).map(([name, value]) => [name, String(value)]);
-  const answer = await ask(`${scenePath(scene)}/export?${new URLSearchParams(texts)}`, { method: "POST" });
+  const answer = await ask(`${scenePath(scene)}/export?${new URLSearchParams(texts)}`, {
+    method: "POST",
+  });
   return `v1/jobs/${(await answer.json()).jobID}`;
 }
 
@@ -300,9 +329,13 @@ export async function stopJob(address) {
   await ask(address, { method: "DELETE", keepalive: true });
 }
 
-/** Whether the server wants a token from clients that have not this browser's cookie. @returns {Promise<boolean>} */
+/**
+ * Whether the server wants a token from clients that have not this browser's cookie.
+ * @returns {Promise<boolean>}
+ */
 export async function wantsToken() {
-  return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false; // as behind a token only
+  // as behind a token only
+  return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false;
 }
 
 /**
@@ -339,7 +372,10 @@ async function ask(path, options) {
   const answer = await fetch(new URL(path, document.baseURI), options).catch(failed);
   if (answer.ok || answer.status === 304) return answer;
   const problem = await answer.json().catch(() => ({}));
-  throw troubleOf({ ...problem, status: answer.status }, Number(answer.headers.get("Retry-After")) || 0);
+  throw troubleOf(
+    { ...problem, status: answer.status },
+    Number(answer.headers.get("Retry-After")) || 0,
+  );
 }
 
 /** @param {Response} answer */
@@ -347,7 +383,11 @@ async function bodyOf(answer) {
   return answer.blob().catch(failed);
 }
 
-/** Any failure of the network is the same trouble; what was aborted stays so. @param {Error} error @returns {never} */
+/**
+ * Any failure of the network is the same trouble; what was aborted stays so.
+ * @param {Error} error
+ * @returns {never}
+ */
 function failed(error) {
   throw error.name === "AbortError" ? error : lost();
 }

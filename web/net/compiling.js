@@ -42,7 +42,8 @@ export class CompilingLine {
 
   /**
    * @param {HTMLElement} root
-   * @param {() => Promise<Readiness|null>} ask how ready the server is; null where it does not answer
+   * @param {() => Promise<Readiness|null>} ask how ready the server is; null where it does not
+   *   answer
    * @param {import("./trouble.js").Clock} [clock]
    */
   constructor(root, ask, clock = CLOCK) {
@@ -58,7 +59,8 @@ export class CompilingLine {
 
   /** Look again and again until all is compiled. */
   async watch() {
-    while (await this.look()) await new Promise((resolve) => this.#clock.after(LOOK_MS, () => resolve(undefined)));
+    while (await this.look())
+      await new Promise((resolve) => this.#clock.after(LOOK_MS, () => resolve(undefined)));
   }
 
   /** Look once: whether the server compiles. @returns {Promise<boolean>} */

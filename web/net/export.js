@@ -1,4 +1,7 @@
-/** The part of the panel of files that has the server export the surface, or the volume, with its light. */
+/**
+ * The part of the panel of files that has the server export the surface, or the volume, with its
+ * light.
+ */
 
 import { find } from "../dom.js";
 import { leftInWords } from "../view/format.js";
@@ -8,7 +11,20 @@ import { Trouble } from "./trouble.js";
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../documents.js").Job} Job */
 
-const OF_LIGHT = ["isovalue", "yaw", "pitch", "roll", "albedo", "exposure", "environment", "cut", "time", "surfaces", "hide", "material"];
+const OF_LIGHT = [
+  "isovalue",
+  "yaw",
+  "pitch",
+  "roll",
+  "albedo",
+  "exposure",
+  "environment",
+  "cut",
+  "time",
+  "surfaces",
+  "hide",
+  "material",
+];
 const ASK_MS = 1000; // between two questions how far the job is
 const GONE = 404;
 
@@ -30,7 +46,9 @@ export function jobInWords({ message, progress, time_left: left }) {
   return `${progress} %${left ? `, ${leftInWords(left)}` : ""}. ${message}`;
 }
 
-/** Has one file made at a time, and hands it to the browser. It goes on while the panel is closed. */
+/**
+ * Has one file made at a time, and hands it to the browser. It goes on while the panel is closed.
+ */
 export class Exporter {
   #part;
   #scene;
@@ -40,7 +58,8 @@ export class Exporter {
   #work = null;
 
   /**
-   * @param {HTMLElement} part holds `#export-kind`, `#export-time`, a `progress`, a `.note` and two buttons
+   * @param {HTMLElement} part holds `#export-kind`, `#export-time`, a `progress`, a `.note` and two
+   *   buttons
    * @param {Pick<import("./schemas.js").Scene, "id"|"plan"|"volume">} scene
    * @param {Pick<import("./request.js").Description, "query"|"file">} description of the view
    */
@@ -50,9 +69,12 @@ export class Exporter {
     this.#query = query;
     this.#name = file;
     const [x, y, z] = scene.volume.size;
-    if (scene.plan.texels.total !== x * y * z) find(part, "option[value=vti]").remove(); // light is not at voxels
+    // light is not at voxels
+    if (scene.plan.texels.total !== x * y * z) find(part, "option[value=vti]").remove();
     find(part, "#export-start").addEventListener("click", () => this.#start());
-    find(part, "#export-stop").addEventListener("click", () => this.#stop("Stopped, nothing is saved."));
+    find(part, "#export-stop").addEventListener("click", () =>
+      this.#stop("Stopped, nothing is saved."),
+    );
     addEventListener("pagehide", () => this.#work && this.#stop(""));
   }
 
@@ -65,7 +87,11 @@ export class Exporter {
     this.#show(true);
     this.#say("Asking for the file…");
     try {
-      work.address = await beginExport(this.#scene, { ...exportQuery(this.#query()), f, ...(deadline && { deadline }) });
+      work.address = await beginExport(this.#scene, {
+        ...exportQuery(this.#query()),
+        f,
+        ...(deadline && { deadline }),
+      });
       if (this.#work !== work) return void stopJob(work.address).catch(() => {});
       await this.#follow(work, name);
     } catch (error) {
@@ -84,7 +110,10 @@ export class Exporter {
       if (this.#work !== work) return;
       const file = job?.links.find(({ rel }) => rel.endsWith("/results"));
       if (job?.status === "successful" && file) {
-        Object.assign(document.createElement("a"), { href: file.href.replace(/^\//, ""), download: name }).click();
+        Object.assign(document.createElement("a"), {
+          href: file.href.replace(/^\//, ""),
+          download: name,
+        }).click();
         return this.#end(`${name} is on its way. ${file.title}.`);
       }
       if (job && !["accepted", "running"].includes(job.status)) return this.#end(job.message);
@@ -113,7 +142,8 @@ export class Exporter {
 
   /** @param {string} words */
   #stop(words) {
-    if (this.#work?.address) stopJob(this.#work.address).catch(() => {}); // it is over by now, or the server is away
+    // it is over by now, or the server is away
+    if (this.#work?.address) stopJob(this.#work.address).catch(() => {});
     this.#end(words);
   }
 
@@ -129,7 +159,8 @@ export class Exporter {
     const progress = find(this.#part, "progress", HTMLProgressElement);
     progress.hidden = !busy;
     progress.value = 0;
-    for (const id of ["#export-kind", "#export-time"]) find(this.#part, id, HTMLSelectElement).disabled = busy;
+    for (const id of ["#export-kind", "#export-time"])
+      find(this.#part, id, HTMLSelectElement).disabled = busy;
     find(this.#part, "#export-start").hidden = busy;
     find(this.#part, "#export-stop").hidden = !busy;
   }

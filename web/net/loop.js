@@ -14,13 +14,16 @@ import { CLOCK } from "./trouble.js";
 const SETTLE_MS = 200; // a view that has not changed for this long is at rest
 
 /**
- * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture, whether to name the
+ * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture,
+ *   whether to name the
  *   chunks that it reads, and the view that they are of
- * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: CardChunk[], of: Asked}} Answer a picture, where it is a new
+ * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: CardChunk[], of: Asked}} Answer a
+ *   picture, where it is a new
  *   one, the chunks that it reads, where they were asked for, and its view
  *
  * @typedef {object} Hooks what the loop calls
- * @property {(answer: Answer, draft: boolean) => Promise<void>} frame a picture came; `facts` are the latest also where
+ * @property {(answer: Answer, draft: boolean) => Promise<void>} frame a picture came; `facts` are
+ *   the latest also where
  *   the answer had none; it is settled once the picture is shown
  * @property {(error: Error) => void} trouble
  * @property {(moving: boolean) => void} moving whether the view goes on changing
@@ -28,7 +31,8 @@ const SETTLE_MS = 200; // a view that has not changed for this long is at rest
  * @typedef {object} Server
  * @property {() => WebSocket} open opens a socket
  * @property {(moving: boolean) => View} view as it is now, which goes over it
- * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask sends one request
+ * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask
+ *   sends one request
  * @property {() => boolean} [drafts] whether the view is drawn by the server while it moves
  */
 
@@ -51,11 +55,20 @@ export class FrameLoop {
     this.#hooks = hooks;
     this.#clock = clock;
     this.#drafts = drafts;
-    this.#transport = new Streaming(open, view, hooks, () => {
-      this.#transport = new Polling(ask, hooks, clock);
-      this.#show();
-    }, clock);
-    document.addEventListener("visibilitychange", () => document.hidden || this.#transport.resume());
+    this.#transport = new Streaming(
+      open,
+      view,
+      hooks,
+      () => {
+        this.#transport = new Polling(ask, hooks, clock);
+        this.#show();
+      },
+      clock,
+    );
+    document.addEventListener(
+      "visibilitychange",
+      () => document.hidden || this.#transport.resume(),
+    );
     window.addEventListener("online", () => this.#transport.resume());
   }
 

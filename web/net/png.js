@@ -9,7 +9,9 @@ const HEAD = 8 + 25; // the signature and the first chunk, which must stay the f
  * @returns {Promise<Blob>}
  */
 export async function withNotes(png, notes) {
-  const chunks = Object.entries(notes).map(([keyword, text]) => chunk("tEXt", `${keyword}\0${text}`));
+  const chunks = Object.entries(notes).map(([keyword, text]) =>
+    chunk("tEXt", `${keyword}\0${text}`),
+  );
   return new Blob([png.slice(0, HEAD), ...chunks, png.slice(HEAD)], { type: png.type });
 }
 

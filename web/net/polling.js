@@ -1,4 +1,7 @@
-/** Pictures by single requests: one in flight, the newest view wins, drafts while moving, refinement at rest. */
+/**
+ * Pictures by single requests: one in flight, the newest view wins, drafts while moving, refinement
+ * at rest.
+ */
 
 import { CLOCK, Trouble, retryDelay } from "./trouble.js";
 
@@ -18,7 +21,8 @@ import { CLOCK, Trouble, retryDelay } from "./trouble.js";
 
 /**
  * @typedef {object} PollingHooks
- * @property {(answer: Answer, draft: boolean) => unknown} frame a picture came; `facts` are the latest also where the
+ * @property {(answer: Answer, draft: boolean) => unknown} frame a picture came; `facts` are the
+ *   latest also where the
  *   answer had none
  * @property {(error: Error) => void} trouble
  */
@@ -27,9 +31,12 @@ const WAIT_MS = 400; // how long the server may hold a refinement back for new l
 const DRAFT_SCALE = 0.35; // of the sides of a picture that moves
 const RETRY_MS = [500, 1000, 2000, 4000];
 
-const FINAL_WAIT_MS = 3000; // how long the server may hold back the next picture on the way to the final one
-const PAUSE_MS = 500; // between two requests where the server has nothing to wait for, or does not answer
-const MOST_UNCHANGED = 4; // answers in a row without anything new, and without a wait, after which no light is coming
+// how long the server may hold back the next picture on the way to the final one
+const FINAL_WAIT_MS = 3000;
+// between two requests where the server has nothing to wait for, or does not answer
+const PAUSE_MS = 500;
+// answers in a row without anything new, and without a wait, after which no light is coming
+const MOST_UNCHANGED = 4;
 
 /** Asks for a frame again and again; for where no stream can be had. */
 export class Polling {
@@ -47,7 +54,8 @@ export class Polling {
   #timer = 0;
 
   /**
-   * @param {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask sends one request
+   * @param {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask
+   *   sends one request
    * @param {PollingHooks} hooks
    * @param {Clock} [clock]
    */
@@ -86,10 +94,17 @@ export class Polling {
 
   async #send() {
     this.stop();
-    const flight = { draft: this.#moving, controller: new AbortController(), began: this.#clock.now() };
+    const flight = {
+      draft: this.#moving,
+      controller: new AbortController(),
+      began: this.#clock.now(),
+    };
     this.#flight = flight;
     this.#changed = false;
-    const { frame, error } = await this.#ask(this.#options(flight.draft), flight.controller.signal).then(
+    const { frame, error } = await this.#ask(
+      this.#options(flight.draft),
+      flight.controller.signal,
+    ).then(
       (answer) => ({ frame: answer, error: null }),
       (reason) => ({ frame: null, error: reason }),
     );
@@ -136,7 +151,8 @@ export class Polling {
 }
 
 /**
- * Milliseconds until a provisional picture is asked for again. Rendering competes with baking: pause as long as the
+ * Milliseconds until a provisional picture is asked for again. Rendering competes with baking:
+ * pause as long as the
  * frame itself took, longer when nothing is new.
  * @param {number} elapsed milliseconds that the request took, its wait for light included
  * @param {number} unchanged answers in a row without a new picture
@@ -147,7 +163,8 @@ export function refinementPause(elapsed, unchanged) {
 }
 
 /**
- * Pictures of one view, each better than the one before, however long that takes and through losses of the server; the
+ * Pictures of one view, each better than the one before, however long that takes and through losses
+ * of the server; the
  * last is final, unless no more light is coming.
  * @param {(waitMs: number, etag: string|null) => Promise<Frame>} ask sends one request
  * @param {AbortSignal} signal
@@ -186,9 +203,13 @@ export async function* untilFinal(ask, signal, onTrouble, clock = CLOCK) {
 function pause(milliseconds, signal, clock) {
   return new Promise((resolve, reject) => {
     const timer = clock.after(milliseconds, resolve);
-    signal.addEventListener("abort", () => {
-      clock.cancel(timer);
-      reject(signal.reason);
-    }, { once: true });
+    signal.addEventListener(
+      "abort",
+      () => {
+        clock.cancel(timer);
+        reject(signal.reason);
+      },
+      { once: true },
+    );
   });
 }

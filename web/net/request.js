@@ -1,4 +1,7 @@
-/** A view as the parameters of a frame request, in words, as the name of a file, and as lines for a shell and Python. */
+/**
+ * A view as the parameters of a frame request, in words, as the name of a file, and as lines for a
+ * shell and Python.
+ */
 
 import { albedoQuery } from "../view/albedo.js";
 import { shadingName } from "../view/format.js";
@@ -13,11 +16,14 @@ import { idleKnobs } from "../view/surfaces.js";
 /**
  * @typedef {object} Description the view that the page shows, for those who share or save it
  * @property {() => string} link the address of the page with the view in it
- * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the picture shown
+ * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the
+ *   picture shown
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
- * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers its scale bar and axes
- * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null} legend of its colours; null where it has none
+ * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers
+ *   its scale bar and axes
+ * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null}
+ *   legend of its colours; null where it has none
  */
 
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
@@ -27,19 +33,25 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
  * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size pixels
- * @param {boolean} [moving] whether the view goes on changing: light then stays as it is for all of the object
+ * @param {boolean} [moving] whether the view goes on changing: light then stays as it is for all of
+ *   the object
  * @returns {FrameQuery & {width: number, height: number}}
  */
 export function frameQuery(scene, values, { width, height }, moving = false) {
   const idle = idleKnobs(values.material);
-  const given = NUMBERS.filter((name) => name in values && name !== "albedo" && !idle.includes(name));
-  const plain = (/** @type {string} */ name) => name === "exposure" && values.exposure === scene.defaults?.exposure;
+  const given = NUMBERS.filter(
+    (name) => name in values && name !== "albedo" && !idle.includes(name),
+  );
+  const plain = (/** @type {string} */ name) =>
+    name === "exposure" && values.exposure === scene.defaults?.exposure;
   const numbers = given.filter((name) => !plain(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...(!idle.includes("albedo") && albedoQuery(scene, values)),
     ...(values.shine && { shine: values.shine }),
-    ...(values.projection !== (scene.defaults?.projection ?? "perspective") && { projection: values.projection }),
+    ...(values.projection !== (scene.defaults?.projection ?? "perspective") && {
+      projection: values.projection,
+    }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
     ...cutQuery(values, moving),
@@ -56,13 +68,15 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
 }
 
 /**
- * What is cut away: light comes in by planes along axes; others, and those of a moving view, are windows.
+ * What is cut away: light comes in by planes along axes; others, and those of a moving view, are
+ * windows.
  * @param {Pick<Knobs, "planes"|"opened">} values knobs of the view
  * @param {boolean} [moving] whether the view goes on changing
  * @returns {{cut?: string, window?: string}}
  */
 export function cutQuery({ planes, opened }, moving = false) {
-  const { along, oblique } = opened && !moving ? partPlanes(planes) : { along: "", oblique: planes };
+  const { along, oblique } =
+    opened && !moving ? partPlanes(planes) : { along: "", oblique: planes };
   return { ...(along && { cut: along }), ...(oblique && { window: oblique }) };
 }
 
@@ -75,8 +89,13 @@ export function cutQuery({ planes, opened }, moving = false) {
  */
 export function pointQuery({ overlay, background, f, ...view }, right, up) {
   const { width, height } = view;
-  const inside = (/** @type {number} */ place, /** @type {number} */ pixels) => Math.min(Math.max(place, 0), pixels - 0.5);
-  return { ...view, x: inside(width / 2 + right * height, width), y: inside(height / 2 - up * height, height) };
+  const inside = (/** @type {number} */ place, /** @type {number} */ pixels) =>
+    Math.min(Math.max(place, 0), pixels - 0.5);
+  return {
+    ...view,
+    x: inside(width / 2 + right * height, width),
+    y: inside(height / 2 - up * height, height),
+  };
 }
 
 /**
@@ -86,7 +105,9 @@ export function pointQuery({ overlay, background, f, ...view }, right, up) {
  */
 export function ground({ background }) {
   if (background !== "page") return /** @type {"light"|"dark"} */ (background);
-  return globalThis.matchMedia?.("(prefers-color-scheme: dark)").matches === false ? "light" : "dark";
+  return globalThis.matchMedia?.("(prefers-color-scheme: dark)").matches === false
+    ? "light"
+    : "dark";
 }
 
 /**
@@ -120,12 +141,14 @@ export function changedParameters(scene, query) {
   /** @type {Record<string, string|number>} */
   const defaults = { ...scene.defaults, overlay: "none", background: "light", f: "png" };
   /** @type {(parameter: [string, string|number]) => boolean} */
-  const changed = ([name, value]) => name === "isovalue" || String(value) !== String(defaults[name]);
+  const changed = ([name, value]) =>
+    name === "isovalue" || String(value) !== String(defaults[name]);
   return Object.fromEntries(Object.entries(query).filter(changed));
 }
 
 /**
- * A line for a shell that saves the picture. It names the variable that holds the token, never the token.
+ * A line for a shell that saves the picture. It names the variable that holds the token, never the
+ * token.
  * @param {URL} address of the frame
  * @param {string} file
  * @param {boolean} token whether the server wants one
@@ -133,11 +156,14 @@ export function changedParameters(scene, query) {
  */
 export function curlLine(address, file, token) {
   const header = token ? ['-H "Authorization: Bearer $ISOGI_TOKEN"'] : [];
-  return ["curl -f", ...header, quoted(address.href), "-o", plain(file) ? file : quoted(file)].join(" ");
+  return ["curl -f", ...header, quoted(address.href), "-o", plain(file) ? file : quoted(file)].join(
+    " ",
+  );
 }
 
 /**
- * A line of Python that saves the final picture; the client finds the token in the environment itself.
+ * A line of Python that saves the final picture; the client finds the token in the environment
+ * itself.
  * @param {string} server address of the server
  * @param {string} scene
  * @param {FrameQuery} view
@@ -145,7 +171,9 @@ export function curlLine(address, file, token) {
  * @returns {string}
  */
 export function pythonLine(server, scene, view, file) {
-  const knobs = Object.entries(view).map(([name, value]) => `, ${name}=${literal(value)}`).join("");
+  const knobs = Object.entries(view)
+    .map(([name, value]) => `, ${name}=${literal(value)}`)
+    .join("");
   const frame = `frame(${literal(scene)}${knobs}, wait="final")`;
   return `from isogi_client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
 }

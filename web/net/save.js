@@ -33,12 +33,24 @@ const LEAST_WIDTH = 1920; // what is offered first
  */
 export function sizesFor(shown) {
   /** @type {(width: number, name: string) => {width: number, height: number, name: string}} */
-  const wide = (width, name) => ({ width, height: Math.round((shown.height * width) / shown.width), name });
-  const all = [wide(shown.width, "as seen"), wide(2 * shown.width, "twice"), ...WIDTHS.map((width) => wide(width, ""))];
-  return all.filter(({ width, height }) => Math.max(width, height) <= LONGEST_SIDE).sort((a, b) => a.width - b.width);
+  const wide = (width, name) => ({
+    width,
+    height: Math.round((shown.height * width) / shown.width),
+    name,
+  });
+  const all = [
+    wide(shown.width, "as seen"),
+    wide(2 * shown.width, "twice"),
+    ...WIDTHS.map((width) => wide(width, "")),
+  ];
+  return all
+    .filter(({ width, height }) => Math.max(width, height) <= LONGEST_SIDE)
+    .sort((a, b) => a.width - b.width);
 }
 
-/** Asks for one picture at a time, beside those on the stage, and hands it to the browser as a file. */
+/**
+ * Asks for one picture at a time, beside those on the stage, and hands it to the browser as a file.
+ */
 export class Saver {
   #panel;
   #scene;
@@ -47,7 +59,8 @@ export class Saver {
   #work = null;
 
   /**
-   * @param {HTMLElement} panel a popover that holds `#save-size`, `#save-progress`, a `.note` and three buttons
+   * @param {HTMLElement} panel a popover that holds `#save-size`, `#save-progress`, a `.note` and
+   *   three buttons
    * @param {Scene} scene
    * @param {Description} description of the view
    */
@@ -71,7 +84,10 @@ export class Saver {
       return new Option(text, `${width}×${height}`, false, width === first?.width);
     });
     find(this.#panel, "#save-size").replaceChildren(...options);
-    const [box, coloured] = [this.#box("legend"), this.#description.legend({ width: 1, height: 1 }) !== null];
+    const [box, coloured] = [
+      this.#box("legend"),
+      this.#description.legend({ width: 1, height: 1 }) !== null,
+    ];
     /** @type {HTMLElement} */ (box.parentElement).hidden = !coloured;
     box.checked &&= coloured;
     this.#say("");
@@ -83,12 +99,25 @@ export class Saver {
   }
 
   async #start() {
-    const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement).value.split("×").map(Number);
+    const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement)
+      .value.split("×")
+      .map(Number);
     const { link, query, file, alt, rulers, legend } = this.#description;
-    const over = [...(this.#box("rulers").checked ? [rulers] : []), ...(this.#box("legend").checked ? [legend] : [])];
+    const over = [
+      ...(this.#box("rulers").checked ? [rulers] : []),
+      ...(this.#box("legend").checked ? [legend] : []),
+    ];
     const stamp = over.length ? stampOf(over, { width, height }) : null;
     const [controller, hurry] = [new AbortController(), new AbortController()];
-    const work = { controller, hurry, stamp, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() };
+    const work = {
+      controller,
+      hurry,
+      stamp,
+      size: `${width} × ${height}`,
+      link: link(),
+      file: file(),
+      alt: alt(),
+    };
     this.#begin(work);
     try {
       await this.#make({ ...query(), width, height, f: "png" }, { width, height }, work);
@@ -105,7 +134,8 @@ export class Saver {
    */
   async #make(query, size, work) {
     const strips = stripsOf(size);
-    if (strips.length === 1 && !work.stamp) return this.#finish(await this.#refine(query, work, 0, 1), work);
+    if (strips.length === 1 && !work.stamp)
+      return this.#finish(await this.#refine(query, work, 0, 1), work);
     /** @type {Facts[]} */
     const known = [];
     const sheet = new Sheet(size);
@@ -135,12 +165,16 @@ export class Saver {
     const over = AbortSignal.any([signal, stop.signal]);
     const part = strips > 1 ? `Part ${n + 1} of ${strips}: ` : "";
     /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
-    const ask = (waitMs, etag) => readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal: over });
-    const hurried = new Promise((resolve) => hurry.signal.addEventListener("abort", () => best && resolve(best)));
+    const ask = (waitMs, etag) =>
+      readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal: over });
+    const hurried = new Promise((resolve) =>
+      hurry.signal.addEventListener("abort", () => best && resolve(best)),
+    );
     const refined = async () => {
       for await (const picture of untilFinal(ask, over, ({ detail }) => this.#say(detail))) {
         best = picture;
-        find(this.#panel, "#save-progress", HTMLProgressElement).value = (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
+        find(this.#panel, "#save-progress", HTMLProgressElement).value =
+          (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
         this.#say(`${part}${frameInWords(picture.facts)}.`);
         if (hurry.signal.aborted) break;
@@ -167,14 +201,24 @@ export class Saver {
   async #finish({ blob, facts }, { link, file, alt, size }) {
     const name = `${file}${facts.provisional ? "-preview" : ""}.png`;
     const state = [frameInWords(facts), size, this.#missed(facts)].filter(Boolean).join(", ");
-    download(await withNotes(blob, { Title: latin(alt), Software: "isogi", Source: link, Comment: latin(state) }), name);
+    download(
+      await withNotes(blob, {
+        Title: latin(alt),
+        Software: "isogi",
+        Source: link,
+        Comment: latin(state),
+      }),
+      name,
+    );
     this.#end(`Saved ${name}: ${state}.`);
   }
 
   /** @param {Facts} facts */
   #missed({ provisional, error }) {
     const { target_error: target } = this.#scene;
-    return provisional || error > target ? `the target of ${errorInWords(target)} is not reached` : "";
+    return provisional || error > target
+      ? `the target of ${errorInWords(target)} is not reached`
+      : "";
   }
 
   /** @param {string} words */
@@ -213,7 +257,8 @@ export class Saver {
   }
 }
 
-const STAMPED_WIDTH = 960; // of a picture, in whose pixels a stamp is drawn; in larger ones it grows
+// of a picture, in whose pixels a stamp is drawn; in larger ones it grows
+const STAMPED_WIDTH = 960;
 
 /**
  * Scale bar, axes and legend, as they are wanted, for a picture of a size.
@@ -223,9 +268,18 @@ const STAMPED_WIDTH = 960; // of a picture, in whose pixels a stamp is drawn; in
  */
 function stampOf(wanted, { width, height }) {
   const scale = Math.max(1, width / STAMPED_WIDTH);
-  const all = wanted.map((shapes) => shapes({ width: width / scale, height: height / scale })).filter((shapes) => shapes !== null);
+  const all = wanted
+    .map((shapes) => shapes({ width: width / scale, height: height / scale }))
+    .filter((shapes) => shapes !== null);
   const areas = all.flatMap((shapes) => shapes.areas ?? []);
-  return { shapes: { lines: all.flatMap(({ lines }) => lines), words: all.flatMap(({ words }) => words), areas }, scale };
+  return {
+    shapes: {
+      lines: all.flatMap(({ lines }) => lines),
+      words: all.flatMap(({ words }) => words),
+      areas,
+    },
+    scale,
+  };
 }
 
 /** What PNG's notes can hold. @param {string} text */
@@ -239,7 +293,10 @@ function latin(text) {
  * @param {string} name
  */
 export function download(blob, name) {
-  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  const link = Object.assign(document.createElement("a"), {
+    href: URL.createObjectURL(blob),
+    download: name,
+  });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

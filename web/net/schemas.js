@@ -64,7 +64,12 @@ export function readFacts(headers) {
   if (!headers.has("Isogi-Provisional")) return null;
   return {
     provisional: headers.get("Isogi-Provisional") === "?1",
-    coverage: { final: 0, converging: 0, provisional: 0, ...parsePairs(headers.get("Isogi-Coverage")) },
+    coverage: {
+      final: 0,
+      converging: 0,
+      provisional: 0,
+      ...parsePairs(headers.get("Isogi-Coverage")),
+    },
     ...readErrors(headers.get("Isogi-Error") ?? ""),
     chunks: { needed: 0, final: 0, ...parsePairs(headers.get("Isogi-Chunks")) },
     timeLeft: readTimeLeft(headers.get("Isogi-Time-Left")),
@@ -78,8 +83,18 @@ export function readFacts(headers) {
  * @returns {Pick<Facts, "error"|"controls"|"p99"|"p99_interval">}
  */
 function readErrors(header) {
-  const { controls = 0, p99 = null, "p99-low": low, "p99-high": high } = parsePairs(header.replaceAll(";", ","));
-  return { error: Number.parseFloat(header), controls, p99, p99_interval: p99 === null ? null : [low, high] };
+  const {
+    controls = 0,
+    p99 = null,
+    "p99-low": low,
+    "p99-high": high,
+  } = parsePairs(header.replaceAll(";", ","));
+  return {
+    error: Number.parseFloat(header),
+    controls,
+    p99,
+    p99_interval: p99 === null ? null : [low, high],
+  };
 }
 
 /**
@@ -88,8 +103,15 @@ function readErrors(header) {
  * @param {Blob} data
  * @returns {{blob: Blob, facts: Facts, chunks?: StreamMessage["chunks"]}}
  */
-export function streamedFrame({ media_type: type, timing, chunks, facts: { time_left: timeLeft, ...facts } }, data) {
-  return { blob: new Blob([data], { type }), facts: { ...facts, timeLeft, timing }, ...(chunks && { chunks }) };
+export function streamedFrame(
+  { media_type: type, timing, chunks, facts: { time_left: timeLeft, ...facts } },
+  data,
+) {
+  return {
+    blob: new Blob([data], { type }),
+    facts: { ...facts, timeLeft, timing },
+    ...(chunks && { chunks }),
+  };
 }
 
 /**
@@ -99,7 +121,9 @@ export function streamedFrame({ media_type: type, timing, chunks, facts: { time_
  */
 export function parsePairs(text) {
   const pairs = (text ?? "").split(",").map((pair) => pair.trim().split("="));
-  return Object.fromEntries(pairs.filter(([, number]) => number).map(([name, number]) => [name, Number(number)]));
+  return Object.fromEntries(
+    pairs.filter(([, number]) => number).map(([name, number]) => [name, Number(number)]),
+  );
 }
 
 /**

@@ -1,4 +1,7 @@
-/** The menu that shows the view as a link, as a line for a shell and as a line of Python, and copies them. */
+/**
+ * The menu that shows the view as a link, as a line for a shell and as a line of Python, and copies
+ * them.
+ */
 
 import { find } from "../dom.js";
 import { frameAddress, wantsToken } from "./api.js";
@@ -13,7 +16,8 @@ const REFUSED = "The browser lets no page copy here: it is selected, copy it by 
 
 /**
  * Tie the menu to the view.
- * @param {HTMLElement} menu a popover that holds `#share-link`, `#share-curl`, `#share-python`, each with its button
+ * @param {HTMLElement} menu a popover that holds `#share-link`, `#share-curl`, `#share-python`,
+ *   each with its button
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
  * @param {Description} description of the view
@@ -43,11 +47,16 @@ function attachCopy(line, note) {
   const [button, text] = [find(line, "button"), find(line, "code")];
   const name = button.textContent;
   button.addEventListener("click", async () => {
-    const copied = await navigator.clipboard?.writeText(text.textContent ?? "").then(() => true, () => false);
+    const copied = await navigator.clipboard?.writeText(text.textContent ?? "").then(
+      () => true,
+      () => false,
+    );
     if (!copied) getSelection()?.selectAllChildren(text);
     note.textContent = copied ? `${text.ariaLabel} copied` : REFUSED;
     if (!copied) return;
     button.textContent = "Copied";
-    setTimeout(() => { button.textContent = name; }, COPIED_MS);
+    setTimeout(() => {
+      button.textContent = name;
+    }, COPIED_MS);
   });
 }

@@ -1,4 +1,7 @@
-/** What the stage shows, and what the controls ask for: whether both are one view, and since when they are not. */
+/**
+ * What the stage shows, and what the controls ask for: whether both are one view, and since when
+ * they are not.
+ */
 
 import { CLOCK } from "./trouble.js";
 
@@ -18,13 +21,18 @@ import { CLOCK } from "./trouble.js";
  * @property {boolean} draft
  * @property {boolean} sharp whether it has all of the screen's pixels
  * @property {Facts|null} facts
- * @property {number|null} [predicted] relative error of a picture that nobody measured, where it can be told
+ * @property {number|null} [predicted] relative error of a picture that nobody measured, where it
+ *   can be told
  *
- * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from `moving` on there is
+ * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
+ *   `moving` on there is
  *   a picture, and from `provisional` on it is the full one of the view that the controls ask for
  */
 
-/** Compares the picture on the stage with the controls. All that the page says of its picture is read here. */
+/**
+ * Compares the picture on the stage with the controls. All that the page says of its picture is
+ * read here.
+ */
 export class Shown {
   #keyOf;
   #clock;
@@ -53,12 +61,18 @@ export class Shown {
     return this.#asked;
   }
 
-  /** The knobs of the picture on the stage; before the first one, those of the controls. @returns {Knobs} */
+  /**
+   * The knobs of the picture on the stage; before the first one, those of the controls.
+   * @returns {Knobs}
+   */
   get values() {
     return (this.#picture?.of ?? this.#asked).values;
   }
 
-  /** The view that the picture on the stage is of; null before the first one. @returns {Asked|null} */
+  /**
+   * The view that the picture on the stage is of; null before the first one.
+   * @returns {Asked|null}
+   */
   get pictureOf() {
     return this.#picture?.of ?? null;
   }
@@ -71,14 +85,26 @@ export class Shown {
     return this.#moving ? "moving" : "updating";
   }
 
-  /** What may be said of the picture: nothing, unless it is the full one of the view that the controls ask for. @returns {Facts|null} */
+  /**
+   * What may be said of the picture: nothing, unless it is the full one of the view that the
+   * controls ask for.
+   * @returns {Facts|null}
+   */
   get facts() {
-    return this.#picture && !this.#picture.draft && this.#isAsked(this.#picture.of) ? this.#picture.facts : null;
+    return this.#picture && !this.#picture.draft && this.#isAsked(this.#picture.of)
+      ? this.#picture.facts
+      : null;
   }
 
-  /** The predicted error of the picture that the graphics card drew of the view that the controls ask for. @returns {number|null} */
+  /**
+   * The predicted error of the picture that the graphics card drew of the view that the controls
+   * ask for.
+   * @returns {number|null}
+   */
   get predicted() {
-    return this.#picture && this.#isAsked(this.#picture.of) ? (this.#picture.predicted ?? null) : null;
+    return this.#picture && this.#isAsked(this.#picture.of)
+      ? (this.#picture.predicted ?? null)
+      : null;
   }
 
   /** Whether the picture has all of the screen's pixels. @returns {boolean} */
@@ -86,17 +112,27 @@ export class Shown {
     return this.#picture?.sharp ?? false;
   }
 
-  /** When the controls left the picture on the stage; Infinity where they have not. @returns {number} */
+  /**
+   * When the controls left the picture on the stage; Infinity where they have not.
+   * @returns {number}
+   */
   get leftAt() {
     return this.#picture && !this.#isAsked(this.#picture.of) ? this.#picture.of.until : Infinity;
   }
 
-  /** Since when the controls wait for a full picture; Infinity where they do not. @returns {number} */
+  /**
+   * Since when the controls wait for a full picture; Infinity where they do not.
+   * @returns {number}
+   */
   get waitsSince() {
     return this.#lost || this.facts ? Infinity : this.#asked.since;
   }
 
-  /** Whether a picture of a view would take the place of one that the controls ask for. @param {Asked} of @returns {boolean} */
+  /**
+   * Whether a picture of a view would take the place of one that the controls ask for.
+   * @param {Asked} of
+   * @returns {boolean}
+   */
   surpasses(of) {
     return this.#picture !== null && this.#isAsked(this.#picture.of) && !this.#isAsked(of);
   }
@@ -106,7 +142,11 @@ export class Shown {
     this.#listeners.add(listener);
   }
 
-  /** The controls are now these. @param {Knobs} values @returns {boolean} whether they ask for another picture */
+  /**
+   * The controls are now these.
+   * @param {Knobs} values
+   * @returns {boolean} whether they ask for another picture
+   */
   ask(values) {
     const key = this.#keyOf(values);
     const other = key !== this.#asked.key;

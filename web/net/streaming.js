@@ -56,11 +56,16 @@ export class Streaming {
     this.#moving = moving;
     this.#paused = false;
     cancelAnimationFrame(this.#drawing);
-    if (moving) this.#drawing = requestAnimationFrame(() => this.#send()); // no more often than the screen changes
+    if (moving)
+      // no more often than the screen changes
+      this.#drawing = requestAnimationFrame(() => this.#send());
     else this.#send();
   }
 
-  /** The view moves, and the page draws it by itself: the server is to draw none until the next is shown. */
+  /**
+   * The view moves, and the page draws it by itself: the server is to draw none until the next is
+   * shown.
+   */
   pause() {
     if (this.#paused) return;
     this.#paused = true;
@@ -81,7 +86,9 @@ export class Streaming {
       const { query, chunks, of } = this.#view(this.#moving);
       this.#asked.set(++this.#sent, of);
       const wishes = { ...(chunks && { chunks }), ...(this.#paused && { pictures: false }) };
-      this.#socket.send(JSON.stringify({ id: this.#sent, view: query, moving: this.#moving, ...wishes }));
+      this.#socket.send(
+        JSON.stringify({ id: this.#sent, view: query, moving: this.#moving, ...wishes }),
+      );
     }
   }
 
@@ -97,14 +104,18 @@ export class Streaming {
       this.#known = true;
       this.#send();
     };
-    this.#socket.onmessage = ({ data }) => (typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data));
+    this.#socket.onmessage = ({ data }) =>
+      typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data);
     this.#socket.onclose = ({ code, reason }) => this.#closed(code, reason);
   }
 
-  /** @param {StreamMessage} message about the picture that comes next, or a problem in place of one */
+  /**
+   * @param {StreamMessage} message about the picture that comes next, or a problem in place of one
+   */
   #announced(message) {
     this.#message = message;
-    if (message.problem && (message.id ?? this.#sent) === this.#sent) this.#failed(troubleOf(message.problem));
+    if (message.problem && (message.id ?? this.#sent) === this.#sent)
+      this.#failed(troubleOf(message.problem));
   }
 
   /** @param {Blob} data */
@@ -112,9 +123,14 @@ export class Streaming {
     const [socket, message, came] = [this.#socket, this.#message, this.#clock.now()];
     if (!socket || !message) return;
     this.#failures = 0;
-    await this.#hooks.frame({ ...streamedFrame(message, data), of: this.#askedBy(message.id) }, message.draft);
+    await this.#hooks.frame(
+      { ...streamedFrame(message, data), of: this.#askedBy(message.id) },
+      message.draft,
+    );
     if (socket.readyState !== OPEN) return;
-    socket.send(JSON.stringify({ shown: message.id, took: Math.min(this.#clock.now() - came, LONGEST_MS) }));
+    socket.send(
+      JSON.stringify({ shown: message.id, took: Math.min(this.#clock.now() - came, LONGEST_MS) }),
+    );
   }
 
   /** The view that was sent with an id; those before it are answered no more. @param {number} id */

@@ -1,8 +1,17 @@
-/** A large picture in strips: each is asked for by itself, and all are put together where there is more than one. */
+/**
+ * A large picture in strips: each is asked for by itself, and all are put together where there is
+ * more than one.
+ */
 
 /** @typedef {import("./schemas.js").Facts} Facts */
-/** @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes from the lower left corner on */
-/** @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are asked for, `from` to `to` are shown */
+/**
+ * @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes from the
+ *   lower left corner on
+ */
+/**
+ * @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are asked for, `from`
+ *   to `to` are shown
+ */
 
 const STRIP = 1 << 23; // pixels: what a server draws without taking much memory
 const OVERLAP = 2; // rows that neighbours share, so that edges are smooth across the seam
@@ -27,7 +36,11 @@ export function stripsOf({ width, height }) {
  * @returns {Facts}
  */
 export function worstOf(all) {
-  return all.reduce((worst, each) => (Number(each.provisional) - Number(worst.provisional) || each.error - worst.error) > 0 ? each : worst);
+  return all.reduce((worst, each) =>
+    (Number(each.provisional) - Number(worst.provisional) || each.error - worst.error) > 0
+      ? each
+      : worst,
+  );
 }
 
 /** A picture that strips are painted into. */
@@ -47,7 +60,17 @@ export class Sheet {
    */
   async add(blob, { rows: [first], from, to }) {
     const picture = await createImageBitmap(blob);
-    this.#paint?.drawImage(picture, 0, from - first, picture.width, to - from, 0, from, picture.width, to - from);
+    this.#paint?.drawImage(
+      picture,
+      0,
+      from - first,
+      picture.width,
+      to - from,
+      0,
+      from,
+      picture.width,
+      to - from,
+    );
     picture.close();
   }
 
@@ -59,7 +82,9 @@ export class Sheet {
   stamp({ shapes, scale }, light) {
     const paint = this.#paint;
     if (!paint) return;
-    const colours = light ? { over: "#3a4048", under: "#e2e4e6" } : { over: "#f4ead8", under: "#1a1d22" };
+    const colours = light
+      ? { over: "#3a4048", under: "#e2e4e6" }
+      : { over: "#f4ead8", under: "#1a1d22" };
     paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
     shapes.areas?.forEach((area) => fillArea(paint, area, colours));
     shapes.lines.forEach((line) => strokeLine(paint, line, colours));
@@ -70,12 +95,16 @@ export class Sheet {
   async file() {
     /** @type {Blob|null} */
     const blob = await new Promise((done) => this.#canvas.toBlob(done, "image/png"));
-    if (!blob) throw new Error("This browser cannot put together so large a picture: choose a smaller one.");
+    if (!blob)
+      throw new Error("This browser cannot put together so large a picture: choose a smaller one.");
     return blob;
   }
 }
 
-/** @typedef {{over: string, under: string}} Colours of a line, and of what sets it off from the picture */
+/**
+ * @typedef {{over: string, under: string}} Colours of a line, and of what sets it off from the
+ *   picture
+ */
 
 /**
  * @param {CanvasRenderingContext2D} paint
@@ -84,7 +113,9 @@ export class Sheet {
  */
 function fillArea(paint, { from: [left, low], to: [right, high], colours }, { under }) {
   const fill = paint.createLinearGradient(left, 0, right, 0);
-  colours.forEach((colour, n) => fill.addColorStop(colours.length > 1 ? n / (colours.length - 1) : 0, colour));
+  colours.forEach((colour, n) =>
+    fill.addColorStop(colours.length > 1 ? n / (colours.length - 1) : 0, colour),
+  );
   Object.assign(paint, { fillStyle: fill, lineWidth: 2, strokeStyle: under });
   paint.setLineDash([]);
   paint.strokeRect(left, -high, right - left, high - low);
@@ -112,9 +143,19 @@ function strokeLine(paint, { kind, points }, { over, under }) {
  * @param {Colours} colours
  */
 function paintWords(paint, { at: [x, y], text, size, middle, end }, { over, under }) {
-  const [textAlign, textBaseline] = middle ? ["center", "middle"] : [end ? "end" : "start", "alphabetic"];
+  const [textAlign, textBaseline] = middle
+    ? ["center", "middle"]
+    : [end ? "end" : "start", "alphabetic"];
   const font = `${size}px system-ui, sans-serif`;
-  Object.assign(paint, { font, textAlign, textBaseline, lineWidth: 3.5, lineJoin: "round", strokeStyle: under, fillStyle: over });
+  Object.assign(paint, {
+    font,
+    textAlign,
+    textBaseline,
+    lineWidth: 3.5,
+    lineJoin: "round",
+    strokeStyle: under,
+    fillStyle: over,
+  });
   paint.setLineDash([]);
   paint.strokeText(text, x, -y);
   paint.fillText(text, x, -y);

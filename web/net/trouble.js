@@ -5,7 +5,8 @@ const NO_ANSWER = "The page keeps asking and continues by itself when the server
 /**
  * @typedef {object} Clock
  * @property {() => number} now milliseconds
- * @property {(milliseconds: number, run: () => void) => number} after calls `run` later; gives what cancels it
+ * @property {(milliseconds: number, run: () => void) => number} after calls `run` later; gives what
+ *   cancels it
  * @property {(timer: number) => void} cancel
  */
 
@@ -16,7 +17,10 @@ export const CLOCK = {
   cancel: (timer) => clearTimeout(timer),
 };
 
-/** A problem that the server reports, or that it does not answer. `retry` is whether asking again can help. */
+/**
+ * A problem that the server reports, or that it does not answer. `retry` is whether asking again
+ * can help.
+ */
 export class Trouble extends Error {
   /**
    * @param {string} title what is wrong, in a few words
@@ -47,14 +51,19 @@ export function lost() {
 export function troubleOf({ status = 0, detail }, after = 0) {
   const retry = status >= 500 || status === 429;
   const title = retry ? "The server cannot draw this now" : "This view cannot be drawn";
-  return new Trouble(title, typeof detail === "string" ? detail : `It answered with status ${status}.`, { status, retry, after });
+  return new Trouble(
+    title,
+    typeof detail === "string" ? detail : `It answered with status ${status}.`,
+    { status, retry, after },
+  );
 }
 
 /**
  * Milliseconds until the next try: those that the server asks for, else longer after each failure.
  * @param {unknown} error
  * @param {number} failures how many came before it
- * @param {number[]} waits milliseconds after the first failure, the second, and so on; the last is kept
+ * @param {number[]} waits milliseconds after the first failure, the second, and so on; the last is
+ *   kept
  * @returns {number|null} null where asking again cannot help
  */
 export function retryDelay(error, failures, waits) {

@@ -1,4 +1,7 @@
-/** Volumes and light probes of one's own: a file that is opened or dropped goes to the server, and is shown; or deleted. */
+/**
+ * Volumes and light probes of one's own: a file that is opened or dropped goes to the server, and
+ * is shown; or deleted.
+ */
 
 import { find } from "../dom.js";
 import { deleteUpload, readReadiness, sendFile } from "./api.js";
@@ -10,8 +13,10 @@ const MEGABYTE = 1 << 20;
 const LOOK_MS = 500; // between two looks at what the server compiles for a file
 
 /**
- * Offer to open files, and to delete what was uploaded. Does nothing where the server takes no uploads.
- * @param {HTMLElement} root holds the buttons `#upload-open` and `#upload-delete`, the `#upload-file` input and the
+ * Offer to open files, and to delete what was uploaded. Does nothing where the server takes no
+ * uploads.
+ * @param {HTMLElement} root holds the buttons `#upload-open` and `#upload-delete`, the
+ *   `#upload-file` input and the
  *   `#upload-note` popover with a `p` and a `progress`
  * @param {HTMLElement} stage where files may be dropped
  * @param {UploadLimits|null} limits what may be uploaded
@@ -21,10 +26,19 @@ const LOOK_MS = 500; // between two looks at what the server compiles for a file
  */
 export function attachUpload(root, stage, limits, scene, show, light) {
   if (!limits) return;
-  const [open, erase, note] = [find(root, "#upload-open"), find(root, "#upload-delete"), find(root, "#upload-note")];
+  const [open, erase, note] = [
+    find(root, "#upload-open"),
+    find(root, "#upload-delete"),
+    find(root, "#upload-note"),
+  ];
   const file = find(root, "#upload-file", HTMLInputElement);
   /** @param {File|undefined} chosen */
-  const send = (chosen) => chosen && upload(chosen, limits, note).then(({ id }) => (isProbe(chosen.name) ? light(id) : show(id)), () => {});
+  const send = (chosen) =>
+    chosen &&
+    upload(chosen, limits, note).then(
+      ({ id }) => (isProbe(chosen.name) ? light(id) : show(id)),
+      () => {},
+    );
   root.hidden = false;
   erase.hidden = !scene.volume;
   open.addEventListener("click", () => file.click());
@@ -34,7 +48,10 @@ export function attachUpload(root, stage, limits, scene, show, light) {
   });
   erase.addEventListener("click", async () => {
     if (!scene.volume || !confirm(`Delete the volume “${scene.name}” from the server?`)) return;
-    await reporting(note, deleteUpload(scene.volume)).then(() => show(null), () => {});
+    await reporting(note, deleteUpload(scene.volume)).then(
+      () => show(null),
+      () => {},
+    );
   });
   attachDrop(stage, send);
 }
@@ -65,7 +82,10 @@ export function isProbe(file) {
  * @returns {string}
  */
 export function volumeName(file) {
-  return file.replace(/\.(hdr|nrrd|nhdr|nii(\.gz)?|dcm|tiff?|mrc|map|h5|hdf5|nc|npy|npz)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
+  return file
+    .replace(/\.(hdr|nrrd|nhdr|nii(\.gz)?|dcm|tiff?|mrc|map|h5|hdf5|nc|npy|npz)$/i, "")
+    .replace(/\p{C}/gu, "")
+    .slice(0, 80);
 }
 
 /**
@@ -104,12 +124,25 @@ function upload(file, limits, note) {
     bar.hidden = false;
     if (share < 1) bar.value = share;
     else bar.removeAttribute("value"); // sent: the server reads it
-    say(note, share < 1 ? `Sending ${file.name}: ${Math.floor(100 * share)} %` : `The server reads ${file.name}…`);
+    say(
+      note,
+      share < 1
+        ? `Sending ${file.name}: ${Math.floor(100 * share)} %`
+        : `The server reads ${file.name}…`,
+    );
     sent = share >= 1;
     if (sent) watchCompiling(file, note, bar, () => done);
   };
   progress(0);
-  return reporting(note, sendFile(isProbe(file.name) ? "environments" : "volumes", file, volumeName(file.name), progress)).finally(() => {
+  return reporting(
+    note,
+    sendFile(
+      isProbe(file.name) ? "environments" : "volumes",
+      file,
+      volumeName(file.name),
+      progress,
+    ),
+  ).finally(() => {
     done = true;
     bar.hidden = true;
   });
@@ -123,7 +156,13 @@ function upload(file, limits, note) {
  * @param {() => boolean} done whether the file is there, or was refused
  */
 async function watchCompiling(file, note, bar, done) {
-  for (; !done(); await new Promise((resolve) => { setTimeout(resolve, LOOK_MS); })) {
+  for (
+    ;
+    !done();
+    await new Promise((resolve) => {
+      setTimeout(resolve, LOOK_MS);
+    })
+  ) {
     const compiling = (await readReadiness())?.compiling;
     if (!compiling || done()) continue;
     bar.value = compiling.done / compiling.total;

@@ -1,4 +1,7 @@
-/** The way from a notebook's page to the server: requests go to the kernel as messages, which hands the answers back. */
+/**
+ * The way from a notebook's page to the server: requests go to the kernel as messages, which hands
+ * the answers back.
+ */
 
 import { troubleOf } from "../net/trouble.js";
 
@@ -13,7 +16,8 @@ import { troubleOf } from "../net/trouble.js";
  * @property {(event: string, listener: (...given: any[]) => void) => void} on
  * @property {(event: string, listener: (...given: any[]) => void) => void} off
  *
- * @typedef {{number: number, status: number, detail: string}} Answer of the kernel, to the request of that number
+ * @typedef {{number: number, status: number, detail: string}} Answer of the kernel, to the request
+ *   of that number
  */
 
 /** Asks the server by way of the kernel. */
@@ -40,7 +44,8 @@ export class Bridge {
       document: async (query) => read(await this.#ask(`card?${textOf(query)}`)),
       bytes: (href) => this.#ask(href),
       chunks: async (query) => read(await this.#ask(`card/chunks?${textOf(query)}`)).chunks,
-      blocks: (what, chunks, query) => this.#ask(`card/${what}/${chunks.join(",")}?${textOf(query)}`),
+      blocks: (what, chunks, query) =>
+        this.#ask(`card/${what}/${chunks.join(",")}?${textOf(query)}`),
     };
   }
 
@@ -85,5 +90,7 @@ function read(bytes) {
 
 /** @param {FrameQuery} query @returns {string} */
 function textOf(query) {
-  return new URLSearchParams(Object.entries(query).map(([name, value]) => [name, String(value)])).toString();
+  return new URLSearchParams(
+    Object.entries(query).map(([name, value]) => [name, String(value)]),
+  ).toString();
 }

@@ -17,12 +17,28 @@ import { Bridge } from "./bridge.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
-/** @typedef {{stage: HTMLElement, picture: HTMLImageElement, canvas: HTMLCanvasElement, slider: HTMLInputElement, line: HTMLOutputElement}} Parts */
+/**
+ * @typedef {{stage: HTMLElement, picture: HTMLImageElement, canvas: HTMLCanvasElement, slider:
+ *   HTMLInputElement, line: HTMLOutputElement}} Parts
+ */
 
-/** Knobs of the view that the kernel knows as the page moves them. @type {("isovalue"|"azimuth"|"elevation"|"distance"|"yaw"|"pitch"|"roll"|"target")[]} */
+/**
+ * Knobs of the view that the kernel knows as the page moves them.
+ * @type {("isovalue"|"azimuth"|"elevation"|"distance"|"yaw"|"pitch"|"roll"|"target")[]}
+ */
 const SHARED = ["isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll", "target"];
 /** Parameters of a view that the page knows; one with others is drawn by the server. */
-const KNOWN = new Set([...NUMBERS, "target", "projection", "shading", "background", "width", "height", "max_error", "draw"]);
+const KNOWN = new Set([
+  ...NUMBERS,
+  "target",
+  "projection",
+  "shading",
+  "background",
+  "width",
+  "height",
+  "max_error",
+  "draw",
+]);
 const REST_MS = 200; // a view that has not changed for this long is at rest
 const STEP = 5; // degrees that an arrow key turns by
 
@@ -34,7 +50,9 @@ const STEP = 5; // degrees that an arrow key turns by
  */
 export function show(model, element) {
   const scene = /** @type {Scene} */ ({ ...model.get("scene"), start: { target: null } });
-  const parts = partsIn(element, model.get("size")), view = new ViewModel(scene, startOf(model)), bridge = new Bridge(model);
+  const parts = partsIn(element, model.get("size"));
+  const view = new ViewModel(scene, startOf(model));
+  const bridge = new Bridge(model);
   const live = liveIn(parts, scene, model, bridge);
   const follow = followed(parts, scene, view, live, model);
   attachControls(parts, scene, view, follow.settle);
@@ -44,11 +62,22 @@ export function show(model, element) {
   };
 }
 
-/** Lay the widget out. @param {HTMLElement} element @param {[number, number]} size pixels of the picture @returns {Parts} */
+/**
+ * Lay the widget out.
+ * @param {HTMLElement} element
+ * @param {[number, number]} size pixels of the picture
+ * @returns {Parts}
+ */
 function partsIn(element, [width, height]) {
-  const make = /** @type {<T extends keyof HTMLElementTagNameMap>(tag: T, facts: object) => HTMLElementTagNameMap[T]} */ ((tag, facts) => Object.assign(document.createElement(tag), facts));
-  const picture = make("img", { draggable: false }), canvas = make("canvas", { hidden: true }), stage = make("div", { className: "stage", tabIndex: 0 });
-  const slider = make("input", { type: "range", step: "any", ariaLabel: "Isovalue" }), line = make("output", {});
+  const make =
+    /** @type {<T extends keyof HTMLElementTagNameMap>(tag: T, facts: object) => HTMLElementTagNameMap[T]} */ (
+      (tag, facts) => Object.assign(document.createElement(tag), facts)
+    );
+  const picture = make("img", { draggable: false });
+  const canvas = make("canvas", { hidden: true });
+  const stage = make("div", { className: "stage", tabIndex: 0 });
+  const slider = make("input", { type: "range", step: "any", ariaLabel: "Isovalue" });
+  const line = make("output", {});
   Object.assign(stage.style, { width: `${width}px`, aspectRatio: `${width} / ${height}` });
   stage.append(picture, canvas);
   element.classList.add("isogi");
@@ -56,7 +85,11 @@ function partsIn(element, [width, height]) {
   return { stage, picture, canvas, slider, line };
 }
 
-/** The knobs that the kernel has the view start with. @param {Model} model @returns {Partial<Knobs>} */
+/**
+ * The knobs that the kernel has the view start with.
+ * @param {Model} model
+ * @returns {Partial<Knobs>}
+ */
 function startOf(model) {
   const { start } = readAddress(`?${new URLSearchParams(model.get("given"))}`);
   return { background: "light", ...start, ...sharedOf(model) };
@@ -70,8 +103,11 @@ function sharedOf(model) {
 /** Who is to draw what moves: null for whoever can. @param {Model} model @returns {string|null} */
 function choiceOf(model) {
   const given = model.get("given");
-  const known = Object.entries(given).every(([name, value]) => KNOWN.has(name) && (!NUMBERS.some((each) => each === name) || Number.isFinite(Number(value))));
-  return known ? given.draw ?? null : "server";
+  const known = Object.entries(given).every(
+    ([name, value]) =>
+      KNOWN.has(name) && (!NUMBERS.some((each) => each === name) || Number.isFinite(Number(value))),
+  );
+  return known ? (given.draw ?? null) : "server";
 }
 
 /**
@@ -85,15 +121,27 @@ function choiceOf(model) {
 function liveIn({ canvas, line }, scene, model, bridge) {
   const [width, height] = model.get("size");
   /** @type {Live} */
-  const live = new Live(canvas, scene, bridge.source, {
-    open: (allowed) => Card.open(canvas, { ...allowed, readShader: (name) => bridge.readShader(name) }),
-    size: () => ({ width, height }),
-    drawn() {
-      line.textContent = live.predicted === null ? "Drawn by the graphics card; light is coming" : `Drawn by the graphics card, about ${errorInWords(live.predicted)} error`;
+  const live = new Live(
+    canvas,
+    scene,
+    bridge.source,
+    {
+      open: (allowed) =>
+        Card.open(canvas, { ...allowed, readShader: (name) => bridge.readShader(name) }),
+      size: () => ({ width, height }),
+      drawn() {
+        line.textContent =
+          live.predicted === null
+            ? "Drawn by the graphics card; light is coming"
+            : `Drawn by the graphics card, about ${errorInWords(live.predicted)} error`;
+      },
+      lost: () => share(model, { moving: false }),
+      refused: (reason) => {
+        line.textContent = reason;
+      },
     },
-    lost: () => share(model, { moving: false }),
-    refused: (reason) => { line.textContent = reason; },
-  }, choiceOf(model));
+    choiceOf(model),
+  );
   return live;
 }
 
@@ -113,7 +161,9 @@ function share(model, values) {
  * @returns {{settle: () => void, end: () => void}} the view rests; nobody looks any more
  */
 function followed(parts, scene, view, live, model) {
-  let timer = 0, led = false, shares = false; // the kernel changes the view; the page does, knob by knob
+  let timer = 0;
+  let led = false;
+  let shares = false; // the kernel changes the view; the page does, knob by knob
   const tell = (/** @type {Record<string, any>} */ values) => {
     shares = true;
     share(model, values);
@@ -141,21 +191,34 @@ function followed(parts, scene, view, live, model) {
   };
   const came = () => {
     put(parts, model, describe(scene, view.values));
-    const isNewest = JSON.stringify(model.get("seen")) === JSON.stringify(SHARED.map((name) => model.get(name)));
+    const isNewest =
+      JSON.stringify(model.get("seen")) === JSON.stringify(SHARED.map((name) => model.get(name)));
     if (isNewest) live.rest(view.values, { coverage: { provisional: model.get("provisional") } });
   };
-  const listeners = /** @type {[string, () => void][]} */ ([["change:shown", came], ["change:told", () => mirror(parts, model)], ...SHARED.map((name) => [`change:${name}`, lead])]);
+  const listeners = /** @type {[string, () => void][]} */ ([
+    ["change:shown", came],
+    ["change:told", () => mirror(parts, model)],
+    ...SHARED.map((name) => [`change:${name}`, lead]),
+  ]);
   listeners.forEach(([event, listener]) => model.on(event, listener));
   mirror(parts, model);
   if (model.get("shown")) came();
-  return { settle, end: () => {
-    settle();
-    listeners.forEach(([event, listener]) => model.off(event, listener));
-    URL.revokeObjectURL(parts.picture.src);
-  } };
+  return {
+    settle,
+    end: () => {
+      settle();
+      listeners.forEach(([event, listener]) => model.off(event, listener));
+      URL.revokeObjectURL(parts.picture.src);
+    },
+  };
 }
 
-/** Show the server's picture, under the card's. @param {Parts} parts @param {Model} model @param {string} alt */
+/**
+ * Show the server's picture, under the card's.
+ * @param {Parts} parts
+ * @param {Model} model
+ * @param {string} alt
+ */
 function put({ picture }, model, alt) {
   URL.revokeObjectURL(picture.src);
   picture.src = URL.createObjectURL(new Blob([model.get("picture")], { type: "image/jpeg" }));
@@ -165,11 +228,22 @@ function put({ picture }, model, alt) {
 /** Say what the kernel knows. @param {Parts} parts @param {Model} model */
 function mirror({ slider, line }, model) {
   const [low, high] = model.get("span").map(String);
-  Object.assign(slider, { min: low, max: high, value: String(model.get("isovalue")), hidden: low === high });
+  Object.assign(slider, {
+    min: low,
+    max: high,
+    value: String(model.get("isovalue")),
+    hidden: low === high,
+  });
   line.textContent = model.get("told");
 }
 
-/** Pointer, wheel, arrow keys and the slider change the view. @param {Parts} parts @param {Scene} scene @param {ViewModel} view @param {() => void} onRest */
+/**
+ * Pointer, wheel, arrow keys and the slider change the view.
+ * @param {Parts} parts
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {() => void} onRest
+ */
 function attachControls({ stage, slider }, scene, view, onRest) {
   attachGestures(stage, scene, view, { onRest });
   slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));
@@ -177,7 +251,8 @@ function attachControls({ stage, slider }, scene, view, onRest) {
     if (!(event.key in ARROWS)) return;
     event.preventDefault();
     event.stopPropagation(); // or the notebook goes to another cell
-    const [right, down] = ARROWS[event.key], turn = event.shiftKey && scene.turns ? dragLight : dragObject;
+    const [right, down] = ARROWS[event.key];
+    const turn = event.shiftKey && scene.turns ? dragLight : dragObject;
     view.set(turn(view.values, STEP * right, STEP * down));
   });
 }

@@ -1,11 +1,17 @@
-/** Draws a history: the error on a logarithmic axis, and under it the coverage, over the same seconds. */
+/**
+ * Draws a history: the error on a logarithmic axis, and under it the coverage, over the same
+ * seconds.
+ */
 
 import { find, svgElement } from "../dom.js";
 import { STATES } from "../net/schemas.js";
 import { errorInWords, niceStep } from "../view/format.js";
 
 /** @typedef {import("./error.js").Moment} Moment */
-/** @typedef {Moment & {lasts?: boolean}} Drawn `lasts` marks the end of the axis, which no frame has reached */
+/**
+ * @typedef {Moment & {lasts?: boolean}} Drawn `lasts` marks the end of the axis, which no frame has
+ *   reached
+ */
 /** @typedef {import("../net/schemas.js").State} State */
 /** @typedef {{at: number, label: string}} Tick */
 /** @typedef {(value: number) => number} Scale from seconds, an error or a share to pixels */
@@ -15,7 +21,11 @@ const ERROR = { top: 20, bottom: 112 };
 const SHARES = { top: 142, bottom: 184 };
 const ROOM = 1.1; // how far the time axis goes beyond the newest moment, at least
 /** @type {[number, string][]} */
-const UNITS = [[3600, "hours"], [60, "minutes"], [1, "seconds"]];
+const UNITS = [
+  [3600, "hours"],
+  [60, "minutes"],
+  [1, "seconds"],
+];
 const MOST_TICKS = 6;
 
 /** A chart that fills the width of its SVG element, pixel for pixel. */
@@ -51,7 +61,11 @@ export class Chart {
     const lasting = held(moments, time.end);
     this.#layer.replaceChildren(
       ...drawTime(time, x),
-      ...drawError(lasting.filter(({ error }) => error > 0), target, x),
+      ...drawError(
+        lasting.filter(({ error }) => error > 0),
+        target,
+        x,
+      ),
       ...drawShares(lasting, x),
     );
   }
@@ -78,12 +92,16 @@ export function timeAxis(seconds) {
   const length = Math.max(1, seconds / size);
   const step = niceStep(length, MOST_TICKS - 1);
   const count = Math.ceil(length / step - 1e-9);
-  const ticks = Array.from({ length: count + 1 }, (_, i) => ({ at: i * step * size, label: short(i * step) }));
+  const ticks = Array.from({ length: count + 1 }, (_, i) => ({
+    at: i * step * size,
+    label: short(i * step),
+  }));
   return { end: count * step * size, unit, ticks };
 }
 
 /**
- * A logarithmic axis around some relative errors, from 1, 2 or 5 times a power of ten, a little below, to 1 or 5 times one.
+ * A logarithmic axis around some relative errors, from 1, 2 or 5 times a power of ten, a little
+ * below, to 1 or 5 times one.
  * @param {number[]} errors those that are not above zero have no place on it
  * @returns {{low: number, high: number, ticks: Tick[]}}
  */
@@ -95,11 +113,18 @@ export function errorAxis(errors) {
   const ends = all.filter((_, i) => i % 3 !== 1); // 1 and 5 times a power of ten
   const high = /** @type {number} */ (ends.find((each) => each >= most * (1 - 1e-9)));
   const within = all.filter((each) => each >= low && each <= high);
-  const ticks = within.length > MOST_TICKS ? within.filter((each) => each === high || isPowerOfTen(each)) : within;
+  const ticks =
+    within.length > MOST_TICKS
+      ? within.filter((each) => each === high || isPowerOfTen(each))
+      : within;
   return { low, high, ticks: ticks.map((at) => ({ at, label: `${short(100 * at)} %` })) };
 }
 
-/** 1, 2 and 5 times the powers of ten from `first` to `last`. @param {number} first @param {number} last */
+/**
+ * 1, 2 and 5 times the powers of ten from `first` to `last`.
+ * @param {number} first
+ * @param {number} last
+ */
 function niceNumbers(first, last) {
   const powers = Array.from({ length: last - first + 1 }, (_, i) => first + i);
   return powers.flatMap((power) => [1, 2, 5].map((factor) => Number(`${factor}e${power}`)));
@@ -120,8 +145,14 @@ function short(number) {
  * @param {Scale} x
  */
 function drawTime({ end, unit, ticks }, x) {
-  const labels = ticks.map(({ at, label }) => svgElement("text", { x: x(at), y: SHARES.bottom + 15, class: "x" }, label));
-  const name = svgElement("text", { x: x(end / 2), y: SHARES.bottom + 31, class: "x" }, `${unit} since the view changed`);
+  const labels = ticks.map(({ at, label }) =>
+    svgElement("text", { x: x(at), y: SHARES.bottom + 15, class: "x" }, label),
+  );
+  const name = svgElement(
+    "text",
+    { x: x(end / 2), y: SHARES.bottom + 31, class: "x" },
+    `${unit} since the view changed`,
+  );
   return [...labels, name];
 }
 
@@ -143,7 +174,9 @@ function drawError(moments, target, x) {
     ...drawTicks(axis.ticks, y),
     ...(target > 0 ? drawTarget(target, y(target)) : []),
     svgElement("polyline", { class: "error", points: points.join(" ") }),
-    ...(newest ? [svgElement("circle", { class: "newest", cx: newest[0], cy: newest[1], r: 3.5 })] : []),
+    ...(newest
+      ? [svgElement("circle", { class: "newest", cx: newest[0], cy: newest[1], r: 3.5 })]
+      : []),
   ];
 }
 
@@ -167,11 +200,22 @@ function drawTarget(target, y) {
 function drawShares(moments, x) {
   /** @type {Scale} */
   const y = (share) => SHARES.bottom - (SHARES.bottom - SHARES.top) * Math.min(share, 1);
-  const ticks = [{ at: 0, label: "0 %" }, { at: 1, label: "100 %" }];
+  const ticks = [
+    { at: 0, label: "0 %" },
+    { at: 1, label: "100 %" },
+  ];
   return [
     svgElement("text", { x: LEFT, y: SHARES.top - 9 }, "share of the surface"),
     ...drawTicks(ticks, y),
-    ...STATES.map((state, i) => drawArea(state, moments, x, (moment) => y(upTo(moment, i)), (moment) => y(upTo(moment, i + 1)))),
+    ...STATES.map((state, i) =>
+      drawArea(
+        state,
+        moments,
+        x,
+        (moment) => y(upTo(moment, i)),
+        (moment) => y(upTo(moment, i + 1)),
+      ),
+    ),
   ];
 }
 
@@ -190,7 +234,10 @@ function upTo({ coverage }, count) {
 function drawArea(state, moments, x, lower, upper) {
   /** @type {(moment: Moment, y: (moment: Moment) => number) => string} */
   const point = (moment, y) => `${x(moment.seconds).toFixed(1)},${y(moment).toFixed(1)}`;
-  const outline = [...moments.map((each) => point(each, upper)), ...moments.toReversed().map((each) => point(each, lower))];
+  const outline = [
+    ...moments.map((each) => point(each, upper)),
+    ...moments.toReversed().map((each) => point(each, lower)),
+  ];
   /** @type {Record<string, string>} */
   const fill = state === "final" ? {} : { fill: `url(#hatch-${state})` };
   return svgElement("polygon", { class: state, points: outline.join(" "), ...fill });

@@ -1,4 +1,7 @@
-/** Two shadings of one view side by side: left the view's own, right another one, and a divider that is moved. */
+/**
+ * Two shadings of one view side by side: left the view's own, right another one, and a divider that
+ * is moved.
+ */
 
 import { find } from "../dom.js";
 import { Polling } from "../net/polling.js";
@@ -6,13 +9,21 @@ import { shadingName } from "../view/format.js";
 
 /** @typedef {"moving"|"coming"|"lost"|"provisional"|"final"} State of the right side */
 
-const [STEP, STRIDE] = [2, 10]; // percent that an arrow moves the divider by; and one with shift, or a page key
+// percent that an arrow moves the divider by; and one with shift, or a page key
+const [STEP, STRIDE] = [2, 10];
 /** @type {Record<State, string>} */
 const WORDS = {
-  moving: " · when the view rests", coming: " · drawing…", lost: " · not up to date", provisional: " · refining", final: "",
+  moving: " · when the view rests",
+  coming: " · drawing…",
+  lost: " · not up to date",
+  provisional: " · refining",
+  final: "",
 };
 
-/** The right side: a picture of the view as it is now, or none. While the view moves it is dim, for drafts are of the left. */
+/**
+ * The right side: a picture of the view as it is now, or none. While the view moves it is dim, for
+ * drafts are of the left.
+ */
 export class Comparison {
   #root;
   #picture;
@@ -24,17 +35,27 @@ export class Comparison {
    * @param {HTMLElement} root holds two `.side`s and `#divider`
    * @param {import("../view/picture.js").Picture} picture shows the right side
    * @param {(options: import("../net/polling.js").FrameOptions, signal: AbortSignal)
-   *   => Promise<import("../net/schemas.js").Frame & {of: import("../net/shown.js").Asked}>} ask sends one request for the right side
+   *   => Promise<import("../net/schemas.js").Frame & {of: import("../net/shown.js").Asked}>} ask
+   * sends one request for the right side
    * @param {import("../view/model.js").ViewModel} view
    */
   constructor(root, picture, ask, view) {
     this.#root = root;
     this.#picture = picture;
     this.#view = view;
-    this.#polling = new Polling(ask, { frame: (frame) => this.#show(frame), trouble: () => this.#hide("lost") });
+    this.#polling = new Polling(ask, {
+      frame: (frame) => this.#show(frame),
+      trouble: () => this.#hide("lost"),
+    });
     attachDivider(find(root, "#divider"), (at) => this.#divide(at));
-    document.addEventListener("visibilitychange", () => this.#on && !document.hidden && this.#polling.resume());
-    view.watch(({ shading, compare }) => [shading, compare], () => this.#compare());
+    document.addEventListener(
+      "visibilitychange",
+      () => this.#on && !document.hidden && this.#polling.resume(),
+    );
+    view.watch(
+      ({ shading, compare }) => [shading, compare],
+      () => this.#compare(),
+    );
     this.#compare();
   }
 
@@ -92,7 +113,8 @@ export class Comparison {
   /** @param {State} state */
   #mark(state) {
     this.#root.dataset.state = state;
-    find(this.#root, ".right").textContent = `${shadingName(this.#view.values.compare)}${WORDS[state]}`;
+    find(this.#root, ".right").textContent =
+      `${shadingName(this.#view.values.compare)}${WORDS[state]}`;
   }
 
   /** Put the divider at a place. @param {number} at percent from the left */
@@ -114,8 +136,14 @@ export function dividerPlace({ key, shiftKey }, now) {
   const step = shiftKey ? STRIDE : STEP;
   /** @type {Record<string, number>} */
   const places = {
-    ArrowLeft: now - step, ArrowDown: now - step, ArrowRight: now + step, ArrowUp: now + step,
-    PageDown: now - STRIDE, PageUp: now + STRIDE, Home: 0, End: 100,
+    ArrowLeft: now - step,
+    ArrowDown: now - step,
+    ArrowRight: now + step,
+    ArrowUp: now + step,
+    PageDown: now - STRIDE,
+    PageUp: now + STRIDE,
+    Home: 0,
+    End: 100,
   };
   return key in places ? Math.min(100, Math.max(0, places[key])) : null;
 }

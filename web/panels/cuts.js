@@ -1,9 +1,30 @@
-/** What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and which labels are shown. */
+/**
+ * What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and
+ * which labels are shown.
+ */
 
 import { find } from "../dom.js";
-import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
+import {
+  MOST_OBLIQUE,
+  facingPlane,
+  moved,
+  movablePlanes,
+  readPlanes,
+  termOf,
+  writePlanes,
+} from "../view/planes.js";
 import { cameraAxes } from "../view/rotation.js";
-import { absorbedShares, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
+import {
+  absorbedShares,
+  isMaterial,
+  readHidden,
+  readMaterial,
+  readSurfaces,
+  tintOf,
+  writeHidden,
+  writeMaterial,
+  writeSurfaces,
+} from "../view/surfaces.js";
 
 /** @typedef {import("../documents.js").Label} Label */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -12,7 +33,8 @@ import { absorbedShares, isMaterial, readHidden, readMaterial, readSurfaces, tin
 
 /**
  * Tie the sliders to the view, both ways.
- * @param {HTMLElement} panel holds `#cut-sliders`, `#oblique`, `#opened`, `#cut-note`, `#add-plane` and `#uncut`
+ * @param {HTMLElement} panel holds `#cut-sliders`, `#oblique`, `#opened`, `#cut-note`, `#add-plane`
+ *   and `#uncut`
  * @param {Pick<Scene, "volume"|"cuts">} scene
  * @param {ViewModel} view
  */
@@ -30,20 +52,27 @@ export function attachCuts(panel, { volume, cuts }, view) {
   };
   const facing = () => {
     const { planes, azimuth, elevation } = view.values;
-    return termOf(facingPlane(readPlanes(planes, volume.bounds), cameraAxes(azimuth, elevation).out));
+    return termOf(
+      facingPlane(readPlanes(planes, volume.bounds), cameraAxes(azimuth, elevation).out),
+    );
   };
   add.addEventListener("click", () => others((terms) => [...terms, facing()]));
   /** @type {Row[]} */
   const rows = [];
   const mirror = () => {
-    const { planes, opened: open } = view.values, all = movablePlanes(volume, planes);
+    const { planes, opened: open } = view.values;
+    const all = movablePlanes(volume, planes);
     while (rows.length > all.length) rows.pop()?.node.remove();
     for (let k = rows.length; k < all.length; k++) {
       const row = planeRow(k, volume, view);
-      if (k >= SIDES) row.node.append(buttonsOf([
-        plainButton("Face me", () => others((terms) => terms.with(k - SIDES, facing()))),
-        plainButton("Remove", () => others((terms) => terms.toSpliced(k - SIDES, 1))),
-      ]));
+      if (k >= SIDES) {
+        row.node.append(
+          buttonsOf([
+            plainButton("Face me", () => others((terms) => terms.with(k - SIDES, facing()))),
+            plainButton("Remove", () => others((terms) => terms.toSpliced(k - SIDES, 1))),
+          ]),
+        );
+      }
       (k < SIDES ? sides : oblique).append(row.node);
       rows.push(row);
     }
@@ -67,7 +96,9 @@ const SIDES = 6; // of a box
  */
 function cutInWords(opened, oblique) {
   if (!opened) return "All stays lit as a whole, and cut faces show values.";
-  return oblique ? "Light comes in by the sides of the box. Oblique planes are windows, and show values: of voxels, their faces would be stairs." : "What is left is lit again.";
+  return oblique
+    ? "Light comes in by the sides of the box. Oblique planes are windows, and show values: of voxels, their faces would be stairs."
+    : "What is left is lit again.";
 }
 
 /** @param {HTMLElement[]} buttons */
@@ -79,12 +110,17 @@ function buttonsOf(buttons) {
 
 /** @param {string} text @param {() => void} action */
 function plainButton(text, action) {
-  const button = Object.assign(document.createElement("button"), { type: "button", textContent: text });
+  const button = Object.assign(document.createElement("button"), {
+    type: "button",
+    textContent: text,
+  });
   button.addEventListener("click", action);
   return button;
 }
 
-/** @typedef {{node: HTMLElement, show: (plane: import("../view/planes.js").Movable) => void}} Row */
+/**
+ * @typedef {{node: HTMLElement, show: (plane: import("../view/planes.js").Movable) => void}} Row
+ */
 
 /**
  * The slider of a plane, and what shows its value.
@@ -94,12 +130,21 @@ function plainButton(text, action) {
  * @returns {Row}
  */
 function planeRow(k, volume, view) {
-  const [label, output, input] = [document.createElement("label"), document.createElement("output"), document.createElement("input")];
+  const [label, output, input] = [
+    document.createElement("label"),
+    document.createElement("output"),
+    document.createElement("input"),
+  ];
   const node = Object.assign(document.createElement("div"), { className: "knob" });
-  const { name, range: [min, max] } = movablePlanes(volume, view.values.planes)[k];
+  const {
+    name,
+    range: [min, max],
+  } = movablePlanes(volume, view.values.planes)[k];
   const id = `cut-${name.replace(" ", "-")}`;
   Object.assign(input, { type: "range", id, name: id, min, max, step: "any" });
-  input.addEventListener("input", () => view.set({ planes: moved(movablePlanes(volume, view.values.planes)[k], input.valueAsNumber) }));
+  input.addEventListener("input", () =>
+    view.set({ planes: moved(movablePlanes(volume, view.values.planes)[k], input.valueAsNumber) }),
+  );
   label.htmlFor = output.htmlFor.value = id;
   label.textContent = name;
   node.append(label, output, input);
@@ -113,7 +158,8 @@ function planeRow(k, volume, view) {
 }
 
 /**
- * Tie a switch and a slider for each surface to the view, both ways; without surfaces the panel is hidden.
+ * Tie a switch and a slider for each surface to the view, both ways; without surfaces the panel is
+ * hidden.
  * @param {HTMLElement} panel holds `#surface-rows`
  * @param {{surfaces?: Surface[]}} scene
  * @param {ViewModel} view
@@ -121,10 +167,12 @@ function planeRow(k, volume, view) {
 export function attachSurfaces(panel, { surfaces = [] }, view) {
   panel.hidden = !surfaces.length;
   const shown = () => readSurfaces(view.values.surfaces, surfaces);
-  const rows = surfaces.map((surface, k) => surfaceRow(surface, k, (patch) => {
-    const next = shown().map((each, at) => (at === k ? { ...each, ...patch } : each));
-    view.set({ surfaces: writeSurfaces(next, surfaces) });
-  }));
+  const rows = surfaces.map((surface, k) =>
+    surfaceRow(surface, k, (patch) => {
+      const next = shown().map((each, at) => (at === k ? { ...each, ...patch } : each));
+      view.set({ surfaces: writeSurfaces(next, surfaces) });
+    }),
+  );
   find(panel, "#surface-rows").replaceChildren(...rows.map(({ node }) => node));
   const mirror = () => shown().forEach((each, k) => rows[k].show(each));
   mirror();
@@ -139,12 +187,21 @@ export function attachSurfaces(panel, { surfaces = [] }, view) {
  * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
  */
 function surfaceRow({ name, isovalue }, k, set) {
-  const [node, label, check] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
+  const [node, label, check] = [
+    document.createElement("div"),
+    document.createElement("label"),
+    document.createElement("input"),
+  ];
   const called = name || `Surface at ${isovalue}`;
   Object.assign(check, { type: "checkbox", id: `surface-${k}`, name: `surface-${k}` });
   Object.assign(label, { className: "check" }).append(check, ` ${called}`);
   const limits = { id: `clear-${k}`, min: 0, max: 1, step: 0.05 };
-  const knob = bakedSlider("Lets pass", limits, (value) => `${Math.round(100 * value)} %`, (clear) => set({ clear }));
+  const knob = bakedSlider(
+    "Lets pass",
+    limits,
+    (value) => `${Math.round(100 * value)} %`,
+    (clear) => set({ clear }),
+  );
   knob.title.setAttribute("aria-label", `${called} lets pass`);
   check.addEventListener("change", () => set({ shown: check.checked }));
   node.append(label, knob.node);
@@ -158,7 +215,8 @@ function surfaceRow({ name, isovalue }, k, set) {
 }
 
 /**
- * A slider whose every value has light, or a scene, of its own: it says its value while it moves, and sets it once it is
+ * A slider whose every value has light, or a scene, of its own: it says its value while it moves,
+ * and sets it once it is
  * let go, also by a key that was held.
  * @param {string} name
  * @param {{id: string, min: number, max: number, step: number|"any"}} limits
@@ -166,7 +224,12 @@ function surfaceRow({ name, isovalue }, k, set) {
  * @param {(value: number) => void} set
  */
 function bakedSlider(name, limits, words, set) {
-  const [node, title, output, slider] = [document.createElement("div"), document.createElement("label"), document.createElement("output"), document.createElement("input")];
+  const [node, title, output, slider] = [
+    document.createElement("div"),
+    document.createElement("label"),
+    document.createElement("output"),
+    document.createElement("input"),
+  ];
   Object.assign(slider, { type: "range", name: limits.id, ...limits });
   Object.assign(title, { htmlFor: limits.id, textContent: name });
   output.htmlFor.value = limits.id;
@@ -199,28 +262,39 @@ function bakedSlider(name, limits, words, set) {
 }
 
 /** @type {Record<string, string>} */
-const NUMBER_NAMES = { index: "Refractive index", absorption: "Absorption", mean_free_path: "Mean free path" };
+const NUMBER_NAMES = {
+  index: "Refractive index",
+  absorption: "Absorption",
+  mean_free_path: "Mean free path",
+};
 const CLEAREST = 5; // absorption over the volume's radius at which glass is black
 const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, over that radius
 
 /**
- * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hidden where the scene allows
+ * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hidden where
+ * the scene allows
  * nothing but its own.
  * @param {HTMLElement} panel holds a `.value`, a `select`, `#material-numbers` and a `.note`
  * @param {Pick<Scene, "material"|"materials"|"volume">} scene
  * @param {ViewModel} view
  */
 export function attachMaterial(panel, scene, view) {
-  const [value, numbers, note] = [".value", "#material-numbers", ".note"].map((each) => find(panel, each));
-  const select = find(panel, "select", HTMLSelectElement), { materials } = scene;
+  const [value, numbers, note] = [".value", "#material-numbers", ".note"].map((each) =>
+    find(panel, each),
+  );
+  const select = find(panel, "select", HTMLSelectElement);
+  const { materials } = scene;
   const offered = materials.filter(({ kind }) => isMaterial(kind, materials));
   panel.hidden = offered.length < 2;
   if (panel.hidden) return;
   const now = () => readMaterial(view.values.material, scene);
-  const set = (/** @type {import("../view/surfaces.js").Made} */ made) => view.set({ material: writeMaterial(made, scene) });
+  const set = (/** @type {import("../view/surfaces.js").Made} */ made) =>
+    view.set({ material: writeMaterial(made, scene) });
   select.replaceChildren(...offered.map(({ kind }) => new Option(capital(kind), kind)));
   select.addEventListener("change", () => set(readMaterial(select.value, scene)));
-  note.textContent = materials.flatMap(({ kind, refused }) => (refused ? [`${capital(kind)}: ${refused}`] : [])).join(" ");
+  note.textContent = materials
+    .flatMap(({ kind, refused }) => (refused ? [`${capital(kind)}: ${refused}`] : []))
+    .join(" ");
   note.hidden = !note.textContent;
   /** @type {Record<string, (values: number[]) => void>} */
   let shown = {};
@@ -229,10 +303,13 @@ export function attachMaterial(panel, scene, view) {
     const made = now();
     if (made.kind !== listed) {
       listed = made.kind;
-      const rows = Object.keys(made.numbers).map((name) => ({ name, ...numberRow(name, scene, made.numbers[name], (given) => {
-        const { kind, numbers: others } = now();
-        set({ kind, numbers: { ...others, [name]: given } });
-      }) }));
+      const rows = Object.keys(made.numbers).map((name) => ({
+        name,
+        ...numberRow(name, scene, made.numbers[name], (given) => {
+          const { kind, numbers: others } = now();
+          set({ kind, numbers: { ...others, [name]: given } });
+        }),
+      }));
       numbers.replaceChildren(...rows.flatMap(({ nodes }) => nodes));
       shown = Object.fromEntries(rows.map(({ name, show }) => [name, show]));
     }
@@ -246,7 +323,8 @@ export function attachMaterial(panel, scene, view) {
 }
 
 /**
- * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and the others with it;
+ * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and
+ * the others with it;
  * what they make of white light is a tint beside it.
  * @param {string} name
  * @param {Pick<Scene, "volume">} scene
@@ -255,19 +333,30 @@ export function attachMaterial(panel, scene, view) {
  */
 function numberRow(name, { volume }, first, set) {
   const { min, max, log } = numberRange(name, volume.bounds, Math.max(...first));
-  const [inward, outward] = log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
+  const [inward, outward] = log
+    ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
+    : [Number, Number];
   /** @type {Parameters<typeof bakedSlider>[1]} */
   const limits = { id: `material-${name}`, min: inward(min), max: inward(max), step: "any" };
   const round = (/** @type {number} */ x) => Number(x.toPrecision(3));
   let shares = [1];
-  const per = volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];
-  const row = bakedSlider(NUMBER_NAMES[name] ?? name, limits, (x) => `${round(outward(x))}${per ?? ""}`, (x) => {
-    set(shares.map((share) => round(share * outward(x))));
-  });
-  const tint = name === "absorption" ? tintRow(row.slider.id, (hex) => {
-    shares = absorbedShares(hex);
-    set(shares.map((share) => round(share * outward(row.slider.valueAsNumber))));
-  }) : undefined;
+  const per =
+    volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];
+  const row = bakedSlider(
+    NUMBER_NAMES[name] ?? name,
+    limits,
+    (x) => `${round(outward(x))}${per ?? ""}`,
+    (x) => {
+      set(shares.map((share) => round(share * outward(x))));
+    },
+  );
+  const tint =
+    name === "absorption"
+      ? tintRow(row.slider.id, (hex) => {
+          shares = absorbedShares(hex);
+          set(shares.map((share) => round(share * outward(row.slider.valueAsNumber))));
+        })
+      : undefined;
   const show = (/** @type {number[]} */ given) => {
     const most = Math.max(...given);
     if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
@@ -283,7 +372,11 @@ function numberRow(name, { volume }, first, set) {
  * @param {(hex: string) => void} set
  */
 function tintRow(slider, set) {
-  const [node, label, field] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
+  const [node, label, field] = [
+    document.createElement("div"),
+    document.createElement("label"),
+    document.createElement("input"),
+  ];
   const id = `${slider}-tint`;
   Object.assign(label, { htmlFor: id, textContent: "Tint" });
   Object.assign(field, { type: "color", id, name: id });
@@ -312,7 +405,8 @@ function capital(word) {
 }
 
 /**
- * Tie a switch for each label to the view, both ways; there are none where the scene is no segmentation.
+ * Tie a switch for each label to the view, both ways; there are none where the scene is no
+ * segmentation.
  * @param {HTMLElement} legend holds `.labels` and `#labels-all`
  * @param {Pick<Scene, "colours">} scene
  * @param {ViewModel} view
@@ -323,14 +417,17 @@ export function attachLabels(legend, { colours }, view) {
   const now = () => readHidden(view.values.hide, labels);
   /** @type {(hidden: number[]) => void} */
   const hide = (hidden) => view.set({ hide: writeHidden(hidden, labels) });
-  const rows = labels.map((label) => labelRow(label, (shown) => {
-    const others = now().filter((value) => value !== label.value);
-    hide(shown ? others : [...others, label.value]);
-  }));
+  const rows = labels.map((label) =>
+    labelRow(label, (shown) => {
+      const others = now().filter((value) => value !== label.value);
+      hide(shown ? others : [...others, label.value]);
+    }),
+  );
   find(legend, ".labels").replaceChildren(...rows.map(({ node }) => node));
   all.addEventListener("click", () => hide([]));
   const mirror = () => {
-    const hidden = now(), alone = labels.length - hidden.length === 1;
+    const hidden = now();
+    const alone = labels.length - hidden.length === 1;
     labels.forEach(({ value }, k) => rows[k].show(!hidden.includes(value), alone));
     all.hidden = !hidden.length;
   };
@@ -344,7 +441,11 @@ export function attachLabels(legend, { colours }, view) {
  * @param {(shown: boolean) => void} set
  */
 function labelRow({ name, colour }, set) {
-  const [node, label, check] = [document.createElement("li"), document.createElement("label"), document.createElement("input")];
+  const [node, label, check] = [
+    document.createElement("li"),
+    document.createElement("label"),
+    document.createElement("input"),
+  ];
   check.type = "checkbox";
   check.addEventListener("change", () => set(check.checked));
   label.style.setProperty("--swatch", colour);

@@ -1,4 +1,6 @@
-/** The panel of the estimated error: how large it is, how it became so, and how long the rest takes. */
+/**
+ * The panel of the estimated error: how large it is, how it became so, and how long the rest takes.
+ */
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
@@ -39,14 +41,20 @@ export class History {
   }
 
   /**
-   * Note a frame that has just come. After the first final one the light does not change, so no more are kept; of very
+   * Note a frame that has just come. After the first final one the light does not change, so no
+   * more are kept; of very
    * many, every other one is.
    * @param {Pick<Facts, "error"|"coverage"|"provisional">} facts
    */
   add({ error, coverage, provisional }) {
     if (!Number.isFinite(error) || this.latest?.provisional === false) return;
     if (this.#moments.length >= MOST) this.#moments = this.#moments.filter((_, i) => i % 2 === 0);
-    this.#moments.push({ seconds: (this.#clock() - this.#start) / 1000, error, coverage, provisional });
+    this.#moments.push({
+      seconds: (this.#clock() - this.#start) / 1000,
+      error,
+      coverage,
+      provisional,
+    });
   }
 
   /** All moments, oldest first. @returns {Moment[]} */
@@ -81,7 +89,8 @@ export class ErrorPanel {
   }
 
   /**
-   * Show what is known of the picture on the stage, and what led to it: another view begins a history of its own, unless
+   * Show what is known of the picture on the stage, and what led to it: another view begins a
+   * history of its own, unless
    * its light is the same.
    * @param {Pick<import("../net/shown.js").Shown, "asked"|"facts">} shown
    */
@@ -99,11 +108,18 @@ export class ErrorPanel {
     const { moments, latest } = this.#history;
     const known = latest && facts;
     find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
-    find(this.#root, ".note").textContent = known ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft) : WAITING;
+    find(this.#root, ".note").textContent = known
+      ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft)
+      : WAITING;
     find(this.#root, ".tail").textContent = known ? tailInWords(facts) : "";
-    find(this.#root, "svg", SVGSVGElement).setAttribute("aria-label", courseInWords(moments, this.#target));
+    find(this.#root, "svg", SVGSVGElement).setAttribute(
+      "aria-label",
+      courseInWords(moments, this.#target),
+    );
     for (const state of STATES) {
-      find(this.#root, `.legend .${state} b`).textContent = known ? legendShare(state, facts.coverage) : "";
+      find(this.#root, `.legend .${state} b`).textContent = known
+        ? legendShare(state, facts.coverage)
+        : "";
     }
     this.#chart.show(moments, this.#target);
   }
@@ -127,7 +143,8 @@ export function momentInWords({ seconds, provisional, error }, timeLeft) {
 }
 
 /**
- * The error of the worst pixels, such as "1 % of pixels are off by more than 6.2 % (5.1 % to 7.9 %)"; nothing while it is
+ * The error of the worst pixels, such as "1 % of pixels are off by more than 6.2 % (5.1 % to 7.9
+ * %)"; nothing while it is
  * not measured.
  * @param {Pick<Facts, "p99"|"p99_interval">} facts
  * @returns {string}
@@ -161,5 +178,7 @@ export function courseInWords(moments, target) {
  * @returns {string}
  */
 export function legendShare(state, coverage) {
-  return state === "final" ? shareInWords(coverage.final) : `${Math.ceil(100 * coverage[state] - 1e-9)} %`;
+  return state === "final"
+    ? shareInWords(coverage.final)
+    : `${Math.ceil(100 * coverage[state] - 1e-9)} %`;
 }

@@ -13,7 +13,8 @@ import { setLimits } from "./knobs.js";
 const [WIDTH, HEIGHT] = [1000, 100];
 
 /**
- * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single one is locked.
+ * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single
+ * one is locked.
  * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number`, `#histogram` and `#stops`
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
@@ -23,7 +24,9 @@ export function attachHistogram(form, scene, view, say) {
   const allowed = sliderRange(scene, "isovalue");
   const single = allowed.min === allowed.max;
   const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
-  const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) => find(form, id, HTMLInputElement));
+  const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) =>
+    find(form, id, HTMLInputElement),
+  );
   const show = (/** @type {number} */ value) => showNumber(value, niceStep(max - min));
   setLimits(slider, min, max);
   Object.assign(number, { min, max });
@@ -42,14 +45,21 @@ export function attachHistogram(form, scene, view, say) {
     mirror(view.values);
   });
   if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
-  const solid = drawBars(find(form, "#histogram", SVGSVGElement), outline(scene.histogram, min, max));
+  const solid = drawBars(
+    find(form, "#histogram", SVGSVGElement),
+    outline(scene.histogram, min, max),
+  );
   const ticks = svgElement("path", { d: ticksAt(scene.stops, min, max) });
-  find(form, "#stops", SVGSVGElement).replaceChildren(svgElement("title", {}, stopsInWords(scene.stops_note)), ticks);
+  find(form, "#stops", SVGSVGElement).replaceChildren(
+    svgElement("title", {}, stopsInWords(scene.stops_note)),
+    ticks,
+  );
   /** @param {Knobs} values */
   const mirror = ({ isovalue }) => {
     slider.value = String(isovalue);
     slider.setAttribute("aria-valuetext", show(isovalue));
-    if (document.activeElement !== number || number.valueAsNumber !== isovalue) number.value = show(isovalue);
+    if (document.activeElement !== number || number.valueAsNumber !== isovalue)
+      number.value = show(isovalue);
     const { x, width } = solidSpan((isovalue - min) / (max - min || 1), scene.solid === "below");
     solid.setAttribute("x", String(x));
     solid.setAttribute("width", String(width));
@@ -70,20 +80,26 @@ export function outline({ counts, edges }, min, max) {
   const seen = heights.filter((_, i) => edges[i + 1] > min && edges[i] < max);
   const tallest = Math.max(...seen, 1e-9);
   const x = (/** @type {number} */ value) => (WIDTH * share(value - min, max - min)).toFixed(1);
-  const y = (/** @type {number} */ height) => (HEIGHT * (1 - 0.94 * Math.min(1, height / tallest))).toFixed(1);
-  const steps = heights.map((height, i) => `L${x(edges[i])} ${y(height)}L${x(edges[i + 1])} ${y(height)}`);
+  const y = (/** @type {number} */ height) =>
+    (HEIGHT * (1 - 0.94 * Math.min(1, height / tallest))).toFixed(1);
+  const steps = heights.map(
+    (height, i) => `L${x(edges[i])} ${y(height)}L${x(edges[i + 1])} ${y(height)}`,
+  );
   return `M0 ${HEIGHT}${steps.join("")}L${WIDTH} ${HEIGHT}Z`;
 }
 
 /**
- * A line from top to bottom at each stop between two values, as the data of an SVG path in a box of 1000 × 100.
+ * A line from top to bottom at each stop between two values, as the data of an SVG path in a box of
+ * 1000 × 100.
  * @param {number[]} stops
  * @param {number} min
  * @param {number} max
  * @returns {string}
  */
 export function ticksAt(stops, min, max) {
-  return stops.map((stop) => `M${(WIDTH * share(stop - min, max - min)).toFixed(1)} 0V${HEIGHT}`).join("");
+  return stops
+    .map((stop) => `M${(WIDTH * share(stop - min, max - min)).toFixed(1)} 0V${HEIGHT}`)
+    .join("");
 }
 
 /**
@@ -92,7 +108,8 @@ export function ticksAt(stops, min, max) {
  * @returns {string}
  */
 export function stopsInWords(note) {
-  const what = "Ticks below the histogram, keys [ and ]: from one to the next the surface moves about equally far.";
+  const what =
+    "Ticks below the histogram, keys [ and ]: from one to the next the surface moves about equally far.";
   return `${what} ${note}`.trim();
 }
 
@@ -125,7 +142,11 @@ function drawBars(svg, path) {
   const clip = svgElement("clipPath", { id: "solid-side" });
   const window = clip.appendChild(svgElement("rect", { x: 0, y: 0, width: WIDTH, height: HEIGHT }));
   const all = svgElement("path", { d: path, class: "bars" });
-  const solid = svgElement("path", { d: path, class: "bars solid", "clip-path": "url(#solid-side)" });
+  const solid = svgElement("path", {
+    d: path,
+    class: "bars solid",
+    "clip-path": "url(#solid-side)",
+  });
   svg.replaceChildren(clip, all, solid);
   return window;
 }

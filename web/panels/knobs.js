@@ -1,4 +1,7 @@
-/** Sliders, choices and buttons that mirror the view one to one: camera, light, shading, comparison and marks. */
+/**
+ * Sliders, choices and buttons that mirror the view one to one: camera, light, shading, comparison
+ * and marks.
+ */
 
 import { find, textElement } from "../dom.js";
 import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
@@ -23,14 +26,29 @@ import { idleKnobs } from "../view/surfaces.js";
 export function attachKnobs(form, scene, view, shown) {
   const select = (/** @type {string} */ id) => find(form, id, HTMLSelectElement);
   const [shading, compare, overlay] = ["#shading", "#compare", "#overlay"].map(select);
-  const [background, rulers, projection] = ["#background", "#rulers-choice", "#projection"].map(select);
+  const [background, rulers, projection] = ["#background", "#rulers-choice", "#projection"].map(
+    select,
+  );
   const shadings = scene.shadings.map((id) => new Option(shadingName(id), id));
   shading.replaceChildren(...shadings);
-  compare.replaceChildren(new Option("Nothing", ""), ...shadings.map((option) => option.cloneNode(true)));
-  const sliders = [...form.querySelectorAll(".knob")].map((knob) => attachSlider(knob, scene, view));
+  compare.replaceChildren(
+    new Option("Nothing", ""),
+    ...shadings.map((option) => option.cloneNode(true)),
+  );
+  const sliders = [...form.querySelectorAll(".knob")].map((knob) =>
+    attachSlider(knob, scene, view),
+  );
   const mirrors = [
-    ...sliders, attachChoice(shading, "shading", view), attachChoice(compare, "compare", view),
-    attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), attachChoice(rulers, "rulers", view), attachChoice(projection, "projection", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view), attachShine(select("#shine"), scene, view),
+    ...sliders,
+    attachChoice(shading, "shading", view),
+    attachChoice(compare, "compare", view),
+    attachChoice(overlay, "overlay", view),
+    attachChoice(background, "background", view),
+    attachChoice(rulers, "rulers", view),
+    attachChoice(projection, "projection", view),
+    disableOwn(compare),
+    attachTint(find(form, "#tint", HTMLInputElement), view),
+    attachShine(select("#shine"), scene, view),
     attachAxisViews(find(form, "#axis-views"), view),
   ];
   /** @param {Knobs} values */
@@ -76,22 +94,31 @@ export function knobInWords(name, value, exposure) {
  * @returns {Mirror}
  */
 export function attachSlider(knob, scene, view) {
-  const [input, output] = [find(knob, "input", HTMLInputElement), find(knob, "output", HTMLOutputElement)];
+  const [input, output] = [
+    find(knob, "input", HTMLInputElement),
+    find(knob, "output", HTMLOutputElement),
+  ];
   const name = /** @type {NumberKnob} */ (input.name);
   knob.toggleAttribute("hidden", !(name in view.values));
   if (!(name in view.values)) return () => {};
   let range = sliderRange(scene, name);
-  const [inward, outward] = range.log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
+  const [inward, outward] = range.log
+    ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
+    : [Number, Number];
   setLimits(input, inward(range.min), inward(range.max));
   input.addEventListener("input", () => view.set({ [name]: outward(input.valueAsNumber) }));
   return ({ [name]: value = NaN, material }) => {
     knob.toggleAttribute("hidden", name === "albedo" && idleKnobs(material).includes(name));
-    if (name === "exposure") { // another light has others
+    if (name === "exposure") {
+      // another light has others
       range = sliderRange(scene, name);
       setLimits(input, inward(range.min), inward(range.max));
     }
     input.value = String(inward(value));
-    output.value = name === "isovalue" ? String(inShort(scene, name, value)) : knobInWords(name, value, scene.defaults.exposure);
+    output.value =
+      name === "isovalue"
+        ? String(inShort(scene, name, value))
+        : knobInWords(name, value, scene.defaults.exposure);
     input.setAttribute("aria-valuetext", output.value);
   };
 }
@@ -104,13 +131,16 @@ export function attachSlider(knob, scene, view) {
  */
 function attachChoice(select, name, view) {
   select.addEventListener("change", () => view.set({ [name]: select.value }));
-  return (values) => { select.value = values[name]; };
+  return (values) => {
+    select.value = values[name];
+  };
 }
 
 /** A shading is compared with others alone. @param {HTMLSelectElement} compare @returns {Mirror} */
 function disableOwn(compare) {
   return ({ shading }) => {
-    for (const option of compare.options) option.hidden = option.disabled = option.value === shading;
+    for (const option of compare.options)
+      option.hidden = option.disabled = option.value === shading;
   };
 }
 
@@ -142,9 +172,13 @@ function attachShine(select, scene, view) {
   const dull = view.values.shine === undefined;
   if (select.parentElement) select.parentElement.hidden = dull;
   if (dull) return () => {};
-  select.replaceChildren(...scene.shines.map((kind) => new Option(kind[0].toUpperCase() + kind.slice(1), kind)));
+  select.replaceChildren(
+    ...scene.shines.map((kind) => new Option(kind[0].toUpperCase() + kind.slice(1), kind)),
+  );
   select.addEventListener("change", () => view.set({ shine: select.value }));
-  return ({ shine = "" }) => { select.value = shine; };
+  return ({ shine = "" }) => {
+    select.value = shine;
+  };
 }
 
 /**
@@ -155,8 +189,12 @@ function attachShine(select, scene, view) {
  */
 function attachScale(legend, { low, high, colours }, shown) {
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
-  find(legend, ".row").replaceChildren(...decades({ low, high }).map((text) => textElement("span", text)));
-  const draw = () => { legend.hidden = shown.values.overlay !== "error"; };
+  find(legend, ".row").replaceChildren(
+    ...decades({ low, high }).map((text) => textElement("span", text)),
+  );
+  const draw = () => {
+    legend.hidden = shown.values.overlay !== "error";
+  };
   shown.subscribe(draw);
   draw();
 }
@@ -174,7 +212,9 @@ function showColours(legend, scale) {
   find(legend, "h2").textContent = labels.length ? "Labels" : `Colour: ${name}`;
   if (labels.length) return;
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
-  find(legend, ".row").replaceChildren(...legendNumbers(low, high).map((text) => textElement("span", text)));
+  find(legend, ".row").replaceChildren(
+    ...legendNumbers(low, high).map((text) => textElement("span", text)),
+  );
 }
 
 /**
@@ -184,9 +224,14 @@ function showColours(legend, scale) {
  * @returns {Mirror}
  */
 function attachAxisViews(group, view) {
-  const buttons = Object.entries(AXIS_VIEWS).map(([name, angles]) => ({ angles, button: find(group, `[data-view="${name}"]`) }));
-  for (const { angles, button } of buttons) button.addEventListener("click", () => view.set(angles));
+  const buttons = Object.entries(AXIS_VIEWS).map(([name, angles]) => ({
+    angles,
+    button: find(group, `[data-view="${name}"]`),
+  }));
+  for (const { angles, button } of buttons)
+    button.addEventListener("click", () => view.set(angles));
   return (values) => {
-    for (const { angles, button } of buttons) button.setAttribute("aria-pressed", String(looksAlong(angles, values)));
+    for (const { angles, button } of buttons)
+      button.setAttribute("aria-pressed", String(looksAlong(angles, values)));
   };
 }

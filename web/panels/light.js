@@ -1,4 +1,7 @@
-/** The light: a mirror ball that shows it and how it is turned, as the camera sees it, and that turns it. */
+/**
+ * The light: a mirror ball that shows it and how it is turned, as the camera sees it, and that
+ * turns it.
+ */
 
 import { find } from "../dom.js";
 import { readSky } from "../net/api.js";
@@ -16,7 +19,8 @@ const SKY_WIDTH = 128; // a pixel of the ball sees about as much as one of these
 const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
 const FROM_AFAR = new Set(["sky", "probe", "environment", "directional"]);
 const RIM = 0.62; // how bright the rim is beside the middle, so that the ball is seen as one
-const RAY = 4; // numbers of a pixel: where its mirror looks, to the right, up and to the eye, and its shade
+// numbers of a pixel: where its mirror looks, to the right, up and to the eye, and its shade
+const RAY = 4;
 
 /**
  * Show the ball and tie it to the view. Where turning the light would show nothing, say so.
@@ -51,7 +55,12 @@ export function attachLight(section, scene, view, onRest) {
   return show;
 }
 
-const TURNED = { tabindex: "0", role: "application", "aria-roledescription": "mirror ball", "aria-label": "Light, seen in a mirror ball. Arrow keys turn it." };
+const TURNED = {
+  tabindex: "0",
+  role: "application",
+  "aria-roledescription": "mirror ball",
+  "aria-label": "Light, seen in a mirror ball. Arrow keys turn it.",
+};
 const FIXED = { role: "img", "aria-label": "The light, seen in a mirror ball" };
 
 /**
@@ -60,8 +69,12 @@ const FIXED = { role: "img", "aria-label": "The light, seen in a mirror ball" };
  * @param {Scene} scene
  */
 function explain(section, { turns, rotating, lights }) {
-  const [note, ball, globe] = ["#light-note", ".light", "#globe"].map((each) => find(section, each));
-  note.textContent = rotating ? "The light is the same from all sides." : "The light of this scene is fixed.";
+  const [note, ball, globe] = ["#light-note", ".light", "#globe"].map((each) =>
+    find(section, each),
+  );
+  note.textContent = rotating
+    ? "The light is the same from all sides."
+    : "The light of this scene is fixed.";
   note.hidden = turns;
   ball.hidden = !turns && (rotating || !lights.some(({ type }) => FROM_AFAR.has(type)));
   find(ball, "div").hidden = !turns;
@@ -77,7 +90,10 @@ function explain(section, { turns, rotating, lights }) {
  */
 async function makeBall(globe, scene, environment) {
   const ratio = Math.min(window.devicePixelRatio || 1, HIGHEST_RATIO);
-  const light = await readSky(scene.id, SKY_WIDTH * Math.ceil(ratio), environment).then(pixelsOf, () => null);
+  const light = await readSky(scene.id, SKY_WIDTH * Math.ceil(ratio), environment).then(
+    pixelsOf,
+    () => null,
+  );
   if (!light) return null;
   globe.width = globe.height = Math.round(globe.clientWidth * ratio);
   return new MirrorBall(contextOf(globe), globe.width, light);
@@ -86,7 +102,10 @@ async function makeBall(globe, scene, environment) {
 /** @param {Blob} blob */
 async function pixelsOf(blob) {
   const picture = await createImageBitmap(blob);
-  const canvas = Object.assign(document.createElement("canvas"), { width: picture.width, height: picture.height });
+  const canvas = Object.assign(document.createElement("canvas"), {
+    width: picture.width,
+    height: picture.height,
+  });
   const paint = contextOf(canvas);
   paint.drawImage(picture, 0, 0);
   return paint.getImageData(0, 0, canvas.width, canvas.height);
@@ -129,7 +148,8 @@ function attachDrag(globe, scene, view, onRest) {
  */
 function attachArrows(globe, scene, view) {
   globe.addEventListener("keydown", (event) => {
-    if (!scene.turns || !(event.key in ARROWS) || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!scene.turns || !(event.key in ARROWS) || event.ctrlKey || event.altKey || event.metaKey)
+      return;
     event.preventDefault();
     const [right, down] = ARROWS[event.key];
     view.set(rollLight(view.values, right * KEY_STEP, down * KEY_STEP));
@@ -166,7 +186,9 @@ export class MirrorBall {
   draw(values) {
     const [w, x, y, z] = fromAngles(values);
     const { right, up, out } = cameraAxes(values.azimuth, values.elevation);
-    const axes = Float64Array.from([right, up, out].flatMap((direction) => turnVector([w, -x, -y, -z], direction)));
+    const axes = Float64Array.from(
+      [right, up, out].flatMap((direction) => turnVector([w, -x, -y, -z], direction)),
+    );
     for (let i = 0; i < this.#places.length; i++) {
       mirror(this.#light, axes, this.#rays, RAY * i, this.#picture.data, this.#places[i]);
     }
@@ -177,8 +199,10 @@ export class MirrorBall {
 /**
  * The pixels on a ball that fills a square picture.
  * @param {number} size of the picture, pixels
- * @returns {{place: number, cover: number, ray: number[]}[]} where the pixel's bytes start, how much of it the ball
- *   covers, and the direction that it mirrors (right, up, towards the eye; a unit vector on the ball) with its shade
+ * @returns {{place: number, cover: number, ray: number[]}[]} where the pixel's bytes start, how
+ *   much of it the ball
+ *   covers, and the direction that it mirrors (right, up, towards the eye; a unit vector on the
+ * ball) with its shade
  */
 export function ballPixels(size) {
   const pixels = [];
@@ -188,7 +212,12 @@ export function ballPixels(size) {
       const away = Math.hypot(right, up);
       const cover = Math.min(1, (1 - away) * (size / 2) + 0.5);
       const depth = Math.sqrt(Math.max(0, 1 - away * away));
-      const ray = [2 * depth * right, 2 * depth * up, 2 * depth * depth - 1, RIM + (1 - RIM) * depth];
+      const ray = [
+        2 * depth * right,
+        2 * depth * up,
+        2 * depth * depth - 1,
+        RIM + (1 - RIM) * depth,
+      ];
       if (cover > 0) pixels.push({ place: 4 * (row * size + column), cover, ray });
     }
   }
@@ -209,7 +238,10 @@ function mirror({ data, width, height }, axes, rays, ray, into, place) {
   const y = axes[1] * rays[ray] + axes[4] * rays[ray + 1] + axes[7] * rays[ray + 2];
   const z = axes[2] * rays[ray] + axes[5] * rays[ray + 1] + axes[8] * rays[ray + 2];
   const column = (Math.atan2(y, x) / (2 * Math.PI) + 1) * width - 0.5;
-  const row = Math.min(height - 1, Math.max(0, (Math.acos(Math.min(1, Math.max(-1, z))) / Math.PI) * height - 0.5));
+  const row = Math.min(
+    height - 1,
+    Math.max(0, (Math.acos(Math.min(1, Math.max(-1, z))) / Math.PI) * height - 0.5),
+  );
   const left = Math.floor(column);
   const top = Math.floor(row);
   const first = 4 * top * width;
@@ -217,8 +249,10 @@ function mirror({ data, width, height }, axes, rays, ray, into, place) {
   const near = 4 * (left % width);
   const far = 4 * ((left + 1) % width);
   for (let i = 0; i < 3; i++) {
-    const above = data[first + near + i] + (data[first + far + i] - data[first + near + i]) * (column - left);
-    const below = data[last + near + i] + (data[last + far + i] - data[last + near + i]) * (column - left);
+    const above =
+      data[first + near + i] + (data[first + far + i] - data[first + near + i]) * (column - left);
+    const below =
+      data[last + near + i] + (data[last + far + i] - data[last + near + i]) * (column - left);
     into[place + i] = rays[ray + 3] * (above + (below - above) * (row - top));
   }
 }

@@ -37,7 +37,8 @@ export class PointCard {
    * @param {HTMLElement} card
    * @param {Scene} scene
    * @param {Marks} marks
-   * @param {(right: number, up: number) => Promise<SurfacePoint|null>} ask gives the surface at a place of the picture,
+   * @param {(right: number, up: number) => Promise<SurfacePoint|null>} ask gives the surface at a
+   *   place of the picture,
    *   in heights of the picture from its middle
    */
   constructor(card, scene, marks, ask) {
@@ -114,7 +115,11 @@ export class PointCard {
     this.#write({ ...found, position: point });
   }
 
-  /** Whether a pixel shows a point: its middle is a little beside it. @param {Vec3} a @param {Vec3} b */
+  /**
+   * Whether a pixel shows a point: its middle is a little beside it.
+   * @param {Vec3} a
+   * @param {Vec3} b
+   */
   #same(a, b) {
     return Math.hypot(...a.map((x, i) => x - b[i])) < 2 * Math.max(...this.#scene.volume.spacing);
   }
@@ -122,7 +127,9 @@ export class PointCard {
   /** @param {SurfacePoint} point */
   #write(point) {
     const rows = Object.entries(pointRows(this.#scene, point)).filter(([, value]) => value);
-    find(this.#card, "dl").replaceChildren(...rows.flatMap(([name, value]) => [textElement("dt", name), textElement("dd", value)]));
+    find(this.#card, "dl").replaceChildren(
+      ...rows.flatMap(([name, value]) => [textElement("dt", name), textElement("dd", value)]),
+    );
     find(this.#card, ".swatch").style.background = point.displayed;
     this.place();
   }
@@ -134,7 +141,10 @@ export class PointCard {
  * @param {SurfacePoint} point
  * @returns {Rows}
  */
-export function pointRows({ volume }, { position, sides, unit, voxel, value, wall, normal, light, displayed, state, error }) {
+export function pointRows(
+  { volume },
+  { position, sides, unit, voxel, value, wall, normal, light, displayed, state, error },
+) {
   const place = placeInWords({ ...volume, unit }, position, sides);
   const indices = voxel.map((x) => minus(String(Number(x.toFixed(DIGITS))))).join(", ");
   return {

@@ -1,4 +1,7 @@
-/** Isovalues worth a look, as chips: where the scene starts, those that it names, and those that a person keeps. */
+/**
+ * Isovalues worth a look, as chips: where the scene starts, those that it names, and those that a
+ * person keeps.
+ */
 
 import { textElement } from "../dom.js";
 import { niceStep, showNumber } from "../view/format.js";
@@ -10,7 +13,8 @@ import { sliderRange } from "../view/model.js";
 const FOUND = "A boundary between materials, found in the volume";
 
 /**
- * Fill the group with a button for each preset, and one that keeps the present isovalue, or forgets it.
+ * Fill the group with a button for each preset, and one that keeps the present isovalue, or forgets
+ * it.
  * @param {HTMLElement} group
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
@@ -24,18 +28,26 @@ export function attachPresets(group, scene, view) {
   let kept = readKept(scene.id, { min, max });
   /** @type {HTMLButtonElement[]} */
   let chips = [];
-  const star = Object.assign(document.createElement("button"), { type: "button", className: "keep" });
+  const star = Object.assign(document.createElement("button"), {
+    type: "button",
+    className: "keep",
+  });
 
   const mirror = ({ isovalue } = view.values) => {
-    for (const each of chips) each.setAttribute("aria-pressed", String(Number(each.value) === isovalue));
+    for (const each of chips)
+      each.setAttribute("aria-pressed", String(Number(each.value) === isovalue));
     const isKept = kept.includes(isovalue);
     star.textContent = isKept ? "★" : "☆";
     star.disabled = presets.some((preset) => preset.isovalue === isovalue);
-    star.title = star.ariaLabel = isKept ? `Forget isovalue ${show(isovalue)}` : `Keep isovalue ${show(isovalue)}`;
+    star.title = star.ariaLabel = isKept
+      ? `Forget isovalue ${show(isovalue)}`
+      : `Keep isovalue ${show(isovalue)}`;
   };
   const build = () => {
     const keptPresets = kept.map((isovalue) => ({ name: `★ ${show(isovalue)}`, isovalue }));
-    chips = [...presets, ...keptPresets].map((preset) => chip(preset, show, () => view.set({ isovalue: preset.isovalue })));
+    chips = [...presets, ...keptPresets].map((preset) =>
+      chip(preset, show, () => view.set({ isovalue: preset.isovalue })),
+    );
     group.replaceChildren(...chips, star);
     mirror();
   };
@@ -56,7 +68,9 @@ export function attachPresets(group, scene, view) {
  */
 export function scenePresets({ defaults, presets }) {
   const start = { name: "start", isovalue: defaults.isovalue };
-  return presets.some(({ isovalue }) => isovalue === start.isovalue) ? presets : [start, ...presets];
+  return presets.some(({ isovalue }) => isovalue === start.isovalue)
+    ? presets
+    : [start, ...presets];
 }
 
 /**
@@ -71,7 +85,8 @@ export function toggled(kept, isovalue) {
 }
 
 /**
- * The isovalues in a text that was kept, those outside the range left out; none where it is no list, as a page of
+ * The isovalues in a text that was kept, those outside the range left out; none where it is no
+ * list, as a page of
  * another version may have written it.
  * @param {string|null} text
  * @param {{min: number, max: number}} range
@@ -80,7 +95,9 @@ export function toggled(kept, isovalue) {
 export function parseKept(text, { min, max }) {
   try {
     const kept = JSON.parse(text ?? "[]");
-    return Array.isArray(kept) ? kept.filter((each) => Number.isFinite(each) && each >= min && each <= max) : [];
+    return Array.isArray(kept)
+      ? kept.filter((each) => Number.isFinite(each) && each >= min && each <= max)
+      : [];
   } catch {
     return [];
   }
@@ -92,7 +109,11 @@ export function parseKept(text, { min, max }) {
  * @param {() => void} onPress
  */
 function chip({ name, isovalue, suggested }, show, onPress) {
-  const button = Object.assign(document.createElement("button"), { type: "button", className: "chip", value: String(isovalue) });
+  const button = Object.assign(document.createElement("button"), {
+    type: "button",
+    className: "chip",
+    value: String(isovalue),
+  });
   button.append(suggested ? show(isovalue) : name);
   if (suggested) button.title = FOUND;
   else if (!name.startsWith("★")) button.append(" ", textElement("small", show(isovalue)));

@@ -1,4 +1,7 @@
-/** Reading the picture: clicks show a point, or measure between points; the list of what was measured; a surface's size. */
+/**
+ * Reading the picture: clicks show a point, or measure between points; the list of what was
+ * measured; a surface's size.
+ */
 
 import { find, textElement } from "../dom.js";
 import { retryDelay } from "../net/trouble.js";
@@ -52,8 +55,14 @@ export class Reading {
     this.#say = say;
     find(hint, "button").addEventListener("click", () => this.stop());
     card.onChange = () => this.#show();
-    view.watch(({ isovalue }) => isovalue, () => card.close());
-    view.watch(({ measures }) => measures, () => this.#show());
+    view.watch(
+      ({ isovalue }) => isovalue,
+      () => card.close(),
+    );
+    view.watch(
+      ({ measures }) => measures,
+      () => this.#show(),
+    );
     this.#show();
   }
 
@@ -72,7 +81,10 @@ export class Reading {
     else if (this.#measured) this.#add(this.#measured, point);
   }
 
-  /** The same as a click in the middle of the picture, for those who use keys: it says where nothing is there. */
+  /**
+   * The same as a click in the middle of the picture, for those who use keys: it says where nothing
+   * is there.
+   */
   async middle() {
     if (this.#measured) await this.click(0, 0);
     else if (!(await this.#card.open(0, 0))) this.#say(EMPTY);
@@ -98,7 +110,8 @@ export class Reading {
    */
   #add(measured, point) {
     const points = [...measured, point];
-    const others = this.#view.values.measures.slice(0, measured.length > 1 ? -1 : undefined); // a distance becomes an angle
+    // a distance becomes an angle
+    const others = this.#view.values.measures.slice(0, measured.length > 1 ? -1 : undefined);
     this.#measured = points.length < ASKED.length ? points : null;
     if (points.length > 1) this.#view.set({ measures: [...others, points] });
     this.#show();
@@ -106,10 +119,14 @@ export class Reading {
 
   #show() {
     const [measures, started] = [this.#view.values.measures, this.#measured?.slice(0, 1) ?? []];
-    if (this.#measured && this.#measured.length > 1 && !measures.length) this.#measured = null; // it was removed
+    // it was removed
+    if (this.#measured && this.#measured.length > 1 && !measures.length) this.#measured = null;
     this.#hint.hidden = !this.#measured;
     find(this.#hint, "span").textContent = this.#measured ? ASKED[this.#measured.length] : "";
-    this.#marks.show([...(this.#card.point ? [this.#card.point] : []), ...started, ...measures.flat()], measures);
+    this.#marks.show(
+      [...(this.#card.point ? [this.#card.point] : []), ...started, ...measures.flat()],
+      measures,
+    );
   }
 }
 
@@ -123,26 +140,36 @@ export function attachMeasures(panel, { volume }, view) {
   const draw = () => {
     const { measures } = view.values;
     panel.hidden = !measures.length;
-    find(panel, "ol").replaceChildren(...measures.map((points, n) => {
-      const words = measureInWords(volume, points);
-      const button = Object.assign(textElement("button", "×"), { type: "button", ariaLabel: `Remove ${words}` });
-      button.addEventListener("click", () => view.set({ measures: measures.filter((_, i) => i !== n) }));
-      const item = textElement("li", `${points.length > 2 ? "Angle" : "Distance"} ${words}`);
-      item.append(button);
-      return item;
-    }));
+    find(panel, "ol").replaceChildren(
+      ...measures.map((points, n) => {
+        const words = measureInWords(volume, points);
+        const button = Object.assign(textElement("button", "×"), {
+          type: "button",
+          ariaLabel: `Remove ${words}`,
+        });
+        button.addEventListener("click", () =>
+          view.set({ measures: measures.filter((_, i) => i !== n) }),
+        );
+        const item = textElement("li", `${points.length > 2 ? "Angle" : "Distance"} ${words}`);
+        item.append(button);
+        return item;
+      }),
+    );
   };
   view.watch(({ measures }) => measures, draw);
   draw();
 }
 
 const REST_MS = 400; // that a surface stays as it is before it is measured
-const AGAIN_MS = [500, 1000, 2000, 4000]; // before a server that does not answer, or is busy, is asked again
-const WHOLE = "Of the whole surface, faces of a cut too. ± is what the size of the voxels leaves open.";
+// before a server that does not answer, or is busy, is asked again
+const AGAIN_MS = [500, 1000, 2000, 4000];
+const WHOLE =
+  "Of the whole surface, faces of a cut too. ± is what the size of the voxels leaves open.";
 const OPEN = "The solid reaches a side of the volume, and is taken to end there.";
 
 /**
- * Keep the size of the surface up with the view, while it is unfolded; none is shown of another surface.
+ * Keep the size of the surface up with the view, while it is unfolded; none is shown of another
+ * surface.
  * @param {HTMLDetailsElement} panel holds a `dl` and a `.note`
  * @param {Pick<Scene, "volume">} scene
  * @param {ViewModel} view
@@ -152,18 +179,23 @@ export function attachSize(panel, { volume }, view, ask) {
   const [list, note] = [find(panel, "dl"), find(panel, ".note")];
   let [timer, controller] = [0, new AbortController()];
   const show = (/** @type {[string, string][]} */ rows, /** @type {string} */ words) => {
-    list.replaceChildren(...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]));
+    list.replaceChildren(
+      ...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]),
+    );
     note.textContent = words;
   };
   const measure = async (/** @type {AbortSignal} */ signal) => {
     for (let failures = 0; ; failures += 1) {
       const found = await ask(view.values, signal).catch((/** @type {Error} */ error) => error);
       if (signal.aborted) return;
-      if (!(found instanceof Error)) return show(sizeRows(volume, found), found.is_open ? `${WHOLE} ${OPEN}` : WHOLE);
+      if (!(found instanceof Error))
+        return show(sizeRows(volume, found), found.is_open ? `${WHOLE} ${OPEN}` : WHOLE);
       show([], found.message);
       const delay = retryDelay(found, failures, AGAIN_MS);
       if (delay === null) return;
-      await new Promise((done) => { setTimeout(done, delay); });
+      await new Promise((done) => {
+        setTimeout(done, delay);
+      });
       if (signal.aborted) return;
     }
   };
@@ -175,7 +207,10 @@ export function attachSize(panel, { volume }, view, ask) {
     if (panel.open) timer = setTimeout(measure, REST_MS, controller.signal);
   };
   panel.addEventListener("toggle", follow);
-  view.watch(({ isovalue, planes, opened, time, hide }) => [isovalue, planes, opened, time, hide], follow);
+  view.watch(
+    ({ isovalue, planes, opened, time, hide }) => [isovalue, planes, opened, time, hide],
+    follow,
+  );
 }
 
 /**
@@ -184,8 +219,14 @@ export function attachSize(panel, { volume }, view, ask) {
  * @param {Size} size
  * @returns {[string, string][]}
  */
-export function sizeRows({ spacing }, { unit, area, area_error: areaError, volume, volume_error: volumeError }) {
+export function sizeRows(
+  { spacing },
+  { unit, area, area_error: areaError, volume, volume_error: volumeError },
+) {
   const own = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
   if (area === 0) return [["Area", "no surface"]];
-  return [["Area", knownInWords(area, areaError, `${own}²`)], ["Volume", knownInWords(volume, volumeError, `${own}³`)]];
+  return [
+    ["Area", knownInWords(area, areaError, `${own}²`)],
+    ["Volume", knownInWords(volume, volumeError, `${own}³`)],
+  ];
 }

@@ -1,20 +1,29 @@
-/** The scene in words: its plan, what was left out, why and what that saves, its volume and its lights. */
+/**
+ * The scene in words: its plan, what was left out, why and what that saves, its volume and its
+ * lights.
+ */
 
 import { find, textElement } from "../dom.js";
 import { stopsInWords } from "./histogram.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {Record<string, string|number|null>} Rows names and values of a list; what is null or "" is left out */
+/**
+ * @typedef {Record<string, string|number|null>} Rows names and values of a list; what is null or ""
+ *   is left out
+ */
 
 /**
  * Fill the two folded lists with what the server says about the scene.
- * @param {HTMLElement} root holds `#plan-facts`, `#plan-notes`, `#plan-left-out` and `#volume-facts`
+ * @param {HTMLElement} root holds `#plan-facts`, `#plan-notes`, `#plan-left-out` and
+ *   `#volume-facts`
  * @param {Scene} scene
  */
 export function showScene(root, scene) {
   find(root, "#plan-facts").replaceChildren(...list(planRows(scene)));
   find(root, "#volume-facts").replaceChildren(...list(volumeRows(scene)));
-  find(root, "#plan-notes").replaceChildren(...scene.plan.notes.map((note) => textElement("p", note)));
+  find(root, "#plan-notes").replaceChildren(
+    ...scene.plan.notes.map((note) => textElement("p", note)),
+  );
   const leftOut = scene.plan.left_out.map(omission);
   if (!leftOut.length) leftOut.push(textElement("li", "Nothing: this scene needs it all."));
   find(root, "#plan-left-out").replaceChildren(...leftOut);
@@ -35,33 +44,52 @@ export function planRows({ plan, target_error: target }) {
     Bounces: plan.bounces,
     "Samples, at most": grouped(plan.samples),
     "Final means": Number.isFinite(target) ? `error below ${percent(target)}` : null,
-    ...Object.fromEntries(Object.entries(plan.errors).map(([cause, error]) => [`Error of ${cause}`, percent(error)])),
+    ...Object.fromEntries(
+      Object.entries(plan.errors).map(([cause, error]) => [`Error of ${cause}`, percent(error)]),
+    ),
   };
 }
 
 /**
  * The volume of a scene, its lights and its surface.
- * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene, "colours"|"surfaces"|"stops"|"stops_note">>} scene
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene,
+ *   "colours"|"surfaces"|"stops"|"stops_note">>} scene
  * @returns {Rows}
  */
-export function volumeRows({ volume, lights, albedo, albedos, transmission, colours, surfaces = [], stops = [], stops_note: note = "" }) {
+export function volumeRows({
+  volume,
+  lights,
+  albedo,
+  albedos,
+  transmission,
+  colours,
+  surfaces = [],
+  stops = [],
+  stops_note: note = "",
+}) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
-    Spacing: `${volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × ")} ${volume.unit}`.trim(),
+    Spacing:
+      `${volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × ")} ${volume.unit}`.trim(),
     "Voxel axes point to": [...volume.axes].join(", "),
     "Read as": volume.read_as ?? "",
     Notes: volume.notes.join(" "),
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
     "Stops of the isovalue": stops.length ? stopsInWords(note) : null,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
-    Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
+    Lights: lights
+      .map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type))
+      .join(", "),
     Albedo: colours ? null : sharesInWords(albedo),
     Transmission: transmission.some(Boolean) ? sharesInWords(transmission) : null,
     Colours: colours && !colours.labels.length ? `${colours.map} of ${colours.name}` : null,
-    Labels: colours?.labels.length ? `${colours.colours.length} of ${colours.labels.length} shown` : null,
+    Labels: colours?.labels.length
+      ? `${colours.colours.length} of ${colours.labels.length} shown`
+      : null,
     "Surfaces beside": surfaces.map(surfaceInWords).join("; "),
-    "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
+    "Albedos to choose from":
+      albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
 }
 
@@ -84,7 +112,8 @@ function surfaceInWords({ isovalue, name, clear, transmission }) {
  */
 export function layerInWords({ order, channels, precision, coarse, nodes }) {
   const numbers = order > 1 ? `SH order ${order}` : "one number";
-  const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
+  const kept =
+    coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
   const albedos = nodes.map((node) => Number(node.toFixed(2))).join(", ");
   const each = albedos ? ` for albedo ${albedos}` : channels > 1 ? ` in ${channels} channels` : "";
   return `${numbers}${each}, ${kept}`;
@@ -124,7 +153,8 @@ function list(rows) {
 function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textElement("b", what), ` — ${why}`);
-  if (saves.length) node.append(textElement("span", `saves ${saves.map(savingInWords).join(", ")}`));
+  if (saves.length)
+    node.append(textElement("span", `saves ${saves.map(savingInWords).join(", ")}`));
   return node;
 }
 

@@ -21,7 +21,10 @@ const WORDS = {
   updating: { badge: "Updating", line: "Updating: the picture of this view is on its way" },
 };
 
-/** Says of the picture on the stage what is true of it, and nothing while the controls ask for another. */
+/**
+ * Says of the picture on the stage what is true of it, and nothing while the controls ask for
+ * another.
+ */
 export class Status {
   #root;
   #target;
@@ -41,13 +44,16 @@ export class Status {
     this.#clock = clock;
     const stage = find(root, "#stage");
     this.#old = markedFrom(stage, "data-old", clock);
-    this.#late = markedFrom(stage, "data-late", clock); // what moves there costs frames of the screen
+    // what moves there costs frames of the screen
+    this.#late = markedFrom(stage, "data-late", clock);
   }
 
   /** Show how the picture stands to the controls. @param {Shown} shown */
   show(shown) {
-    const { state, facts, sharp, leftAt, waitsSince } = shown, stage = find(this.#root, "#stage");
-    const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, this.#target);
+    const { state, facts, sharp, leftAt, waitsSince } = shown;
+    const stage = find(this.#root, "#stage");
+    const { badge, line } =
+      WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, this.#target);
     const more = facts || !shown.predicted ? "" : predictedInWords(shown.predicted);
     stage.dataset.state = state;
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
@@ -73,8 +79,10 @@ export class Status {
   #fill(facts, since) {
     const done = facts ? doneOf(facts, (this.#clock.now() - since) / 1000) : 0;
     this.#bar = { since, done: since === this.#bar.since ? Math.max(done, this.#bar.done) : done };
-    const bar = find(this.#root, "#progress"), shares = facts && sharesOf(facts, this.#bar.done);
-    for (const state of STATES) find(bar, `.${state}`).style.width = `${shares ? 100 * shares[state] : 0}%`;
+    const bar = find(this.#root, "#progress");
+    const shares = facts && sharesOf(facts, this.#bar.done);
+    for (const state of STATES)
+      find(bar, `.${state}`).style.width = `${shares ? 100 * shares[state] : 0}%`;
     bar.ariaValueNow = shares && String(Math.floor(100 * shares.final));
     bar.ariaValueText = shares ? `${shareInWords(shares.final)} done` : "not known yet";
   }
@@ -91,7 +99,11 @@ export function doneOf({ provisional, timeLeft }, seconds) {
   return timeLeft ? Math.min(seconds / Math.max(seconds + timeLeft.likely, 1e-3), ALMOST) : 0;
 }
 
-/** What a bar shows: what is done, and of the rest how much has light. @param {Facts} facts @param {number} done */
+/**
+ * What a bar shows: what is done, and of the rest how much has light.
+ * @param {Facts} facts
+ * @param {number} done
+ */
 function sharesOf({ coverage }, done) {
   const lit = showsSurface(coverage) ? 1 - coverage.provisional : 1;
   return { final: done, converging: (1 - done) * lit, provisional: (1 - done) * (1 - lit) };
@@ -112,7 +124,8 @@ function markedFrom(node, name, clock) {
     due = moment;
     clock.cancel(timer);
     node.toggleAttribute(name, wait <= 0);
-    if (wait > 0 && wait < Infinity) timer = clock.after(wait, () => node.toggleAttribute(name, true));
+    if (wait > 0 && wait < Infinity)
+      timer = clock.after(wait, () => node.toggleAttribute(name, true));
   };
 }
 
@@ -129,7 +142,11 @@ export function wordsOf(facts, sharp, target) {
     : { badge: badge(facts, target), line: frameInWords(facts) };
 }
 
-/** What is said of a picture that the graphics card drew. @param {number} error @returns {string} */
+/**
+ * What is said of a picture that the graphics card drew.
+ * @param {number} error
+ * @returns {string}
+ */
 export function predictedInWords(error) {
   return ` · drawn here, about ${errorInWords(error)} error (predicted)`;
 }
@@ -153,7 +170,9 @@ export function badge({ provisional, error }, target) {
  */
 export function announcement(facts, sharp = false) {
   if (!facts.provisional) return frameInWords(facts);
-  return sharp ? "Sharpening" : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;
+  return sharp
+    ? "Sharpening"
+    : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;
 }
 
 const READ_MS = 10_000; // a sentence is read long before
@@ -177,7 +196,9 @@ export class Notice {
   }
 }
 
-/** The panel that says what is wrong; "Try now" is offered where the page would ask again anyway. */
+/**
+ * The panel that says what is wrong; "Try now" is offered where the page would ask again anyway.
+ */
 export class TroublePanel {
   #panel;
 

@@ -6,9 +6,19 @@ import { millisecondsInWords } from "../view/format.js";
 const SPAN_MS = 2000; // of which drafts are counted
 /** @type {Record<string, string>} */
 const STAGES = {
-  queue: "Waiting for a thread", demand: "Asking for light", bake: "Waiting for light", primary: "Camera’s rays",
-  texels: "Finding texels", load: "Light from the store", read: "Looking texels up", light: "Turning the light",
-  shade: "Shading", normals: "Normals", paths: "Paths", edges: "Smooth edges", encode: "Making the file",
+  queue: "Waiting for a thread",
+  demand: "Asking for light",
+  bake: "Waiting for light",
+  primary: "Camera’s rays",
+  texels: "Finding texels",
+  load: "Light from the store",
+  read: "Looking texels up",
+  light: "Turning the light",
+  shade: "Shading",
+  normals: "Normals",
+  paths: "Paths",
+  edges: "Smooth edges",
+  encode: "Making the file",
 };
 
 /** A folded list of times. */
@@ -35,14 +45,17 @@ export class Times {
     if (draft) this.#drafts = [...this.#drafts, now].filter((time) => now - time < SPAN_MS);
     this.#timing = timing;
     const all = millisecondsInWords(total(timing));
-    find(this.#root, ".value").textContent = `${all}${draft ? `, ${rateOf(this.#drafts)} a second` : ""}`;
+    find(this.#root, ".value").textContent =
+      `${all}${draft ? `, ${rateOf(this.#drafts)} a second` : ""}`;
     this.#list();
   }
 
   #list() {
     if (!this.#root.open) return;
     const rows = timeRows(this.#timing, rateOf(this.#drafts));
-    find(this.#root, "dl").replaceChildren(...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]));
+    find(this.#root, "dl").replaceChildren(
+      ...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]),
+    );
   }
 }
 
@@ -56,7 +69,11 @@ export function timeRows(timing, rate) {
   /** @type {(stage: [string, number]) => [string, string]} */
   const row = ([stage, ms]) => [STAGES[stage] ?? stage, millisecondsInWords(ms)];
   const all = millisecondsInWords(total(timing));
-  return [...Object.entries(timing).map(row), ["All", all], ["Drafts a second, last moved", rate || "–"]];
+  return [
+    ...Object.entries(timing).map(row),
+    ["All", all],
+    ["Drafts a second, last moved", rate || "–"],
+  ];
 }
 
 /**

@@ -1,4 +1,7 @@
-/** Views that a person keeps in this browser, to go back to, and as a file of keyframes that `isogi film` reads. */
+/**
+ * Views that a person keeps in this browser, to go back to, and as a file of keyframes that `isogi
+ * film` reads.
+ */
 
 import { find, textElement } from "../dom.js";
 import { readAddress, writeAddress } from "../net/address.js";
@@ -7,9 +10,13 @@ import { download } from "../net/save.js";
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
-/** @typedef {{address: string, view: FrameQuery}} KeptView the page's own query, and the parameters of its picture */
+/**
+ * @typedef {{address: string, view: FrameQuery}} KeptView the page's own query, and the parameters
+ *   of its picture
+ */
 
-const OF_THE_FILM = ["width", "height", "overlay", "f"]; // what a film is given once for all of its frames
+// what a film is given once for all of its frames
+const OF_THE_FILM = ["width", "height", "overlay", "f"];
 
 /**
  * The parameters of a keyframe.
@@ -40,14 +47,16 @@ export function keyframeInWords({ isovalue, azimuth, elevation }) {
 }
 
 /**
- * The views in a text that was kept; none where it is no list of such, as a page of another version may have written.
+ * The views in a text that was kept; none where it is no list of such, as a page of another version
+ * may have written.
  * @param {string|null} text
  * @returns {KeptView[]}
  */
 export function parseViews(text) {
   try {
     const kept = JSON.parse(text ?? "[]");
-    const whole = (/** @type {any} */ each) => typeof each?.address === "string" && Number.isFinite(each.view?.isovalue);
+    const whole = (/** @type {any} */ each) =>
+      typeof each?.address === "string" && Number.isFinite(each.view?.isovalue);
     return Array.isArray(kept) ? kept.filter(whole) : [];
   } catch {
     return [];
@@ -70,19 +79,23 @@ export function attachViews(part, scene, view, query) {
     find(part, "#views-list").replaceChildren(...kept.map((each, n) => row(each, n, show, forget)));
     save.disabled = kept.length < 2;
     find(part, "#views-line").hidden = save.disabled;
-    find(part, "code").textContent = `isogi film ${scene.id}.toml --views-file ${file} -o ${scene.id}.mp4`;
+    find(part, "code").textContent =
+      `isogi film ${scene.id}.toml --views-file ${file} -o ${scene.id}.mp4`;
   };
   const change = (/** @type {KeptView[]} */ views) => {
     kept = views;
     store(key, JSON.stringify(kept));
     build();
   };
-  const show = (/** @type {KeptView} */ { address }) => view.set({ ...view.defaults, ...readAddress(address).start });
+  const show = (/** @type {KeptView} */ { address }) =>
+    view.set({ ...view.defaults, ...readAddress(address).start });
   const forget = (/** @type {KeptView} */ gone) => change(kept.filter((each) => each !== gone));
   find(part, "#views-keep").addEventListener("click", () => {
     change([...kept, { address: writeAddress(scene, view.values), view: keyframe(query()) }]);
   });
-  save.addEventListener("click", () => download(new Blob([viewsFile(kept)], { type: "application/json" }), file));
+  save.addEventListener("click", () =>
+    download(new Blob([viewsFile(kept)], { type: "application/json" }), file),
+  );
   build();
 }
 
@@ -93,8 +106,14 @@ export function attachViews(part, scene, view, query) {
  * @param {(kept: KeptView) => void} forget
  */
 function row(kept, n, show, forget) {
-  const go = Object.assign(textElement("button", keyframeInWords(kept.view)), { type: "button", className: "go" });
-  const drop = Object.assign(textElement("button", "×"), { type: "button", ariaLabel: `Forget view ${n + 1}` });
+  const go = Object.assign(textElement("button", keyframeInWords(kept.view)), {
+    type: "button",
+    className: "go",
+  });
+  const drop = Object.assign(textElement("button", "×"), {
+    type: "button",
+    ariaLabel: `Forget view ${n + 1}`,
+  });
   go.addEventListener("click", () => show(kept));
   drop.addEventListener("click", () => forget(kept));
   const item = document.createElement("li");
@@ -102,7 +121,10 @@ function row(kept, n, show, forget) {
   return item;
 }
 
-/** A browser may refuse to keep anything; what is kept then lasts as long as the page. @param {string} key */
+/**
+ * A browser may refuse to keep anything; what is kept then lasts as long as the page.
+ * @param {string} key
+ */
 function stored(key) {
   try {
     return localStorage.getItem(key);

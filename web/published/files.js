@@ -5,7 +5,8 @@
  * @property {string[]} files
  * @property {number[]} steps of the codes of transfer
  * @property {[number, number]} isovalues whose light is there
- * @property {{likely: number, low: number, high: number}} error relative, of pictures, and its 95 % interval
+ * @property {{likely: number, low: number, high: number}} error relative, of pictures, and its 95 %
+ *   interval
  * @property {number} views that it was measured in
  * @property {number} bytes of the page
  * @property {"page"|"light"|"dark"} background
@@ -28,9 +29,12 @@ export async function readDocument() {
  * @throws {Error} where it does not come
  */
 export async function readFile(name) {
-  const content = await (await answerOf(name)).arrayBuffer(), [first, second] = new Uint8Array(content, 0, Math.min(content.byteLength, 2));
+  const content = await (await answerOf(name)).arrayBuffer();
+  const [first, second] = new Uint8Array(content, 0, Math.min(content.byteLength, 2));
   if (first !== 0x1f || second !== 0x8b) return content;
-  return new Response(new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+  return new Response(
+    new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip")),
+  ).arrayBuffer();
 }
 
 /** @param {string} name @returns {Promise<Response>} */

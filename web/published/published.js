@@ -1,4 +1,7 @@
-/** A published page: a scene that the visitor's graphics card draws from static files, with no server behind it. */
+/**
+ * A published page: a scene that the visitor's graphics card draws from static files, with no
+ * server behind it.
+ */
 
 import { Card } from "../card/card.js";
 import { Refusal } from "../card/device.js";
@@ -12,23 +15,35 @@ import { readDocument, readFile } from "./files.js";
 
 /** @typedef {import("./files.js").Published} Published */
 
-const NO_CARD = "This page needs WebGL 2, which this browser or its graphics card does not have: try another browser.";
+const NO_CARD =
+  "This page needs WebGL 2, which this browser or its graphics card does not have: try another browser.";
 
-const [stage, canvas, status] = [find(document, "#stage"), find(document, "canvas", HTMLCanvasElement), find(document, "[role=status]")];
+const [stage, canvas, status] = [
+  find(document, "#stage"),
+  find(document, "canvas", HTMLCanvasElement),
+  find(document, "[role=status]"),
+];
 
 /** Show the page, and draw whatever view it is put to. */
 async function open() {
-  const published = await readDocument(), { scene, light } = published;
+  const published = await readDocument();
+  const { scene, light } = published;
   document.title = find(document, "h1").textContent = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
-  const view = new ViewModel(scene, { background: light.background }), card = Card.open(canvas, { software: true });
+  const view = new ViewModel(scene, { background: light.background });
+  const card = Card.open(canvas, { software: true });
   const knobs = [...document.querySelectorAll(".knob")];
   for (const knob of knobs) if (knob.matches("[data-light]") && !scene.turns) knob.remove();
-  const mirrors = knobs.filter((knob) => knob.isConnected).map((knob) => attachSlider(knob, scene, view));
+  const mirrors = knobs
+    .filter((knob) => knob.isConnected)
+    .map((knob) => attachSlider(knob, scene, view));
   const mirror = () => mirrors.forEach((each) => each(view.values));
   view.subscribe(mirror);
   mirror();
-  await card.load(published.card, Promise.all(published.card.volume.slabs.map(({ href }) => readFile(href))));
+  await card.load(
+    published.card,
+    Promise.all(published.card.volume.slabs.map(({ href }) => readFile(href))),
+  );
   const draw = keepDrawn(card, published, view);
   attachGestures(stage, scene, view, { onRest: () => {} });
   await bringLight(card, published, draw);
@@ -42,7 +57,8 @@ async function open() {
  * @returns {() => void} draws it once more: there is more light
  */
 function keepDrawn(card, { scene, card: document }, view) {
-  let waiting = true, asked = 0;
+  let waiting = true;
+  let asked = 0;
   const draw = () => {
     asked = 0;
     let finer = true;
@@ -53,7 +69,9 @@ function keepDrawn(card, { scene, card: document }, view) {
     if (waiting || finer) animate();
     stage.toggleAttribute("data-still", !waiting && !finer);
   };
-  const animate = () => { asked ||= requestAnimationFrame(draw); };
+  const animate = () => {
+    asked ||= requestAnimationFrame(draw);
+  };
   const change = () => {
     waiting = true;
     stage.removeAttribute("data-still");
@@ -68,16 +86,23 @@ function keepDrawn(card, { scene, card: document }, view) {
 
 /** Give the canvas the pixels of the stage. */
 function fit() {
-  const { width, height } = sizeOf(stage), ratio = Math.min(devicePixelRatio, 2);
+  const { width, height } = sizeOf(stage);
+  const ratio = Math.min(devicePixelRatio, 2);
   const [x, y] = [width, height].map((side) => Math.max(Math.round(side * ratio), 1));
   if (canvas.width !== x || canvas.height !== y) Object.assign(canvas, { width: x, height: y });
 }
 
-/** Bring the light, file after file. @param {Card} card @param {Published} published @param {() => void} draw */
+/**
+ * Bring the light, file after file.
+ * @param {Card} card
+ * @param {Published} published
+ * @param {() => void} draw
+ */
 async function bringLight(card, { light }, draw) {
   for (const [n, name] of light.files.entries()) {
     card.take(await readFile(name), null, light.steps);
-    if (!card.drawing?.texels.takesRaw) throw new Error("The graphics card has too little memory for the light of this page.");
+    if (!card.drawing?.texels.takesRaw)
+      throw new Error("The graphics card has too little memory for the light of this page.");
     draw();
     status.textContent = `Loading light: ${Math.round((100 * (n + 1)) / light.files.length)} %`;
   }
@@ -85,7 +110,11 @@ async function bringLight(card, { light }, draw) {
   stage.dataset.lit = "";
 }
 
-/** How good and how large the page is. @param {import("./files.js").Light} light @returns {string} */
+/**
+ * How good and how large the page is.
+ * @param {import("./files.js").Light} light
+ * @returns {string}
+ */
 function qualityOf({ error, views, isovalues: [low, high], bytes }) {
   const range = `${errorInWords(error.low)} to ${errorInWords(error.high)}`;
   return `Light of isovalues ${low} to ${high}, relative error ${errorInWords(error.likely)} (${range}, measured in ${views} views); ${(bytes / 1e6).toFixed(1)} MB.`;

@@ -1,4 +1,7 @@
-/** One slice of the pane: its values in grey, the contour of the isosurface, the cross hair, and what moves that. */
+/**
+ * One slice of the pane: its values in grey, the contour of the isosurface, the cross hair, and
+ * what moves that.
+ */
 
 import { find, sizeOf, svgElement, textElement } from "../dom.js";
 import { worldOf } from "../view/crosshair.js";
@@ -34,20 +37,27 @@ const AGAIN_MS = 1500; // before a server that does not answer is asked again
 const ALONG = 0.999; // of a direction along an axis of the world
 const WORDS = "Arrow keys move the cross hair, page keys go through slices, with Shift by ten.";
 const [CONTOUR, BESIDE, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
-const TOGETHER = 100; // lines of a contour that are drawn at once: many more, as noise has them, would take longer
+// lines of a contour that are drawn at once: many more, as noise has them, would take longer
+const TOGETHER = 100;
 const GAP = 7; // pixels of the cross hair around its voxel
 
 /**
- * Where a slice is, for a person: the kind, and the coordinate that all of it has, or its voxels have.
+ * Where a slice is, for a person: the kind, and the coordinate that all of it has, or its voxels
+ * have.
  * @param {Scene["volume"]} volume
  * @param {Slice} slice
  * @param {Vec3} voxel in it
  * @returns {string}
  */
 export function captionOf(volume, { lie, at, normal }, voxel) {
-  const axis = normal.findIndex((x) => Math.abs(x) > ALONG), place = worldOf(volume, voxel), sides = sidesAt(volume, place);
+  const axis = normal.findIndex((x) => Math.abs(x) > ALONG);
+  const place = worldOf(volume, voxel);
+  const sides = sidesAt(volume, place);
   const coordinate = coordinatesInWords(volume, place, sides)[axis];
-  const where = axis < 0 ? `voxel ${lie.axis} ${at}` : `${sides ? "" : `${"xyz"[axis]} `}${coordinate} ${volume.unit}`.trim();
+  const where =
+    axis < 0
+      ? `voxel ${lie.axis} ${at}`
+      : `${sides ? "" : `${"xyz"[axis]} `}${coordinate} ${volume.unit}`.trim();
   return [lie.kind, where].filter(Boolean).join(" · ");
 }
 
@@ -85,7 +95,13 @@ export class SliceFigure {
     /** The element on the page. */
     this.root = figureOf(lie);
     this.#plane = find(this.root, ".plane");
-    this.#cut = new CutLines(find(this.root, ".gone"), find(this.root, "svg", SVGElement), volume, view, hooks.onRest);
+    this.#cut = new CutLines(
+      find(this.root, ".gone"),
+      find(this.root, "svg", SVGElement),
+      volume,
+      view,
+      hooks.onRest,
+    );
     find(this.root, "button").addEventListener("click", () => hooks.cut(this.#slice().normal));
     new ResizeObserver(() => this.#drawLines()).observe(this.#plane);
     attachSliceGestures(this.root, this.#plane, {
@@ -99,7 +115,10 @@ export class SliceFigure {
   /** The value at the cross hair; null until it has come. @returns {number|null} */
   get value() {
     if (!this.#isCurrent() || !this.#shown) return null;
-    const { values, width, height } = this.#shown.slice, { point: [right, up] } = this.#slice();
+    const { values, width, height } = this.#shown.slice;
+    const {
+      point: [right, up],
+    } = this.#slice();
     return values[Math.floor((1 - up) * height) * width + Math.floor(right * width)];
   }
 
@@ -108,7 +127,11 @@ export class SliceFigure {
     this.#load();
     const slice = this.#slice();
     this.root.toggleAttribute("data-old", !this.#isCurrent());
-    find(this.root, "figcaption span").textContent = captionOf(this.#volume, slice, this.#crossHair.voxel);
+    find(this.root, "figcaption span").textContent = captionOf(
+      this.#volume,
+      slice,
+      this.#crossHair.voxel,
+    );
     find(this.root, "button").hidden = !this.#hooks.cutting();
     this.#cut.draw(() => this.#slice(), this.#hooks.cutting());
     this.#paint();
@@ -131,17 +154,29 @@ export class SliceFigure {
   /** Whether the values are of the slice that is wanted. */
   #isCurrent() {
     const { slices, time } = this.#view.values;
-    return slices !== null && this.#shown?.at === slices.voxel[this.lie.across] && this.#shown.time === time;
+    return (
+      slices !== null &&
+      this.#shown?.at === slices.voxel[this.lie.across] &&
+      this.#shown.time === time
+    );
   }
 
   /** Read slices, one after the other, until the newest one that is wanted is there. */
   async #load() {
     if (this.#loading) return;
     this.#loading = true;
-    for (let { slices, time } = this.#view.values; slices && !this.#isCurrent(); { slices, time } = this.#view.values) {
-      const at = slices.voxel[this.lie.across], slice = await this.#shelf.find(this.lie, at, time);
+    for (
+      let { slices, time } = this.#view.values;
+      slices && !this.#isCurrent();
+      { slices, time } = this.#view.values
+    ) {
+      const at = slices.voxel[this.lie.across];
+      const slice = await this.#shelf.find(this.lie, at, time);
       if (slice) this.#shown = { slice, at, time };
-      else await new Promise((done) => { setTimeout(done, AGAIN_MS); });
+      else
+        await new Promise((done) => {
+          setTimeout(done, AGAIN_MS);
+        });
       this.#hooks.onValues();
     }
     this.#loading = false;
@@ -149,50 +184,88 @@ export class SliceFigure {
 
   #paint() {
     if (!this.#shown) return;
-    const { slice, at, time } = this.#shown, greys = this.#hooks.greys(), now = [at, time, ...greys].join(" ");
+    const { slice, at, time } = this.#shown;
+    const greys = this.#hooks.greys();
+    const now = [at, time, ...greys].join(" ");
     if (now === this.#painted) return;
     this.#painted = now;
-    const canvas = find(this.root, ".values", HTMLCanvasElement), { width, height } = slice;
+    const canvas = find(this.root, ".values", HTMLCanvasElement);
+    const { width, height } = slice;
     Object.assign(canvas, { width, height });
-    canvas.getContext("2d")?.putImageData(new ImageData(pixelsOf(slice, greys), width, height), 0, 0);
+    canvas
+      .getContext("2d")
+      ?.putImageData(new ImageData(pixelsOf(slice, greys), width, height), 0, 0);
   }
 
   #drawLines() {
-    const canvas = find(this.root, ".lines", HTMLCanvasElement), ratio = devicePixelRatio || 1;
+    const canvas = find(this.root, ".lines", HTMLCanvasElement);
+    const ratio = devicePixelRatio || 1;
     const { width, height } = sizeOf(this.#plane);
     const context = canvas.getContext("2d");
     if (!context || !this.#view.values.slices) return;
     Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     context.lineWidth = 1.5 * ratio;
-    if (this.#shown) strokeContours(context, this.#shown.slice, this.#contoursOn(this.#shown.slice));
+    if (this.#shown)
+      strokeContours(context, this.#shown.slice, this.#contoursOn(this.#shown.slice));
     context.lineWidth = ratio;
     strokeCross(context, this.#slice(), GAP * ratio);
   }
 
-  /** The contour of the isosurface on the slice that is shown, and those of the surfaces beside. @param {Values} slice */
+  /**
+   * The contour of the isosurface on the slice that is shown, and those of the surfaces beside.
+   * @param {Values} slice
+   */
   #contoursOn(slice) {
-    const { isovalue, surfaces } = this.#view.values, beside = readSurfaces(surfaces, this.#pinned);
-    const isovalues = [isovalue, ...this.#pinned.filter((_, k) => beside[k].shown).map((each) => each.isovalue)], now = isovalues.join(" ");
+    const { isovalue, surfaces } = this.#view.values;
+    const beside = readSurfaces(surfaces, this.#pinned);
+    const isovalues = [
+      isovalue,
+      ...this.#pinned.filter((_, k) => beside[k].shown).map((each) => each.isovalue),
+    ];
+    const now = isovalues.join(" ");
     if (this.#contours.of !== slice || this.#contours.isovalues !== now) {
-      this.#contours = { of: slice, isovalues: now, contours: isovalues.map((each) => contourOf(slice, each)) };
+      this.#contours = {
+        of: slice,
+        isovalues: now,
+        contours: isovalues.map((each) => contourOf(slice, each)),
+      };
     }
     return this.#contours.contours;
   }
 }
 
-/** Draw contours, the last one first. @param {CanvasRenderingContext2D} context @param {Values} slice @param {number[][]} contours */
+/**
+ * Draw contours, the last one first.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Values} slice
+ * @param {number[][]} contours
+ */
 function strokeContours(context, slice, contours) {
   const [across, down] = [context.canvas.width / slice.width, context.canvas.height / slice.height];
   context.lineCap = "round";
   contours.toReversed().forEach((lines, k) => {
     context.strokeStyle = k === contours.length - 1 ? CONTOUR : BESIDE;
     for (let first = 0; first < lines.length; first += 4 * TOGETHER) {
-      strokeLines(context, lines, first, Math.min(lines.length, first + 4 * TOGETHER), across, down);
+      strokeLines(
+        context,
+        lines,
+        first,
+        Math.min(lines.length, first + 4 * TOGETHER),
+        across,
+        down,
+      );
     }
   });
 }
 
-/** @param {CanvasRenderingContext2D} context @param {number[]} lines @param {number} first @param {number} end @param {number} across @param {number} down */
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[]} lines
+ * @param {number} first
+ * @param {number} end
+ * @param {number} across
+ * @param {number} down
+ */
 function strokeLines(context, lines, first, end, across, down) {
   context.beginPath();
   for (let i = first; i < end; i += 4) {
@@ -204,28 +277,52 @@ function strokeLines(context, lines, first, end, across, down) {
 
 /** @param {CanvasRenderingContext2D} context @param {Slice} slice @param {number} gap */
 function strokeCross(context, { point: [right, up] }, gap) {
-  const { width, height } = context.canvas, [x, y] = [right * width, (1 - up) * height].map((at) => Math.floor(at) + 0.5); // a sharp line
+  const { width, height } = context.canvas;
+  // a sharp line
+  const [x, y] = [right * width, (1 - up) * height].map((at) => Math.floor(at) + 0.5);
   context.strokeStyle = CROSS;
   context.lineCap = "butt";
   context.beginPath();
-  for (const [from, to] of [[0, x - gap], [x + gap, width]]) if (to > from) context.moveTo(from, y), context.lineTo(to, y);
-  for (const [from, to] of [[0, y - gap], [y + gap, height]]) if (to > from) context.moveTo(x, from), context.lineTo(x, to);
+  for (const [from, to] of [
+    [0, x - gap],
+    [x + gap, width],
+  ])
+    if (to > from) (context.moveTo(from, y), context.lineTo(to, y));
+  for (const [from, to] of [
+    [0, y - gap],
+    [y + gap, height],
+  ])
+    if (to > from) (context.moveTo(x, from), context.lineTo(x, to));
   context.stroke();
 }
 
 /** @param {Lie} lie */
 function figureOf({ axis, name, sides }) {
-  const [figure, plane, gone, caption] = ["figure", "div", "div", "figcaption"].map((tag) => document.createElement(tag));
-  const canvases = ["values", "lines"].map((className) => Object.assign(document.createElement("canvas"), { className, ariaHidden: "true" }));
+  const [figure, plane, gone, caption] = ["figure", "div", "div", "figcaption"].map((tag) =>
+    document.createElement(tag),
+  );
+  const canvases = ["values", "lines"].map((className) =>
+    Object.assign(document.createElement("canvas"), { className, ariaHidden: "true" }),
+  );
   const lines = svgElement("svg", { role: "group", "aria-label": `Planes of the cut, ${name}` });
   const button = Object.assign(textElement("button", "Cut here"), {
-    type: "button", title: "Cut along this slice, on your side of it", ariaLabel: `Cut here, ${name}`,
+    type: "button",
+    title: "Cut along this slice, on your side of it",
+    ariaLabel: `Cut here, ${name}`,
   });
   figure.dataset.axis = axis;
   gone.className = "gone";
-  Object.assign(plane, { className: "plane", tabIndex: 0, role: "application", ariaRoleDescription: "slice", ariaLabel: `${name}. ${WORDS}` });
+  Object.assign(plane, {
+    className: "plane",
+    tabIndex: 0,
+    role: "application",
+    ariaRoleDescription: "slice",
+    ariaLabel: `${name}. ${WORDS}`,
+  });
   plane.append(...canvases, gone, lines);
-  const letters = ["left", "right", "top", "bottom"].map((className, k) => Object.assign(textElement("b", sides[k]), { className, ariaHidden: "true" }));
+  const letters = ["left", "right", "top", "bottom"].map((className, k) =>
+    Object.assign(textElement("b", sides[k]), { className, ariaHidden: "true" }),
+  );
   caption.append(textElement("span", ""), button);
   figure.append(plane, ...letters, caption);
   return figure;

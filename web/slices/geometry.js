@@ -1,4 +1,7 @@
-/** Slices through a volume: which way they lie on the screen, where in the world, and where planes cross them. */
+/**
+ * Slices through a volume: which way they lie on the screen, where in the world, and where planes
+ * cross them.
+ */
 
 import { OPPOSITE } from "../view/camera.js";
 import { worldOf } from "../view/crosshair.js";
@@ -11,10 +14,16 @@ import { dot, vector } from "../view/rotation.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {"x"|"y"|"z"} Axis of the voxels */
 /** @typedef {Pick<Scene["volume"], "size"|"spacing"|"affine"|"axes">} Grid of voxels */
-/** @typedef {[number, number]} Share of a slice's width, from its left, and of its height, from its foot */
+/**
+ * @typedef {[number, number]} Share of a slice's width, from its left, and of its height, from its
+ *   foot
+ */
 /** @typedef {{at: number, right: number, up: number, near: number}} Slope how far beyond a plane a slice's lower left corner
  *   is, and by how much more so its lower right and its upper left one; what is nearer than `near` is on it; world units */
-/** @typedef {{axis: number, sign: 1|-1}} Way along a voxel axis, by its number: to its end, or to its beginning */
+/**
+ * @typedef {{axis: number, sign: 1|-1}} Way along a voxel axis, by its number: to its end, or to
+ *   its beginning
+ */
 
 /**
  * @typedef {object} Lie how slices across an axis lie on the screen
@@ -24,7 +33,8 @@ import { dot, vector } from "../view/rotation.js";
  * @property {number} across the axis' number
  * @property {Way} right
  * @property {Way} up
- * @property {[string, string, string, string]} sides of a patient at the left, right, upper and lower edge; "" elsewhere
+ * @property {[string, string, string, string]} sides of a patient at the left, right, upper and
+ *   lower edge; "" elsewhere
  */
 
 /**
@@ -42,16 +52,27 @@ import { dot, vector } from "../view/rotation.js";
 
 const NEAR = 0.125; // voxels: the face of a cut lies up to a ninth of one beyond its plane
 /** @type {Share[]} */
-const SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]];
+const SQUARE = [
+  [0, 0],
+  [1, 0],
+  [1, 1],
+  [0, 1],
+];
 /** @type {Axis[]} */
 const NAMES = ["x", "y", "z"];
 /** Kinds of slices, by the sides of a patient between which they are. @type {[string, string][]} */
-const PLANES = [["SI", "Axial"], ["RL", "Sagittal"], ["AP", "Coronal"]];
+const PLANES = [
+  ["SI", "Axial"],
+  ["RL", "Sagittal"],
+  ["AP", "Coronal"],
+];
 const UPRIGHT = "LRAPSI"; // sides of a patient: in a slice, the axis of later ones goes up
-const [RIGHTWARD, UPWARD] = ["LP", "SA"]; // sides at the right and the upper edge, as radiologists look at a patient
+// sides at the right and the upper edge, as radiologists look at a patient
+const [RIGHTWARD, UPWARD] = ["LP", "SA"];
 
 /**
- * How the three kinds of slices lie: as radiologists see a patient where the volume is of one, else along the axes.
+ * How the three kinds of slices lie: as radiologists see a patient where the volume is of one, else
+ * along the axes.
  * @param {string} axes where the voxels' axes point in a patient, such as "RAS"; "" elsewhere
  * @returns {Lie[]} axial, sagittal and coronal slices; elsewhere across z, x and y
  */
@@ -64,11 +85,16 @@ export function liesOf(axes) {
 /** @param {string} axes @param {number} across @param {string} kind @returns {Lie} */
 function lieOf(axes, across, kind) {
   const rank = (/** @type {number} */ axis) => UPRIGHT.indexOf(axes[axis]) >> 1;
-  const way = (/** @type {number} */ axis, /** @type {string} */ ends) =>
-    ({ axis, sign: /** @type {1|-1} */ (!axes || ends.includes(axes[axis]) ? 1 : -1) });
-  const [first, second] = [0, 1, 2].filter((axis) => axis !== across).sort((a, b) => rank(a) - rank(b));
+  const way = (/** @type {number} */ axis, /** @type {string} */ ends) => ({
+    axis,
+    sign: /** @type {1|-1} */ (!axes || ends.includes(axes[axis]) ? 1 : -1),
+  });
+  const [first, second] = [0, 1, 2]
+    .filter((axis) => axis !== across)
+    .sort((a, b) => rank(a) - rank(b));
   const [right, up] = [way(first, RIGHTWARD), way(second, UPWARD)];
-  const axis = NAMES[across], name = kind ? `${kind} slice` : `Slice across ${axis}`;
+  const axis = NAMES[across];
+  const name = kind ? `${kind} slice` : `Slice across ${axis}`;
   return { axis, kind, name, across, right, up, sides: sidesOf(axes, right, up) };
 }
 
@@ -89,15 +115,19 @@ function sidesOf(axes, right, up) {
  * @returns {Slice}
  */
 export function sliceAt(volume, lie, voxel) {
-  const { size, spacing, affine } = volume, { across, right, up } = lie;
+  const { size, spacing, affine } = volume;
+  const { across, right, up } = lie;
   const steps = [0, 1, 2].map((axis) => vector((i) => affine[i][axis]));
-  const scaled = (/** @type {number} */ axis, /** @type {number} */ factor) => vector((i) => factor * steps[axis][i]);
+  const scaled = (/** @type {number} */ axis, /** @type {number} */ factor) =>
+    vector((i) => factor * steps[axis][i]);
   const at = Math.min(size[across] - 1, Math.max(0, voxel[across]));
-  const share = (/** @type {Way} */ { axis, sign }) => 0.5 + sign * ((voxel[axis] + 0.5) / size[axis] - 0.5); // a voxel is as wide as its pixel
+  const share = (/** @type {Way} */ { axis, sign }) =>
+    0.5 + sign * ((voxel[axis] + 0.5) / size[axis] - 0.5); // a voxel is as wide as its pixel
   const first = vector((i) => (i === across ? at : -0.5));
   for (const { axis, sign } of [right, up]) if (sign < 0) first[axis] = size[axis] - 0.5;
   return {
-    lie, at,
+    lie,
+    at,
     extent: [size[right.axis] * spacing[right.axis], size[up.axis] * spacing[up.axis]],
     point: [share(right), share(up)],
     corner: worldOf(volume, first),
@@ -148,7 +178,12 @@ export function stepped({ size }, lie, voxel, { right = 0, up = 0, across = 0 })
  */
 export function slopeOf({ corner, width, height, steps }, { normal, limit }) {
   const near = NEAR * Math.hypot(...steps.map((step) => dot(normal, step)));
-  return { at: dot(normal, corner) - limit, right: dot(normal, width), up: dot(normal, height), near };
+  return {
+    at: dot(normal, corner) - limit,
+    right: dot(normal, width),
+    up: dot(normal, height),
+    near,
+  };
 }
 
 /**
@@ -159,9 +194,11 @@ export function slopeOf({ corner, width, height, steps }, { normal, limit }) {
  */
 export function partLeft(slice, text) {
   return planesOf(text).reduce((polygon, plane) => {
-    const { at, near, ...rest } = slopeOf(slice, plane), slope = { at: at - near, near, ...rest };
+    const { at, near, ...rest } = slopeOf(slice, plane);
+    const slope = { at: at - near, near, ...rest };
     return polygon.flatMap((corner, i) => [
-      ...(beyond(slope, corner) <= 0 ? [corner] : []), ...crossing(slope, corner, polygon[(i + 1) % polygon.length]),
+      ...(beyond(slope, corner) <= 0 ? [corner] : []),
+      ...crossing(slope, corner, polygon[(i + 1) % polygon.length]),
     ]);
   }, SQUARE);
 }
@@ -181,7 +218,13 @@ function beyond({ at, right, up }, [x, y]) {
   return at + right * x + up * y;
 }
 
-/** Where an edge goes through a plane. @param {Slope} slope @param {Share} a @param {Share} b @returns {Share[]} one place, or none */
+/**
+ * Where an edge goes through a plane.
+ * @param {Slope} slope
+ * @param {Share} a
+ * @param {Share} b
+ * @returns {Share[]} one place, or none
+ */
 function crossing(slope, a, b) {
   const [from, to] = [beyond(slope, a), beyond(slope, b)];
   if (from <= 0 === to <= 0) return [];

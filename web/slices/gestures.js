@@ -1,4 +1,7 @@
-/** Pointer, wheel and keys on a slice: they move the cross hair, go through slices, and set what is black and white. */
+/**
+ * Pointer, wheel and keys on a slice: they move the cross hair, go through slices, and set what is
+ * black and white.
+ */
 
 import { ARROWS } from "../view/keys.js";
 
@@ -8,8 +11,10 @@ import { ARROWS } from "../view/keys.js";
  * @typedef {object} SliceActions
  * @property {() => Greys} greys the values that are black and white
  * @property {(greys: Greys|null) => void} setGreys null for the volume's own
- * @property {(right: number, up: number) => void} point moves the cross hair to a share of the slice's width, and of its height
- * @property {(steps: {right?: number, up?: number, across?: number}) => void} step moves it by voxels
+ * @property {(right: number, up: number) => void} point moves the cross hair to a share of the
+ *   slice's width, and of its height
+ * @property {(steps: {right?: number, up?: number, across?: number}) => void} step moves it by
+ *   voxels
  */
 
 const RIGHT = 2; // button of a mouse
@@ -23,26 +28,30 @@ const FAR = 10; // voxels, with shift
 const PAGES = { PageUp: 1, PageDown: -1 };
 
 /**
- * The values that are black and white after a drag: to the right the window grows, down the level rises.
+ * The values that are black and white after a drag: to the right the window grows, down the level
+ * rises.
  * @param {Greys} greys as they were
  * @param {number} right pixels
  * @param {number} down pixels
  * @returns {Greys}
  */
 export function draggedGreys([black, white], right, down) {
-  const window = (white - black) * 2 ** (right / DOUBLE), level = (black + white) / 2 + ((white - black) * down) / WHOLE;
+  const window = (white - black) * 2 ** (right / DOUBLE);
+  const level = (black + white) / 2 + ((white - black) * down) / WHOLE;
   return [level - window / 2, level + window / 2];
 }
 
 /**
  * Counts what a wheel turns: each notch is one slice, however far a mouse says that is.
- * @returns {(turn: {deltaY: number, deltaMode: number}) => -1|0|1} slices to go, up where the wheel is turned away
+ * @returns {(turn: {deltaY: number, deltaMode: number}) => -1|0|1} slices to go, up where the wheel
+ *   is turned away
  */
 export function wheelSteps() {
   let sum = 0;
   return ({ deltaY, deltaMode }) => {
     const pixels = -deltaY * (deltaMode === BY_LINE ? LINE_PIXELS : 1);
-    sum = (Math.sign(pixels) === Math.sign(sum) ? sum : 0) + Math.min(NOTCH, Math.max(-NOTCH, pixels));
+    sum =
+      (Math.sign(pixels) === Math.sign(sum) ? sum : 0) + Math.min(NOTCH, Math.max(-NOTCH, pixels));
     if (Math.abs(sum) < NOTCH) return 0;
     const step = sum > 0 ? 1 : -1;
     sum = 0;
@@ -74,19 +83,29 @@ export function attachSliceGestures(figure, plane, { greys, setGreys, point, ste
     if (!held.greys) follow(event);
   });
   plane.addEventListener("pointermove", (event) => held && follow(event));
-  plane.addEventListener("pointerup", () => { held = null; });
-  plane.addEventListener("pointercancel", () => { held = null; });
+  plane.addEventListener("pointerup", () => {
+    held = null;
+  });
+  plane.addEventListener("pointercancel", () => {
+    held = null;
+  });
   plane.addEventListener("dblclick", () => setGreys(null));
   figure.addEventListener("contextmenu", (event) => event.preventDefault());
-  figure.addEventListener("wheel", (event) => {
-    if (event.ctrlKey) return; // the page is zoomed
-    event.preventDefault();
-    const across = steps(event);
-    if (across) step({ across });
-  }, { passive: false });
+  figure.addEventListener(
+    "wheel",
+    (event) => {
+      if (event.ctrlKey) return; // the page is zoomed
+      event.preventDefault();
+      const across = steps(event);
+      if (across) step({ across });
+    },
+    { passive: false },
+  );
   plane.addEventListener("keydown", (event) => {
-    const { key, shiftKey, ctrlKey, altKey, metaKey, target } = event, far = shiftKey ? FAR : 1;
-    if (target !== plane || ctrlKey || altKey || metaKey || !(key in ARROWS || key in PAGES)) return;
+    const { key, shiftKey, ctrlKey, altKey, metaKey, target } = event;
+    const far = shiftKey ? FAR : 1;
+    if (target !== plane || ctrlKey || altKey || metaKey || !(key in ARROWS || key in PAGES))
+      return;
     event.preventDefault();
     const [right, down] = ARROWS[key] ?? [0, 0];
     step({ right: far * right, up: -far * down, across: far * (PAGES[key] ?? 0) });

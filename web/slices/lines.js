@@ -1,4 +1,7 @@
-/** What planes take away of a slice: it is hatched there, and lines that are dragged move the planes. */
+/**
+ * What planes take away of a slice: it is hatched there, and lines that are dragged move the
+ * planes.
+ */
 
 import { resize, svgElement } from "../dom.js";
 import { attachGrip, tell } from "../view/handles.js";
@@ -43,7 +46,8 @@ export class CutLines {
    * @param {boolean} movable whether lines are there
    */
   draw(slice, movable) {
-    const { planes } = this.#view.values, all = movable ? movablePlanes(this.#volume, planes) : [];
+    const { planes } = this.#view.values;
+    const all = movable ? movablePlanes(this.#volume, planes) : [];
     this.#gone.style.clipPath = around(partLeft(slice(), planes));
     resize(this.#grips, all.length, (k) => {
       const plane = () => movablePlanes(this.#volume, this.#view.values.planes)[k];
@@ -63,26 +67,38 @@ export class CutLines {
  */
 function gripOf(slice, plane, box, view, onRest) {
   const grip = svgElement("g", { tabindex: 0 });
-  grip.append(...["hit", "under", "line"].map((kind) => svgElement("line", { class: kind })), svgElement("circle", { r: DOT }));
+  grip.append(
+    ...["hit", "under", "line"].map((kind) => svgElement("line", { class: kind })),
+    svgElement("circle", { r: DOT }),
+  );
   const slope = () => slopeOfMovable(slice(), plane());
   attachGrip(grip, view, {
     plane,
-    draggedBy: (right, down) => (slope().right * right) / box.clientWidth - (slope().up * down) / box.clientHeight,
+    draggedBy: (right, down) =>
+      (slope().right * right) / box.clientWidth - (slope().up * down) / box.clientHeight,
     sign: () => Math.sign(isUpright(slice(), slope()) ? slope().right : slope().up),
     onRest,
   });
   return grip;
 }
 
-/** Put a line where its plane crosses a slice; it is hidden where it does not. @param {SVGGElement} grip @param {Slice} slice @param {Movable} plane */
+/**
+ * Put a line where its plane crosses a slice; it is hidden where it does not.
+ * @param {SVGGElement} grip
+ * @param {Slice} slice
+ * @param {Movable} plane
+ */
 function place(grip, slice, plane) {
-  const slope = slopeOfMovable(slice, plane), [a, b] = lineAcross(slope);
+  const slope = slopeOfMovable(slice, plane);
+  const [a, b] = lineAcross(slope);
   tell(grip, plane);
   grip.toggleAttribute("hidden", !a);
   if (!a) return;
   grip.toggleAttribute("data-open", plane.value === plane.open);
   grip.style.cursor = isUpright(slice, slope) ? "ew-resize" : "ns-resize";
-  const [[x1, y1], [x2, y2], [cx, cy]] = [a, b, [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]].map(([x, y]) => [`${100 * x}%`, `${100 * (1 - y)}%`]);
+  const [[x1, y1], [x2, y2], [cx, cy]] = [a, b, [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]].map(
+    ([x, y]) => [`${100 * x}%`, `${100 * (1 - y)}%`],
+  );
   for (const part of grip.children) {
     const at = part.tagName === "circle" ? { cx, cy } : { x1, y1, x2, y2 };
     Object.entries(at).forEach(([name, value]) => part.setAttribute(name, value));

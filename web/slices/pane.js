@@ -1,4 +1,7 @@
-/** The pane of slices beside the picture: three of them through one cross hair, and what is black and white in them. */
+/**
+ * The pane of slices beside the picture: three of them through one cross hair, and what is black
+ * and white in them.
+ */
 
 import { find } from "../dom.js";
 import { worldOf } from "../view/crosshair.js";
@@ -47,29 +50,45 @@ export class SlicesPane {
     this.#scene = scene;
     this.#view = view;
     this.#last = view.values.slices;
-    const shelf = new Shelf(read), { volume } = scene;
+    const shelf = new Shelf(read);
+    const { volume } = scene;
     const hooks = {
-      greys: () => this.#greys, setGreys: (/** @type {Greys|null} */ greys) => this.#set({ greys: greys && (rounded(greys, this.#step) ?? this.#greys) }),
-      cutting: () => cuts.open, cut: (/** @type {Vec3} */ normal) => cut(this.#point, normal), onRest, onValues: () => this.#follow(),
+      greys: () => this.#greys,
+      setGreys: (/** @type {Greys|null} */ greys) =>
+        this.#set({ greys: greys && (rounded(greys, this.#step) ?? this.#greys) }),
+      cutting: () => cuts.open,
+      cut: (/** @type {Vec3} */ normal) => cut(this.#point, normal),
+      onRest,
+      onValues: () => this.#follow(),
     };
-    this.#figures = liesOf(volume.axes).map((lie) => new SliceFigure(lie, scene, view, shelf, hooks));
+    this.#figures = liesOf(volume.axes).map(
+      (lie) => new SliceFigure(lie, scene, view, shelf, hooks),
+    );
     root.prepend(...this.#figures.map((figure) => figure.root));
     shareRoom(volume, this.#figures);
     for (const input of this.#inputs) input.addEventListener("change", () => this.#typed());
     find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
     button.addEventListener("click", () => this.toggle());
     cuts.addEventListener("toggle", () => this.#follow());
-    view.watch(({ slices, isovalue, planes, time, surfaces }) => [slices, isovalue, planes, time, surfaces], () => this.#follow());
+    view.watch(
+      ({ slices, isovalue, planes, time, surfaces }) => [slices, isovalue, planes, time, surfaces],
+      () => this.#follow(),
+    );
     this.#draw();
   }
 
   /** Open it where it was last, else in the middle of the volume; or close it. */
   toggle() {
     const middle = vector((i) => (this.#scene.volume.size[i] - 1) / 2);
-    this.#view.set({ slices: this.#view.values.slices ? null : this.#last ?? { voxel: middle, greys: null } });
+    this.#view.set({
+      slices: this.#view.values.slices ? null : (this.#last ?? { voxel: middle, greys: null }),
+    });
   }
 
-  /** Move the cross hair, where there is one; else it is where the pane will be opened. @param {Vec3} voxel indices, with fractions too */
+  /**
+   * Move the cross hair, where there is one; else it is where the pane will be opened.
+   * @param {Vec3} voxel indices, with fractions too
+   */
   follow(voxel) {
     this.#set({ voxel });
     if (!this.#view.values.slices) this.#last = { voxel, greys: this.#last?.greys ?? null };
@@ -81,9 +100,13 @@ export class SlicesPane {
     if (slices) this.#view.set({ slices: { ...slices, ...patch } });
   }
 
-  /** The values that are black and white; by default the volume's own, in round numbers. @returns {Greys} */
+  /**
+   * The values that are black and white; by default the volume's own, in round numbers.
+   * @returns {Greys}
+   */
   get #greys() {
-    const { histogram } = this.#scene, usual = usualGreys(histogram);
+    const { histogram } = this.#scene;
+    const usual = usualGreys(histogram);
     return this.#view.values.slices?.greys ?? rounded(usual, 10 * this.#step) ?? usual;
   }
 
@@ -104,7 +127,11 @@ export class SlicesPane {
   #typed() {
     const [window, level] = this.#inputs.map(({ valueAsNumber }) => valueAsNumber);
     const sound = window > 0 && Number.isFinite(level);
-    this.#set({ greys: sound ? [level - window / 2, level + window / 2] : this.#view.values.slices?.greys ?? null });
+    this.#set({
+      greys: sound
+        ? [level - window / 2, level + window / 2]
+        : (this.#view.values.slices?.greys ?? null),
+    });
     this.#write();
   }
 
@@ -127,18 +154,29 @@ export class SlicesPane {
 
   /** Say where the cross hair is, what is there, and what is black and white. */
   #write() {
-    const { volume } = this.#scene, { voxel, greys } = /** @type {CrossHair} */ (this.#view.values.slices);
-    const place = placeInWords(volume, this.#point, sidesAt(volume, this.#point)), indices = voxel.join(", ");
+    const { volume } = this.#scene;
+    const { voxel, greys } = /** @type {CrossHair} */ (this.#view.values.slices);
+    const place = placeInWords(volume, this.#point, sidesAt(volume, this.#point));
+    const indices = voxel.join(", ");
     const value = this.#figures.map((figure) => figure.value).find((each) => each !== null);
     find(this.#root, "#slices-place").textContent = place === indices ? `voxel ${indices}` : place;
-    find(this.#root, "#slices-voxel").textContent = `${place === indices ? "" : `voxel ${indices} · `}${valueInWords(value)}`;
-    const [black, white] = this.#greys, shown = [white - black, (black + white) / 2];
-    this.#inputs.forEach((input, k) => { input.value = showNumber(shown[k], this.#step); });
+    find(this.#root, "#slices-voxel").textContent =
+      `${place === indices ? "" : `voxel ${indices} · `}${valueInWords(value)}`;
+    const [black, white] = this.#greys;
+    const shown = [white - black, (black + white) / 2];
+    this.#inputs.forEach((input, k) => {
+      input.value = showNumber(shown[k], this.#step);
+    });
     find(this.#root, "#slices-reset", HTMLButtonElement).disabled = !greys;
   }
 }
 
-/** Greys with few digits; null where they would be one. @param {Greys} greys @param {number} step @returns {Greys|null} */
+/**
+ * Greys with few digits; null where they would be one.
+ * @param {Greys} greys
+ * @param {number} step
+ * @returns {Greys|null}
+ */
 function rounded(greys, step) {
   const [black, white] = greys.map((value) => Number(showNumber(value, step)));
   return black < white ? [black, white] : null;
@@ -147,11 +185,14 @@ function rounded(greys, step) {
 /** @param {number|undefined} value undefined until it has come */
 function valueInWords(value) {
   if (value === undefined) return "value …";
-  return Number.isNaN(value) ? "a hole" : `value ${String(Number(value.toPrecision(6))).replace("-", "−")}`;
+  return Number.isNaN(value)
+    ? "a hole"
+    : `value ${String(Number(value.toPrecision(6))).replace("-", "−")}`;
 }
 
 /**
- * Give slices one scale: the widest one fills the width of its place, or the highest one its height.
+ * Give slices one scale: the widest one fills the width of its place, or the highest one its
+ * height.
  * @param {Scene["volume"]} volume
  * @param {SliceFigure[]} figures
  */
@@ -161,7 +202,10 @@ function shareRoom({ size, spacing }, figures) {
   const [widest, highest] = [0, 1].map((k) => Math.max(...extents.map((extent) => extent[k])));
   figures.forEach(({ root }, k) => {
     const [wide, high] = extents[k];
-    root.style.setProperty("--width", `calc(${wide / widest} * min(100cqw, ${widest / highest} * 100cqh))`);
+    root.style.setProperty(
+      "--width",
+      `calc(${wide / widest} * min(100cqw, ${widest / highest} * 100cqh))`,
+    );
     root.style.setProperty("--ratio", String(wide / high));
   });
 }

@@ -1,17 +1,34 @@
-/** The values on a slice: read from an `npy` file, turned as the screen shows them, painted grey, and kept for a while. */
+/**
+ * The values on a slice: read from an `npy` file, turned as the screen shows them, painted grey,
+ * and kept for a while.
+ */
 
 /** @typedef {import("../view/crosshair.js").Greys} Greys */
 /** @typedef {import("./geometry.js").Axis} Axis */
 /** @typedef {import("./geometry.js").Lie} Lie */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {Uint8Array|Uint16Array|Int16Array|Float32Array|Float64Array} Numbers */
-/** @typedef {{values: Numbers, width: number, height: number}} Values row by row, the upper one first; NaN in holes */
-/** @typedef {(axis: Axis, at: number, time: number|undefined) => Promise<ArrayBuffer|null>} Read gives a slice's `npy` file */
+/**
+ * @typedef {{values: Numbers, width: number, height: number}} Values row by row, the upper one
+ *   first; NaN in holes
+ */
+/**
+ * @typedef {(axis: Axis, at: number, time: number|undefined) => Promise<ArrayBuffer|null>} Read
+ *   gives a slice's `npy` file
+ */
 
 /** @type {Record<string, new (buffer: ArrayBuffer) => Numbers>} */
-const KINDS = { "|u1": Uint8Array, "<u2": Uint16Array, "<i2": Int16Array, "<f4": Float32Array, "<f8": Float64Array };
-const LENGTH_AT = 8; // bytes from the first of an npy file to the length of its header, which takes two
-const RARE = 0.002; // of the voxels: so many may be blacker than black, and so many whiter than white
+const KINDS = {
+  "|u1": Uint8Array,
+  "<u2": Uint16Array,
+  "<i2": Int16Array,
+  "<f4": Float32Array,
+  "<f8": Float64Array,
+};
+// bytes from the first of an npy file to the length of its header, which takes two
+const LENGTH_AT = 8;
+// of the voxels: so many may be blacker than black, and so many whiter than white
+const RARE = 0.002;
 const KEPT_BYTES = 1 << 26; // of slices
 const OPAQUE = 0xff000000;
 const GREY = 0x010101;
@@ -25,34 +42,44 @@ const GREY = 0x010101;
 export function readValues(file) {
   const start = LENGTH_AT + 2 + new DataView(file).getUint16(LENGTH_AT, true);
   const header = new TextDecoder("latin1").decode(file.slice(LENGTH_AT + 2, start));
-  const [, kind, rows, columns] = /'descr': '(.+?)', 'fortran_order': False, 'shape': \((\d+), (\d+)\)/.exec(header) ?? [];
+  const [, kind, rows, columns] =
+    /'descr': '(.+?)', 'fortran_order': False, 'shape': \((\d+), (\d+)\)/.exec(header) ?? [];
   if (!KINDS[kind]) throw new TypeError(`no values of a slice: ${header}`);
-  return { values: new KINDS[kind](file.slice(start)), width: Number(columns), height: Number(rows) };
+  return {
+    values: new KINDS[kind](file.slice(start)),
+    width: Number(columns),
+    height: Number(rows),
+  };
 }
 
 /**
- * Values as they lie on the screen. The server has columns along the first of the two axes, and rows down the second.
+ * Values as they lie on the screen. The server has columns along the first of the two axes, and
+ * rows down the second.
  * @param {Values} sent
  * @param {Pick<Lie, "right"|"up">} lie
  * @returns {Values}
  */
 export function turned({ values, width, height }, { right, up }) {
   if (right.sign > 0 && up.sign > 0 && right.axis < up.axis) return { values, width, height };
-  const across = right.axis > up.axis, [wide, high] = across ? [height, width] : [width, height];
-  const steps = across ? [-width, 1] : [1, -width]; // from one value to the next along the right and the upper axis
+  const across = right.axis > up.axis;
+  const [wide, high] = across ? [height, width] : [width, height];
+  // from one value to the next along the right and the upper axis
+  const steps = across ? [-width, 1] : [1, -width];
   const origin = (height - 1) * width;
   const result = new /** @type {any} */ (values.constructor)(values.length);
   for (let y = 0, i = 0; y < high; y += 1) {
     const upwards = up.sign > 0 ? high - 1 - y : y;
     for (let x = 0; x < wide; x += 1, i += 1) {
-      result[i] = values[origin + steps[0] * (right.sign > 0 ? x : wide - 1 - x) + steps[1] * upwards];
+      result[i] =
+        values[origin + steps[0] * (right.sign > 0 ? x : wide - 1 - x) + steps[1] * upwards];
     }
   }
   return { values: result, width: wide, height: high };
 }
 
 /**
- * The values that are black and white at first: the ends of a histogram, without the few voxels that lie far out.
+ * The values that are black and white at first: the ends of a histogram, without the few voxels
+ * that lie far out.
  * @param {{counts: number[], edges: number[]}} histogram
  * @returns {Greys}
  */
@@ -67,13 +94,15 @@ export function usualGreys({ counts, edges }) {
 }
 
 /**
- * Pixels of values, RGBA: black at the first of the greys and below, and in holes; white at the second and above.
+ * Pixels of values, RGBA: black at the first of the greys and below, and in holes; white at the
+ * second and above.
  * @param {Values} slice
  * @param {Greys} greys
  * @returns {Uint8ClampedArray<ArrayBuffer>}
  */
 export function pixelsOf({ values }, [black, white]) {
-  const pixels = new Uint32Array(values.length), scale = 255 / (white - black);
+  const pixels = new Uint32Array(values.length);
+  const scale = 255 / (white - black);
   for (let i = 0; i < values.length; i += 1) {
     const grey = (values[i] - black) * scale + 0.5;
     pixels[i] = OPAQUE + GREY * (grey >= 255 ? 255 : grey > 0 ? Math.floor(grey) : 0);
@@ -81,7 +110,10 @@ export function pixelsOf({ values }, [black, white]) {
   return new Uint8ClampedArray(pixels.buffer);
 }
 
-/** Slices that were read, until others need their room: going back and forth asks the server for none twice. */
+/**
+ * Slices that were read, until others need their room: going back and forth asks the server for
+ * none twice.
+ */
 export class Shelf {
   #read;
   /** @type {Map<string, Values>} */
@@ -101,7 +133,8 @@ export class Shelf {
    * @returns {Promise<Values|null>}
    */
   async find(lie, at, time) {
-    const name = [lie.axis, at, time].join(" "), kept = this.#kept.get(name);
+    const name = [lie.axis, at, time].join(" ");
+    const kept = this.#kept.get(name);
     if (kept) return this.#keep(name, kept);
     const file = await this.#read(lie.axis, at, time);
     return file && this.#keep(name, turned(readValues(file), lie));

@@ -1,4 +1,7 @@
-/** How much light the surface reflects (albedo, a number) and of which colour (tint), where views may ask for any. */
+/**
+ * How much light the surface reflects (albedo, a number) and of which colour (tint), where views
+ * may ask for any.
+ */
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
@@ -33,9 +36,12 @@ export function isTint(text) {
  */
 export function albedoQuery(scene, { albedo, tint = WHITE }) {
   const start = startAlbedo(scene);
-  if (!scene.albedos || albedo === undefined || (albedo === start.albedo && tint === start.tint)) return {};
+  if (!scene.albedos || albedo === undefined || (albedo === start.albedo && tint === start.tint))
+    return {};
   const { min, max } = scene.albedos;
-  const shares = linear(tint).map((share) => Number(Math.min(max, Math.max(min, share * albedo)).toPrecision(4)));
+  const shares = linear(tint).map((share) =>
+    Number(Math.min(max, Math.max(min, share * albedo)).toPrecision(4)),
+  );
   return { albedo: tint === WHITE ? shares[0] : shares.join(",") };
 }
 
@@ -46,7 +52,9 @@ export function albedoQuery(scene, { albedo, tint = WHITE }) {
  */
 export function linear(hex) {
   const shares = [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
-  return shares.map((share) => (share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4));
+  return shares.map((share) =>
+    share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4,
+  );
 }
 
 /**
@@ -55,6 +63,14 @@ export function linear(hex) {
  * @returns {string}
  */
 export function hexOf(shares) {
-  const curved = shares.map((share) => (share <= 0.0031308 ? 12.92 * share : 1.055 * share ** (1 / 2.4) - 0.055));
-  return `#${curved.map((share) => Math.round(255 * share).toString(16).padStart(2, "0")).join("")}`;
+  const curved = shares.map((share) =>
+    share <= 0.0031308 ? 12.92 * share : 1.055 * share ** (1 / 2.4) - 0.055,
+  );
+  return `#${curved
+    .map((share) =>
+      Math.round(255 * share)
+        .toString(16)
+        .padStart(2, "0"),
+    )
+    .join("")}`;
 }

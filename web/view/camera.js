@@ -1,11 +1,20 @@
-/** Where the camera is: around a target, which is the volume's centre or where the picture was moved to. */
+/**
+ * Where the camera is: around a target, which is the volume's centre or where the picture was moved
+ * to.
+ */
 
 import { cameraAxes, dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null, projection?: string}} Orbit knobs of the camera */
-/** @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray from the eye through the target; `up` in the picture */
+/**
+ * @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null,
+ *   projection?: string}} Orbit knobs of the camera
+ */
+/**
+ * @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray from the eye through the target; `up` in the
+ *   picture
+ */
 
 const MARGIN = 0.5; // radii by which a target may be outside the volume's box
 const FURTHEST = 1e12; // coordinates that the server takes
@@ -17,13 +26,17 @@ const DEGREE = Math.PI / 180;
 export const PROJECTIONS = ["perspective", "orthographic"];
 
 /**
- * Azimuth and elevation of the views along the axes; from above and from below, x goes to the right.
+ * Azimuth and elevation of the views along the axes; from above and from below, x goes to the
+ * right.
  * @type {Record<string, {azimuth: number, elevation: number}>}
  */
 export const AXIS_VIEWS = {
-  "+x": { azimuth: 0, elevation: 0 }, "-x": { azimuth: 180, elevation: 0 },
-  "+y": { azimuth: 90, elevation: 0 }, "-y": { azimuth: -90, elevation: 0 },
-  "+z": { azimuth: -90, elevation: 90 }, "-z": { azimuth: -90, elevation: -90 },
+  "+x": { azimuth: 0, elevation: 0 },
+  "-x": { azimuth: 180, elevation: 0 },
+  "+y": { azimuth: 90, elevation: 0 },
+  "-y": { azimuth: -90, elevation: 0 },
+  "+z": { azimuth: -90, elevation: 90 },
+  "-z": { azimuth: -90, elevation: -90 },
 };
 
 /**
@@ -38,14 +51,20 @@ export function looksAlong(a, b) {
 }
 
 /**
- * The box between the volume's outermost voxels: where it begins and ends, its middle, the radius of the sphere around it.
+ * The box between the volume's outermost voxels: where it begins and ends, its middle, the radius
+ * of the sphere around it.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @returns {{low: Vec3, high: Vec3, centre: Vec3, radius: number}} world units
  */
 export function boxOf({ volume }) {
   const [low, high] = volume.bounds;
   const extent = vector((i) => (volume.size[i] - 1) * volume.spacing[i]);
-  return { low, high, centre: vector((i) => (low[i] + high[i]) / 2), radius: Math.hypot(...extent) / 2 };
+  return {
+    low,
+    high,
+    centre: vector((i) => (low[i] + high[i]) / 2),
+    radius: Math.hypot(...extent) / 2,
+  };
 }
 
 /**
@@ -58,7 +77,9 @@ export function limitTarget(scene, target) {
   if (!Array.isArray(target) || target.length !== 3 || !target.every(Number.isFinite)) return null;
   const { low, high, radius } = boxOf(scene);
   const beyond = MARGIN * radius;
-  const inside = vector((i) => Number(Math.min(high[i] + beyond, Math.max(low[i] - beyond, target[i])).toPrecision(6)));
+  const inside = vector((i) =>
+    Number(Math.min(high[i] + beyond, Math.max(low[i] - beyond, target[i])).toPrecision(6)),
+  );
   return inside.every((x) => Math.abs(x) <= FURTHEST) ? inside : null;
 }
 
@@ -110,7 +131,8 @@ export function rayThrough(scene, values, right, up) {
  * @returns {Vec3} not of length 1
  */
 export function towardsEye(scene, values, point) {
-  const { right, up } = placeOf(scene, values, point), { eye } = rayThrough(scene, values, right, up);
+  const { right, up } = placeOf(scene, values, point);
+  const { eye } = rayThrough(scene, values, right, up);
   return vector((i) => eye[i] - point[i]);
 }
 
@@ -119,7 +141,8 @@ export function towardsEye(scene, values, point) {
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
  * @param {Vec3} point
- * @returns {{right: number, up: number, depth: number}} of the middle, in heights of the picture; and along the view, in
+ * @returns {{right: number, up: number, depth: number}} of the middle, in heights of the picture;
+ *   and along the view, in
  *   world units: behind the eye it is not positive, and the place has no meaning
  */
 export function placeOf(scene, values, point) {
@@ -134,7 +157,14 @@ export function placeOf(scene, values, point) {
 }
 
 /** The other side of a patient, by the letter of a side. */
-export const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
+export const OPPOSITE = /** @type {Record<string, string>} */ ({
+  R: "L",
+  L: "R",
+  A: "P",
+  P: "A",
+  S: "I",
+  I: "S",
+});
 
 /**
  * The sides of a patient that the picture's edges show; "" where the volume is of none.
@@ -150,5 +180,10 @@ export function sidesOf({ volume }, values) {
     const name = volume.letters[axis] ?? "";
     return sign * direction[axis] > 0 ? name : (OPPOSITE[name] ?? "");
   };
-  return { left: letter(right, -1), right: letter(right, 1), top: letter(up, 1), bottom: letter(up, -1) };
+  return {
+    left: letter(right, -1),
+    right: letter(right, 1),
+    top: letter(up, 1),
+    bottom: letter(up, -1),
+  };
 }

@@ -1,10 +1,16 @@
-/** The cross hair of the slices beside the picture: its voxel, and the values that are black and white in them. */
+/**
+ * The cross hair of the slices beside the picture: its voxel, and the values that are black and
+ * white in them.
+ */
 
 import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {[number, number]} Greys the values that are black and white, ascending */
-/** @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; of no `greys` the volume's own */
+/**
+ * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; of no `greys` the
+ *   volume's own
+ */
 
 /**
  * A cross hair as the address has it, `x,y,z` or `x,y,z,black,white`.

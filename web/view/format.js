@@ -4,9 +4,14 @@
 
 /** @type {Record<string, string>} */
 const SHADING_NAMES = {
-  gi: "Global illumination", vicinity: "Vicinity shading", lambert: "Diffuse, no shadows",
-  lambert_shadow: "Diffuse, shadows", lambert_fog: "Diffuse, depth fog", phong: "Phong, no shadows",
-  phong_shadow: "Phong, shadows", path_traced: "Path traced (reference, slow)",
+  gi: "Global illumination",
+  vicinity: "Vicinity shading",
+  lambert: "Diffuse, no shadows",
+  lambert_shadow: "Diffuse, shadows",
+  lambert_fog: "Diffuse, depth fog",
+  phong: "Phong, no shadows",
+  phong_shadow: "Phong, shadows",
+  path_traced: "Path traced (reference, slow)",
 };
 
 /**
@@ -19,7 +24,8 @@ export function shadingName(id) {
 }
 
 /**
- * A step that reads well, 1, 2 or 5 times a power of ten, and cuts a span into no more than so many parts.
+ * A step that reads well, 1, 2 or 5 times a power of ten, and cuts a span into no more than so many
+ * parts.
  * @param {number} span
  * @param {number} [parts] by default as many positions as a slider has
  * @returns {number}
@@ -27,7 +33,9 @@ export function shadingName(id) {
 export function niceStep(span, parts = 500) {
   const rough = span / parts;
   const power = 10 ** Math.floor(Math.log10(rough));
-  return [1, 2, 5].map((factor) => factor * power).find((step) => step >= rough * 0.999) ?? 10 * power;
+  return (
+    [1, 2, 5].map((factor) => factor * power).find((step) => step >= rough * 0.999) ?? 10 * power
+  );
 }
 
 /**
@@ -99,7 +107,8 @@ export function rangeInWords(left) {
 }
 
 /**
- * The state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done, 0.8 % error".
+ * The state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done, 0.8 %
+ * error".
  * @param {Pick<Facts, "provisional"|"coverage"|"error"|"controls"|"timeLeft">} facts
  * @returns {string}
  */
@@ -108,7 +117,9 @@ export function frameInWords({ provisional, coverage, error, controls, timeLeft 
   const known = error > 0 && error < PREVIEW;
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
-  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, left].filter(Boolean).join(", ");
+  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, left]
+    .filter(Boolean)
+    .join(", ");
 }
 
 /** Relative error from which on a picture is called a preview. */

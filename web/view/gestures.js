@@ -9,7 +9,10 @@ import { dragLight } from "./rotation.js";
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {{x: number, y: number}} Place pixels */
-/** @typedef {Place & {spread: number}} Hold the middle between all fingers, and how far the first two are apart */
+/**
+ * @typedef {Place & {spread: number}} Hold the middle between all fingers, and how far the first
+ *   two are apart
+ */
 
 const DEGREES_ACROSS = 220; // a drag over the shorter side of the stage turns by this much
 const WHEEL_RATE = 0.0012;
@@ -20,7 +23,8 @@ const [MIDDLE, RIGHT] = [1, 2];
 const [SLIP, FINGER_SLIP] = [4, 10]; // pixels that a click, and a tap, may move by
 
 /**
- * Turn the object as if held: dragged right its front moves right, dragged down it tips towards the viewer.
+ * Turn the object as if held: dragged right its front moves right, dragged down it tips towards the
+ * viewer.
  * @param {{azimuth: number, elevation: number}} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees
@@ -31,7 +35,8 @@ export function dragObject(values, right, down) {
 }
 
 /**
- * Listen to the pointer: drag turns the object, right or shift drag the light, middle, ctrl or alt drag moves the
+ * Listen to the pointer: drag turns the object, right or shift drag the light, middle, ctrl or alt
+ * drag moves the
  * picture, two fingers move and zoom it, and the wheel zooms.
  * @param {HTMLElement} stage
  * @param {Scene} scene
@@ -41,7 +46,8 @@ export function dragObject(values, right, down) {
 export function attachGestures(stage, scene, view, { onRest }) {
   /** @type {Map<number, Place>} */
   const fingers = new Map();
-  let grip = { ...hold([]), values: view.values }; // where the fingers were, and the view was, when the last one came
+  // where the fingers were, and the view was, when the last one came
+  let grip = { ...hold([]), values: view.values };
 
   stage.addEventListener("pointerdown", (event) => {
     if (onPanel(event)) return;
@@ -69,30 +75,46 @@ export function attachGestures(stage, scene, view, { onRest }) {
   stage.addEventListener("pointerup", release);
   stage.addEventListener("pointercancel", release);
   stage.addEventListener("contextmenu", (event) => event.preventDefault());
-  stage.addEventListener("mousedown", (event) => event.button === MIDDLE && event.preventDefault()); // or it scrolls
-  stage.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    view.set({ distance: view.values.distance * wheelZoom(event) });
-  }, { passive: false });
+  // or it scrolls
+  stage.addEventListener("mousedown", (event) => event.button === MIDDLE && event.preventDefault());
+  stage.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      view.set({ distance: view.values.distance * wheelZoom(event) });
+    },
+    { passive: false },
+  );
 }
 
 /**
- * Listen to clicks and double clicks on the stage, or taps: a click is where the pointer has not moved meanwhile.
+ * Listen to clicks and double clicks on the stage, or taps: a click is where the pointer has not
+ * moved meanwhile.
  * @param {HTMLElement} stage
- * @param {{click: (right: number, up: number) => void, double: (right: number, up: number) => void}} hooks called with
- *   the place in the picture, in heights of the picture from its middle; a double click is a click first
+ * @param {{click: (right: number, up: number) => void, double: (right: number, up: number) =>
+ *   void}} hooks called with
+ *   the place in the picture, in heights of the picture from its middle; a double click is a click
+ * first
  */
 export function attachClicks(stage, { click, double }) {
   /** @type {Place|null} */
   let pressed = null; // null after a drag, and where a click is no plain one
   stage.addEventListener("pointerdown", (event) => {
-    const modified = event.button !== 0 || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey;
+    const modified =
+      event.button !== 0 || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey;
     pressed = !event.isPrimary || modified || onPanel(event) ? null : place(event);
   });
   stage.addEventListener("pointermove", ({ clientX: x, clientY: y, pointerType }) => {
-    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) > (pointerType === "mouse" ? SLIP : FINGER_SLIP)) pressed = null;
+    if (
+      pressed &&
+      Math.hypot(x - pressed.x, y - pressed.y) > (pointerType === "mouse" ? SLIP : FINGER_SLIP)
+    )
+      pressed = null;
   });
-  stage.addEventListener("click", (event) => pressed && event.detail < 2 && click(...placeIn(stage, event)));
+  stage.addEventListener(
+    "click",
+    (event) => pressed && event.detail < 2 && click(...placeIn(stage, event)),
+  );
   stage.addEventListener("dblclick", (event) => onPanel(event) || double(...placeIn(stage, event)));
 }
 
@@ -104,12 +126,14 @@ export function attachClicks(stage, { click, double }) {
  */
 function placeIn(stage, { clientX, clientY }) {
   const { left, top, width, height } = stage.getBoundingClientRect();
-  const [x, y] = [clientX, clientY].map((at) => (Number.isInteger(at) ? at + 0.5 : at)); // a whole pixel is meant
+  // a whole pixel is meant
+  const [x, y] = [clientX, clientY].map((at) => (Number.isInteger(at) ? at + 0.5 : at));
   return [(x - left - width / 2) / height, (top + height / 2 - y) / height];
 }
 
 /**
- * The distance after two fingers have moved, and the target: what is between the fingers stays there. Fingers come one
+ * The distance after two fingers have moved, and the target: what is between the fingers stays
+ * there. Fingers come one
  * at a time, so a pinch counts from where they were first, and not from the last of their events.
  * @param {number} height of the stage, pixels
  * @param {Pick<Scene, "volume">} scene
@@ -119,7 +143,10 @@ function placeIn(stage, { clientX, clientY }) {
  */
 export function pinched(height, scene, { values, x, y, spread }, now) {
   const distance = values.distance * (spread / Math.max(1, now.spread));
-  return { distance, ...pan(scene, { ...values, distance }, (now.x - x) / height, (now.y - y) / height) };
+  return {
+    distance,
+    ...pan(scene, { ...values, distance }, (now.x - x) / height, (now.y - y) / height),
+  };
 }
 
 /**

@@ -1,4 +1,7 @@
-/** Handles on the picture that move the planes of a cut: dragged along their normals, or moved by keys. */
+/**
+ * Handles on the picture that move the planes of a cut: dragged along their normals, or moved by
+ * keys.
+ */
 
 import { find, resize, sizeOf, svgElement } from "../dom.js";
 import { boxOf, placeOf } from "./camera.js";
@@ -16,17 +19,27 @@ import { cameraAxes, dot, vector } from "./rotation.js";
 /**
  * @typedef {object} Grip what moves a plane
  * @property {() => Movable} plane as it is now
- * @property {(right: number, down: number) => number} draggedBy by how much a drag of so many pixels moves it
- * @property {() => number} [sign] -1 where arrows to the right and up move it down; 1 where it is left out
+ * @property {(right: number, down: number) => number} draggedBy by how much a drag of so many
+ *   pixels moves it
+ * @property {() => number} [sign] -1 where arrows to the right and up move it down; 1 where it is
+ *   left out
  * @property {() => void} onRest is called when it is let go
  */
 
 const EDGE = 18; // pixels that a handle keeps from the edges of the stage
-const FLAT = 0.2; // of its length in the picture: a normal that looks shorter is dragged up and down
+// of its length in the picture: a normal that looks shorter is dragged up and down
+const FLAT = 0.2;
 const PAGE = 10; // steps of a page key
 const PARTS = 200; // steps of an arrow key, at most, through a range
 /** @type {Record<string, number>} */
-const STEPS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: PAGE, PageDown: -PAGE };
+const STEPS = {
+  ArrowRight: 1,
+  ArrowUp: 1,
+  ArrowLeft: -1,
+  ArrowDown: -1,
+  PageUp: PAGE,
+  PageDown: -PAGE,
+};
 
 /**
  * By how much a plane moves when its handle is dragged.
@@ -37,16 +50,23 @@ const STEPS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp:
  * @returns {number} in world units along its normal
  */
 export function draggedBy(scene, values, { at, normal }, { right, down }) {
-  const { radius } = boxOf(scene), { out } = cameraAxes(values.azimuth, values.elevation);
+  const { radius } = boxOf(scene);
+  const { out } = cameraAxes(values.azimuth, values.elevation);
   const step = 1e-3 * radius;
-  const [here, there] = [at, vector((i) => at[i] + step * normal[i])].map((point) => placeOf(scene, values, point));
+  const [here, there] = [at, vector((i) => at[i] + step * normal[i])].map((point) =>
+    placeOf(scene, values, point),
+  );
   const [x, y] = [(there.right - here.right) / step, (there.up - here.up) / step];
-  const scale = 1 / (2 * values.distance * radius * Math.tan((values.fov * Math.PI) / 360)); // heights a unit across the view
+  // heights a unit across the view
+  const scale = 1 / (2 * values.distance * radius * Math.tan((values.fov * Math.PI) / 360));
   if (Math.hypot(x, y) > FLAT * scale) return (right * x - down * y) / (x * x + y * y);
   return (down / scale) * (dot(normal, out) < 0 ? -1 : 1); // down is towards the viewer
 }
 
-/** Draws what is left as a box, and on each side of it, and on each oblique plane, a handle that moves it. */
+/**
+ * Draws what is left as a box, and on each side of it, and on each oblique plane, a handle that
+ * moves it.
+ */
 export class Handles {
   #root;
   #stage;
@@ -60,7 +80,8 @@ export class Handles {
    * @param {HTMLElement} root fills the stage; holds an SVG element for lines
    * @param {Scene} scene
    * @param {ViewModel} view
-   * @param {{wanted: () => boolean, onRest: () => void}} hooks whether they are shown; what is called when one is let go
+   * @param {{wanted: () => boolean, onRest: () => void}} hooks whether they are shown; what is
+   *   called when one is let go
    */
   constructor(root, scene, view, hooks) {
     this.#root = root;
@@ -81,7 +102,10 @@ export class Handles {
     resize(this.#buttons, planes.length, (k) => this.#root.appendChild(this.#handle(k)));
     planes.forEach((plane, k) => {
       tell(this.#buttons[k], plane);
-      Object.assign(this.#buttons[k], { textContent: plane.name.replace(/^plane | .*$/, ""), title: `Move ${plane.name}` });
+      Object.assign(this.#buttons[k], {
+        textContent: plane.name.replace(/^plane | .*$/, ""),
+        title: `Move ${plane.name}`,
+      });
       this.#place(this.#buttons[k], plane.at);
     });
     this.#drawLines(planes.map(({ outline }) => [...outline, ...outline.slice(0, 1)]));
@@ -91,37 +115,61 @@ export class Handles {
     return movablePlanes(this.#scene.volume, this.#view.values.planes);
   }
 
-  /** Put a handle at a point, or as near as the stage has a place. @param {HTMLElement} button @param {Vec3} point */
+  /**
+   * Put a handle at a point, or as near as the stage has a place.
+   * @param {HTMLElement} button
+   * @param {Vec3} point
+   */
   #place(button, point) {
     const { width, height } = sizeOf(this.#stage);
-    const at = placeOf(this.#scene, this.#view.values, point), { x, y } = spotOf(at, width, height);
+    const at = placeOf(this.#scene, this.#view.values, point);
+    const { x, y } = spotOf(at, width, height);
     button.hidden = at.depth <= 0;
     button.style.translate = `${within(x, width).toFixed(1)}px ${within(y, height).toFixed(1)}px`;
-    button.style.zIndex = String(Math.round((1e3 * boxOf(this.#scene).radius) / Math.max(at.depth, 1e-9)));
+    button.style.zIndex = String(
+      Math.round((1e3 * boxOf(this.#scene).radius) / Math.max(at.depth, 1e-9)),
+    );
   }
 
-  /** The box of what is left, and outlines; none of those that reach behind the eye. @param {Vec3[][]} outlines */
+  /**
+   * The box of what is left, and outlines; none of those that reach behind the eye.
+   * @param {Vec3[][]} outlines
+   */
   #drawLines(outlines) {
-    const { values } = this.#view, { width, height } = sizeOf(this.#stage);
+    const { values } = this.#view;
+    const { width, height } = sizeOf(this.#stage);
     const box = edgesOf(readPlanes(values.planes, this.#scene.volume.bounds).kept);
     const rows = [...box, ...outlines].flatMap((points) => {
       const places = points.map((point) => placeOf(this.#scene, values, point));
       if (!places.length || places.some(({ depth }) => depth <= 0)) return [];
-      return [places.map((each) => spotOf(each, width, height)).map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ")];
+      return [
+        places
+          .map((each) => spotOf(each, width, height))
+          .map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`)
+          .join(" "),
+      ];
     });
-    const lines = ["under", "line"].flatMap((kind) => rows.map((points) => svgElement("polyline", { class: kind, points })));
+    const lines = ["under", "line"].flatMap((kind) =>
+      rows.map((points) => svgElement("polyline", { class: kind, points })),
+    );
     find(this.#root, "svg", SVGElement).replaceChildren(...lines);
   }
 
   /** @param {number} k number of its plane */
   #handle(k) {
-    const button = Object.assign(document.createElement("button"), { type: "button", className: "handle over" });
+    const button = Object.assign(document.createElement("button"), {
+      type: "button",
+      className: "handle over",
+    });
     const plane = () => this.#planes()[k];
     attachGrip(button, this.#view, {
       plane,
       draggedBy: (right, down) => {
         const { height } = sizeOf(this.#stage);
-        return draggedBy(this.#scene, this.#view.values, plane(), { right: right / height, down: down / height });
+        return draggedBy(this.#scene, this.#view.values, plane(), {
+          right: right / height,
+          down: down / height,
+        });
       },
       onRest: this.#hooks.onRest,
     });
@@ -162,7 +210,8 @@ export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1
   });
   const release = () => {
     if (held) onRest();
-    if (held && dragged) stage()?.focus({ preventScroll: true }); // there arrows turn the object again
+    // there arrows turn the object again
+    if (held && dragged) stage()?.focus({ preventScroll: true });
     held = null;
   };
   element.addEventListener("pointerup", release);
@@ -182,10 +231,16 @@ function steppedTo({ value, range: [low, high], open }, { key, ctrlKey, altKey, 
   return key in STEPS ? value + sign * STEPS[key] * niceStep(high - low, PARTS) : null;
 }
 
-/** Tell what an element moves, and where that is. @param {Element} element @param {Movable} plane */
+/**
+ * Tell what an element moves, and where that is.
+ * @param {Element} element
+ * @param {Movable} plane
+ */
 export function tell(element, { name, value, range: [low, high] }) {
   element.ariaLabel = `Cut, ${name}`;
-  [element.ariaValueMin, element.ariaValueMax, element.ariaValueNow] = [low, high, value].map(String);
+  [element.ariaValueMin, element.ariaValueMax, element.ariaValueNow] = [low, high, value].map(
+    String,
+  );
   element.ariaValueText = String(Number(value.toPrecision(4)));
 }
 

@@ -19,7 +19,12 @@ const ISOVALUE_STEPS = 100; // with shift
  * Right and down that each arrow points.
  * @type {Record<string, [number, number]>}
  */
-export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+export const ARROWS = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, -1],
+  ArrowDown: [0, 1],
+};
 
 /**
  * Up or down that keys of the isovalue slider go to the next stop.
@@ -34,16 +39,29 @@ const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
  * Listen to keys, except while another control needs them.
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {{toggleHelp: () => void, keys: Record<string, () => void>}} options `keys` are others, by their small letters
+ * @param {{toggleHelp: () => void, keys: Record<string, () => void>}} options `keys` are others, by
+ *   their small letters
  */
 export function attachKeys(scene, view, { toggleHelp, keys }) {
   const capitals = Object.entries(keys).map(([key, action]) => [key.toUpperCase(), action]);
   /** @type {Record<string, () => void>} */
-  const actions = { ...keyActions(scene, view, toggleHelp), ...keys, ...Object.fromEntries(capitals) };
+  const actions = {
+    ...keyActions(scene, view, toggleHelp),
+    ...keys,
+    ...Object.fromEntries(capitals),
+  };
   document.addEventListener("keydown", (event) => {
     const { target } = event;
-    if (!(target instanceof Element) || event.ctrlKey || event.metaKey || event.altKey || takesText(target)) return;
-    const action = event.key in ARROWS ? arrow(view, event, target, scene.turns) : actions[event.key];
+    if (
+      !(target instanceof Element) ||
+      event.ctrlKey ||
+      event.metaKey ||
+      event.altKey ||
+      takesText(target)
+    )
+      return;
+    const action =
+      event.key in ARROWS ? arrow(view, event, target, scene.turns) : actions[event.key];
     if (!action) return;
     event.preventDefault();
     action();
@@ -61,11 +79,14 @@ export function keyActions(scene, view, toggleHelp) {
   const { min, max } = sliderRange(scene, "isovalue");
   const step = (max - min) / ISOVALUE_STEPS;
   /** @param {number} by */
-  const shiftIsovalue = (by) => view.set({ isovalue: Number(showNumber(view.values.isovalue + by, niceStep(step))) });
+  const shiftIsovalue = (by) =>
+    view.set({ isovalue: Number(showNumber(view.values.isovalue + by, niceStep(step))) });
   /** @param {1|-1} way */
-  const goToStop = (way) => view.set({ isovalue: nextStop(scene.stops, view.values.isovalue, way) });
+  const goToStop = (way) =>
+    view.set({ isovalue: nextStop(scene.stops, view.values.isovalue, way) });
   /** @type {(right: number, down: number) => void} */
-  const move = (right, down) => view.set(pan(scene, view.values, right * PAN_STEP, down * PAN_STEP));
+  const move = (right, down) =>
+    view.set(pan(scene, view.values, right * PAN_STEP, down * PAN_STEP));
   /** @type {Record<string, () => void>} */
   const actions = {
     "+": () => view.set({ distance: view.values.distance / ZOOM_STEP }),
@@ -78,7 +99,9 @@ export function keyActions(scene, view, toggleHelp) {
     o: () => view.set({ overlay: next(OVERLAYS, view.values.overlay) }),
     "?": toggleHelp,
     ...Object.fromEntries(Object.entries(MOVES).map(([key, way]) => [key, () => move(...way)])),
-    ...Object.fromEntries(Object.entries(AXIS_VIEWS).map(([axis, angles]) => [axisKey(axis), () => view.set(angles)])),
+    ...Object.fromEntries(
+      Object.entries(AXIS_VIEWS).map(([axis, angles]) => [axisKey(axis), () => view.set(angles)]),
+    ),
   };
   actions["="] = actions["+"];
   actions["−"] = actions._ = actions["-"];
@@ -94,7 +117,8 @@ export function keyActions(scene, view, toggleHelp) {
  * @returns {number}
  */
 export function nextStop(stops, isovalue, way) {
-  const next = way > 0 ? stops.find((stop) => stop > isovalue) : stops.findLast((stop) => stop < isovalue);
+  const next =
+    way > 0 ? stops.find((stop) => stop > isovalue) : stops.findLast((stop) => stop < isovalue);
   return next ?? isovalue;
 }
 
@@ -107,11 +131,17 @@ export function nextStop(stops, isovalue, way) {
 function arrow(view, event, target, lightTurns) {
   if (!target.closest("#stage") && target !== document.body) return null;
   const [right, down] = ARROWS[event.key];
-  if (!event.shiftKey) return () => view.set(dragObject(view.values, right * OBJECT_STEP, down * OBJECT_STEP));
-  return lightTurns ? () => view.set(dragLight(view.values, right * LIGHT_STEP, down * LIGHT_STEP)) : null;
+  if (!event.shiftKey)
+    return () => view.set(dragObject(view.values, right * OBJECT_STEP, down * OBJECT_STEP));
+  return lightTurns
+    ? () => view.set(dragLight(view.values, right * LIGHT_STEP, down * LIGHT_STEP))
+    : null;
 }
 
-/** Key x looks from plus x, and X, with shift, from minus x. @param {string} name of the axis view */
+/**
+ * Key x looks from plus x, and X, with shift, from minus x.
+ * @param {string} name of the axis view
+ */
 function axisKey([sign, axis]) {
   return sign === "+" ? axis : axis.toUpperCase();
 }

@@ -1,4 +1,7 @@
-/** Marks over the picture that stay on points of the world while the camera moves, hidden behind the surface. */
+/**
+ * Marks over the picture that stay on points of the world while the camera moves, hidden behind the
+ * surface.
+ */
 
 import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
@@ -10,7 +13,10 @@ import { arcOf, measureInWords } from "./measures.js";
 /** @typedef {import("./model.js").Knobs} Knobs */
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {{x: number, y: number, inside: boolean}} Spot pixels from the stage's top left, and whether it is on it */
+/**
+ * @typedef {{x: number, y: number, inside: boolean}} Spot pixels from the stage's top left, and
+ *   whether it is on it
+ */
 /** @typedef {(values: Knobs, right: number, up: number) => Promise<Vec3|null>} FindSurface gives the surface's point at a place
  *   of the picture, in heights of the picture from its middle; null where there is none */
 
@@ -63,7 +69,11 @@ export class Marks {
     this.#changed();
   }
 
-  /** Whether the surface is before a point, as far as is known. @param {Vec3} point @returns {boolean} */
+  /**
+   * Whether the surface is before a point, as far as is known.
+   * @param {Vec3} point
+   * @returns {boolean}
+   */
   hides(point) {
     return this.#hidden.has(String(point));
   }
@@ -85,7 +95,10 @@ export class Marks {
     if (!this.#looking && this.#points.length) this.#look();
   }
 
-  /** Ask for the surface before the points, one after the other, until all are known in the newest view. */
+  /**
+   * Ask for the surface before the points, one after the other, until all are known in the newest
+   * view.
+   */
   async #look() {
     this.#looking = true;
     while (this.#turned) {
@@ -110,26 +123,45 @@ export class Marks {
     const { right, up, depth } = placeOf(this.#scene, values, point);
     if (depth <= 0 || !this.spot(point).inside) return false;
     const met = await this.#pick(values, right, up);
-    return met !== null && placeOf(this.#scene, values, met).depth < depth - NEARER * Math.max(...this.#scene.volume.spacing);
+    return (
+      met !== null &&
+      placeOf(this.#scene, values, met).depth <
+        depth - NEARER * Math.max(...this.#scene.volume.spacing)
+    );
   }
 
   #draw() {
-    const shown = this.#points.filter((point) => !this.hides(point)).map((point) => this.spot(point));
+    const shown = this.#points
+      .filter((point) => !this.hides(point))
+      .map((point) => this.spot(point));
     const lines = this.#measures.flatMap((points) => this.#lines(points));
-    this.#root.replaceChildren(...lines, ...this.#cross(), ...shown.filter(({ inside }) => inside).map(ring));
+    this.#root.replaceChildren(
+      ...lines,
+      ...this.#cross(),
+      ...shown.filter(({ inside }) => inside).map(ring),
+    );
     this.onDraw();
   }
 
-  /** The cross hair of the slices, also behind the surface: most of what they cross is inside. @returns {SVGElement[]} */
+  /**
+   * The cross hair of the slices, also behind the surface: most of what they cross is inside.
+   * @returns {SVGElement[]}
+   */
   #cross() {
     const { slices } = this.#view.values;
     if (!slices) return [];
     const { x, y, inside } = this.spot(worldOf(this.#scene.volume, slices.voxel));
     const d = `M${x - CROSS} ${y}H${x - GAP}M${x + GAP} ${y}H${x + CROSS}M${x} ${y - CROSS}V${y - GAP}M${x} ${y + GAP}V${y + CROSS}`;
-    return inside ? ["under", "line"].map((kind) => svgElement("path", { class: `${kind} cross`, d })) : [];
+    return inside
+      ? ["under", "line"].map((kind) => svgElement("path", { class: `${kind} cross`, d }))
+      : [];
   }
 
-  /** The lines of a measure and its words; dashed where an end is hidden, none where one is behind the eye. @param {Measure} points */
+  /**
+   * The lines of a measure and its words; dashed where an end is hidden, none where one is behind
+   * the eye.
+   * @param {Measure} points
+   */
   #lines(points) {
     const all = [points, arcOf(points)];
     if (all.flat().some((point) => this.place(point).depth <= 0)) return [];
@@ -142,7 +174,8 @@ export class Marks {
 
 /**
  * Where a place of the picture is on a stage.
- * @param {{right: number, up: number, depth: number}} place in heights of the picture from its middle
+ * @param {{right: number, up: number, depth: number}} place in heights of the picture from its
+ *   middle
  * @param {number} width of the stage, pixels
  * @param {number} height of the stage, pixels
  * @returns {Spot}
@@ -157,13 +190,25 @@ function ring({ x, y }) {
   return svgElement("circle", { class: "mark", cx: x.toFixed(2), cy: y.toFixed(2), r: RADIUS });
 }
 
-/** A line over the picture, with a darker one under it. @param {Spot[]} spots @param {string} kind @returns {SVGElement[]} */
+/**
+ * A line over the picture, with a darker one under it.
+ * @param {Spot[]} spots
+ * @param {string} kind
+ * @returns {SVGElement[]}
+ */
 function pathOf(spots, kind) {
   const points = spots.map(({ x, y }) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
-  return points ? ["under", "line"].map((each) => svgElement("polyline", { class: `${each} ${kind}`, points })) : [];
+  return points
+    ? ["under", "line"].map((each) => svgElement("polyline", { class: `${each} ${kind}`, points }))
+    : [];
 }
 
-/** Words above the middle of a line, or beyond the arc of an angle. @param {Spot[]} line @param {Spot[]} arc @param {string} words */
+/**
+ * Words above the middle of a line, or beyond the arc of an angle.
+ * @param {Spot[]} line
+ * @param {Spot[]} arc
+ * @param {string} words
+ */
 function labelOf([a, b], arc, words) {
   const middle = arc[arc.length >> 1];
   const away = middle ? Math.hypot(middle.x - b.x, middle.y - b.y) : 0;

@@ -23,7 +23,10 @@ export const MOST = 20;
  */
 export function limitMeasures(wanted) {
   if (!Array.isArray(wanted)) return [];
-  return wanted.filter(isMeasure).slice(0, MOST).map((points) => points.map(rounded));
+  return wanted
+    .filter(isMeasure)
+    .slice(0, MOST)
+    .map((points) => points.map(rounded));
 }
 
 /**
@@ -41,7 +44,9 @@ export function writeMeasure(points) {
  * @returns {Measure|null}
  */
 export function readMeasure(text) {
-  const points = text.split(";").map((point) => point.split(",").map((x) => (x.trim() ? Number(x) : NaN)));
+  const points = text
+    .split(";")
+    .map((point) => point.split(",").map((x) => (x.trim() ? Number(x) : NaN)));
   return isMeasure(points) ? points : null;
 }
 
@@ -65,7 +70,11 @@ export function distanceOf(a, b) {
 export function angleOf(a, b, c) {
   const [u, v] = [from(b, a), from(b, c)];
   if (!Math.hypot(...u) || !Math.hypot(...v)) return NaN;
-  const cross = Math.hypot(u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+  const cross = Math.hypot(
+    u[1] * v[2] - u[2] * v[1],
+    u[2] * v[0] - u[0] * v[2],
+    u[0] * v[1] - u[1] * v[0],
+  );
   return (Math.atan2(cross, u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * 180) / Math.PI;
 }
 
@@ -88,7 +97,10 @@ export function lengthInWords({ unit, spacing }, length) {
  * @returns {string[]}
  */
 export function coordinatesInWords({ spacing }, place, sides) {
-  const decimals = Math.min(20, Math.max(0, Math.ceil(-Math.log10(Math.min(...spacing))) + COORDINATE_DIGITS));
+  const decimals = Math.min(
+    20,
+    Math.max(0, Math.ceil(-Math.log10(Math.min(...spacing))) + COORDINATE_DIGITS),
+  );
   const shown = (/** @type {number} */ x) => String(Number(x.toFixed(decimals))).replace("-", "−");
   return place.map((x, i) => (sides ? `${sides[i]} ${shown(Math.abs(x))}` : shown(x)));
 }
@@ -105,7 +117,8 @@ export function placeInWords(volume, place, sides) {
 }
 
 /**
- * The sides of a patient on which a place of the world lies, such as "LAS"; "" where the volume is of none.
+ * The sides of a patient on which a place of the world lies, such as "LAS"; "" where the volume is
+ * of none.
  * @param {Pick<Volume, "letters">} volume
  * @param {Vec3} place
  * @returns {string}
@@ -157,7 +170,8 @@ export function arcOf([a, b, c]) {
 
 /** @param {unknown} points @returns {points is Measure} */
 function isMeasure(points) {
-  const row = (/** @type {unknown} */ point) => Array.isArray(point) && point.length === 3 && point.every(isNear);
+  const row = (/** @type {unknown} */ point) =>
+    Array.isArray(point) && point.length === 3 && point.every(isNear);
   return Array.isArray(points) && [2, 3].includes(points.length) && points.every(row);
 }
 

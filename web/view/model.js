@@ -13,7 +13,8 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {Partial<Record<NumberKnob, number>> & Choices} Knobs all that a person may choose of a view; what a scene has not is left out
+ * @typedef {Partial<Record<NumberKnob, number>> & Choices} Knobs all that a person may choose of a
+ *   view; what a scene has not is left out
  *
  * @typedef {object} Choices
  * @property {number} isovalue in the volume's own units
@@ -28,28 +29,45 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {number} [albedo] only where the scene lets views choose it
  * @property {string} [tint] `#rrggbb`, beside the albedo
  * @property {string} [shine] what the surface shines as, only where the scene has a shine
- * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
+ * @property {Vec3|null} target what the camera turns about, world units; null for the volume's
+ *   centre
  * @property {string} projection one of PROJECTIONS
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
  * @property {string} rulers one of RULERS: whether a scale bar and the axes are shown
- * @property {import("./measures.js").Measure[]} measures what was measured between points of the world
- * @property {import("./crosshair.js").CrossHair|null} slices where the slices beside the picture cross; null for no slices
+ * @property {import("./measures.js").Measure[]} measures what was measured between points of the
+ *   world
+ * @property {import("./crosshair.js").CrossHair|null} slices where the slices beside the picture
+ *   cross; null for no slices
  * @property {string} environment the id of one of the scene's environments; "" for its own light
  * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
  * @property {boolean} opened whether light comes in there
- * @property {string} surfaces what those beside let pass, as `surfaces.js` reads it; "" for the scene's own
- * @property {string} hide which labels are hidden, as `surfaces.js` reads it; "" for the scene's own
- * @property {string} material what the surface is made of, as `surfaces.js` reads it; "" for the scene's own
+ * @property {string} surfaces what those beside let pass, as `surfaces.js` reads it; "" for the
+ *   scene's own
+ * @property {string} hide which labels are hidden, as `surfaces.js` reads it; "" for the scene's
+ *   own
+ * @property {string} material what the surface is made of, as `surfaces.js` reads it; "" for the
+ *   scene's own
  */
 
 /** What each knob that is a number is shown in, in the order in which the address bar has them. */
 export const UNITS = {
-  isovalue: "isovalue", azimuth: "degrees", elevation: "degrees", distance: "radii", fov: "degrees",
-  yaw: "degrees", pitch: "degrees", roll: "degrees",
-  albedo: "share", roughness: "share", strength: "share", glow: "share", time: "step", exposure: "stops",
+  isovalue: "isovalue",
+  azimuth: "degrees",
+  elevation: "degrees",
+  distance: "radii",
+  fov: "degrees",
+  yaw: "degrees",
+  pitch: "degrees",
+  roll: "degrees",
+  albedo: "share",
+  roughness: "share",
+  strength: "share",
+  glow: "share",
+  time: "step",
+  exposure: "stops",
 };
 
 /** @typedef {keyof typeof UNITS} NumberKnob */
@@ -67,8 +85,13 @@ const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
 const LOGARITHMIC = new Set(["distance", "exposure"]);
 /** @type {Partial<Record<NumberKnob, [number, number]>>} */
 const FALLBACK = {
-  azimuth: [-180, 180], elevation: [-90, 90], distance: [0.2, 20], fov: [5, 100],
-  yaw: [-180, 180], pitch: [-90, 90], roll: [-180, 180],
+  azimuth: [-180, 180],
+  elevation: [-90, 90],
+  distance: [0.2, 20],
+  fov: [5, 100],
+  yaw: [-180, 180],
+  pitch: [-90, 90],
+  roll: [-180, 180],
 };
 
 /**
@@ -94,7 +117,8 @@ export class ViewModel {
 
   /**
    * @param {Scene} scene
-   * @param {Partial<Knobs>} start knobs to start from; what is missing or has no meaning takes the scene's default
+   * @param {Partial<Knobs>} start knobs to start from; what is missing or has no meaning takes the
+   *   scene's default
    */
   constructor(scene, start = {}) {
     this.#scene = scene;
@@ -105,11 +129,33 @@ export class ViewModel {
   get defaults() {
     const { start } = this.#scene;
     const defaults = { ...this.#scene.defaults, ...start };
-    const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
+    const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [
+      name,
+      defaults[name],
+    ]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
     const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], slices: null, planes: "", opened: this.#scene.cuts, surfaces: "", hide: "", material: "" };
+    return {
+      ...Object.fromEntries(numbers),
+      ...startAlbedo(this.#scene),
+      ...shine,
+      target: start.target,
+      projection,
+      shading,
+      overlay: "none",
+      compare: "",
+      background: "page",
+      environment: "",
+      rulers: "on",
+      measures: [],
+      slices: null,
+      planes: "",
+      opened: this.#scene.cuts,
+      surfaces: "",
+      hide: "",
+      material: "",
+    };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -120,12 +166,14 @@ export class ViewModel {
   /**
    * Change some knobs; listeners are called only when something did change.
    * @param {Partial<Knobs>} patch
-   * @param {boolean} [follows] whether another change brings this one about: it makes no view of its own
+   * @param {boolean} [follows] whether another change brings this one about: it makes no view of
+   *   its own
    */
   set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
     const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
-    if (names.every((name) => JSON.stringify(next[name]) === JSON.stringify(this.#values[name]))) return;
+    if (names.every((name) => JSON.stringify(next[name]) === JSON.stringify(this.#values[name])))
+      return;
     this.#values = next;
     this.#listeners.forEach((listener) => listener(this.values, follows));
   }
@@ -166,24 +214,39 @@ export class ViewModel {
    */
   #limited(wanted, fallback) {
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
-    limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
-    limited.planes = wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
+    limited.target = limitTarget(
+      this.#scene,
+      wanted.target === undefined ? fallback.target : wanted.target,
+    );
+    limited.planes =
+      wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
     limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
-    const beside = wanted.surfaces === "" || areSurfaces(wanted.surfaces, this.#scene.surfaces?.length ?? 0);
+    const beside =
+      wanted.surfaces === "" || areSurfaces(wanted.surfaces, this.#scene.surfaces?.length ?? 0);
     limited.surfaces = beside ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
     const hidden = wanted.hide === "" || areHidden(wanted.hide, this.#scene.colours?.labels ?? []);
     limited.hide = hidden ? /** @type {string} */ (wanted.hide) : fallback.hide;
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
     limited.material = made ? /** @type {string} */ (wanted.material) : fallback.material;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
-    limited.slices = limitCrossHair(this.#scene.volume, wanted.slices === undefined ? fallback.slices : wanted.slices);
-    if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
-    if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
+    limited.slices = limitCrossHair(
+      this.#scene.volume,
+      wanted.slices === undefined ? fallback.slices : wanted.slices,
+    );
+    if (fallback.shine)
+      limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
+    if (fallback.tint)
+      limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
-      const value = /** @type {number} */ (Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]);
-      const usual = /** @type {number} */ (this.defaults[name]); // not rounded: the server's picture without this knob
+      const value = /** @type {number} */ (
+        Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]
+      );
+      // not rounded: the server's picture without this knob
+      const usual = /** @type {number} */ (this.defaults[name]);
       const isDefault = inShort(this.#scene, name, value) === inShort(this.#scene, name, usual);
-      limited[name] = isDefault ? usual : limit(rounded(value, name), name, allowed(this.#scene, name));
+      limited[name] = isDefault
+        ? usual
+        : limit(rounded(value, name), name, allowed(this.#scene, name));
     }
     return limited;
   }
@@ -194,15 +257,27 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers"|"projection", offered: string[]) => string} */
-    const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
+    /**
+     * @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers"|"projection",
+     *   offered: string[]) => string}
+     */
+    const chosen = (name, offered) =>
+      offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
     const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
-    return { shading, background, environment, rulers: chosen("rulers", RULERS), projection: chosen("projection", PROJECTIONS), overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    return {
+      shading,
+      background,
+      environment,
+      rulers: chosen("rulers", RULERS),
+      projection: chosen("projection", PROJECTIONS),
+      overlay: chosen("overlay", OVERLAYS),
+      compare: compare === shading ? other : compare,
+    };
   }
 }
 
@@ -237,7 +312,9 @@ function handy(scene, name) {
  */
 export function inShort(scene, name, value) {
   const { min, max } = allowed(scene, name);
-  return name === "isovalue" && max > min ? Number(showNumber(value, niceStep(max - min))) : rounded(value, name);
+  return name === "isovalue" && max > min
+    ? Number(showNumber(value, niceStep(max - min)))
+    : rounded(value, name);
 }
 
 /**

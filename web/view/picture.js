@@ -3,12 +3,14 @@
 import { sizeOf } from "../dom.js";
 
 const LONGEST_SIDE = 1024;
-const HIGHEST_RATIO = 1.5; // of a picture whose light is still to come: finer costs much and shows little
+// of a picture whose light is still to come: finer costs much and shows little
+const HIGHEST_RATIO = 1.5;
 const SHORTEST_SIDE = 64;
 const MOST_PIXELS = 1 << 24; // that a server takes
 
 /**
- * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where it is `sharp`, else
+ * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where
+ * it is `sharp`, else
  * no more than 1024 a side.
  * @param {number} width of the box, CSS pixels
  * @param {number} height of the box, CSS pixels
@@ -21,11 +23,15 @@ export function pictureSize(width, height, ratio, scale, sharp = false) {
   const few = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1));
   const all = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(width * height, 1)) * 0.999);
   const fit = (sharp ? all : few) * scale;
-  const pixels = (/** @type {number} */ length) => Math.max(SHORTEST_SIDE, Math.round(length * fit));
+  const pixels = (/** @type {number} */ length) =>
+    Math.max(SHORTEST_SIDE, Math.round(length * fit));
   return { width: pixels(width), height: pixels(height) };
 }
 
-/** Shows one frame after the other in the stage's image, and drafts on a canvas over it, where they are sooner. */
+/**
+ * Shows one frame after the other in the stage's image, and drafts on a canvas over it, where they
+ * are sooner.
+ */
 export class Picture {
   #stage;
   #image;
@@ -93,7 +99,8 @@ export class Picture {
   }
 
   /**
-   * Show a draft over the image, until that has its next frame; dropped as `show` does. The first frame of all is the
+   * Show a draft over the image, until that has its next frame; dropped as `show` does. The first
+   * frame of all is the
    * image's own.
    * @param {Blob} blob encoded picture
    * @param {string} alt what it shows, in words
@@ -149,5 +156,8 @@ export class Picture {
 async function decode(address) {
   const image = new Image();
   image.src = address;
-  return image.decode().then(() => true, () => false);
+  return image.decode().then(
+    () => true,
+    () => false,
+  );
 }

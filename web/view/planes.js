@@ -1,14 +1,25 @@
-/** Planes that take away what lies there, as frame requests spell them: `x>40;z<10`, and what they leave along each axis. */
+/**
+ * Planes that take away what lies there, as frame requests spell them: `x>40;z<10`, and what they
+ * leave along each axis.
+ */
 
 import { niceStep } from "./format.js";
 import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {[number, number]} Kept what is left along an axis, from one world coordinate to another */
+/**
+ * @typedef {[number, number]} Kept what is left along an axis, from one world coordinate to another
+ */
 /** @typedef {[Vec3, Vec3]} Bounds the least and the greatest coordinates of the world */
-/** @typedef {{normal: Vec3, limit: number}} Plane takes away the points p with normal · p > limit; `normal` has length 1 */
-/** @typedef {{kept: Kept[], others: string[]}} Planes what is left along the world's axes, and the planes along none */
+/**
+ * @typedef {{normal: Vec3, limit: number}} Plane takes away the points p with normal · p > limit;
+ *   `normal` has length 1
+ */
+/**
+ * @typedef {{kept: Kept[], others: string[]}} Planes what is left along the world's axes, and the
+ *   planes along none
+ */
 
 /**
  * @typedef {object} Movable a plane that is moved along its normal
@@ -28,7 +39,8 @@ export const AXES = ["x", "y", "z"];
 const NUMBER = "[+-]?(?:\\d+\\.?\\d*|\\.\\d+)(?:[eE][+-]?\\d+)?";
 const TERM = new RegExp(`^([xyz]|${NUMBER},${NUMBER},${NUMBER})([<>])(${NUMBER})$`);
 const MOST = 12;
-const NORMAL_DIGITS = 6; // of a component: half a thousandth of a voxel across a volume of a thousand
+// of a component: half a thousandth of a voxel across a volume of a thousand
+const NORMAL_DIGITS = 6;
 const ALONG = 1e-6; // by how much a normal may be off an axis, as the server has it
 
 /** Most planes that are along no axis: the others are six sides of a box. */
@@ -55,7 +67,10 @@ export function planeOf(term) {
   const axis = AXES.indexOf(named);
   const given = axis < 0 ? named.split(",").map(Number) : AXES.map((_, i) => Number(i === axis));
   const length = Math.hypot(...given) * (sign === ">" ? 1 : -1) || 1;
-  return { normal: [given[0] / length, given[1] / length, given[2] / length], limit: Number(limit) / length };
+  return {
+    normal: [given[0] / length, given[1] / length, given[2] / length],
+    limit: Number(limit) / length,
+  };
 }
 
 /** The planes that a text spells. @param {string} text @returns {Plane[]} */
@@ -79,7 +94,8 @@ function axisOf({ normal }) {
 }
 
 /**
- * What planes leave along the world's axes within `bounds`, and the planes that are along none of them.
+ * What planes leave along the world's axes within `bounds`, and the planes that are along none of
+ * them.
  * @param {string} text
  * @param {Bounds} bounds
  * @returns {Planes}
@@ -94,7 +110,8 @@ export function readPlanes(text, [low, high]) {
     const range = kept[axisOf(plane)];
     const limit = plane.limit * Math.sign(plane.normal[axisOf(plane)]);
     if (!range) others.push(term);
-    else if (plane.normal[axisOf(plane)] < 0) range[0] = Math.min(Math.max(range[0], limit), range[1]);
+    else if (plane.normal[axisOf(plane)] < 0)
+      range[0] = Math.min(Math.max(range[0], limit), range[1]);
     else range[1] = Math.max(Math.min(range[1], limit), range[0]);
   }
   return { kept, others };
@@ -106,8 +123,12 @@ export function readPlanes(text, [low, high]) {
  * @returns {{along: string, oblique: string}}
  */
 export function partPlanes(text) {
-  const terms = termsOf(text), across = terms.map((term) => axisOf(planeOf(term)) >= 0);
-  return { along: terms.filter((_, k) => across[k]).join(";"), oblique: terms.filter((_, k) => !across[k]).join(";") };
+  const terms = termsOf(text);
+  const across = terms.map((term) => axisOf(planeOf(term)) >= 0);
+  return {
+    along: terms.filter((_, k) => across[k]).join(";"),
+    oblique: terms.filter((_, k) => !across[k]).join(";"),
+  };
 }
 
 /**
@@ -117,17 +138,26 @@ export function partPlanes(text) {
  * @returns {Plane}
  */
 export function facingPlane({ kept }, towards) {
-  return { normal: towards, limit: kept.reduce((sum, [from, to], i) => sum + (towards[i] * (from + to)) / 2, 0) };
+  return {
+    normal: towards,
+    limit: kept.reduce((sum, [from, to], i) => sum + (towards[i] * (from + to)) / 2, 0),
+  };
 }
 
-/** The direction along a world axis that is nearest to another. @param {Vec3} towards @returns {Vec3} of length 1 */
+/**
+ * The direction along a world axis that is nearest to another.
+ * @param {Vec3} towards
+ * @returns {Vec3} of length 1
+ */
 export function nearestAxis(towards) {
-  const sizes = towards.map(Math.abs), axis = sizes.indexOf(Math.max(...sizes));
+  const sizes = towards.map(Math.abs);
+  const axis = sizes.indexOf(Math.max(...sizes));
   return vector((i) => (i === axis ? Math.sign(towards[i]) : 0));
 }
 
 /**
- * The text of planes with one through a point: along an axis it is a side of the box, else an oblique plane, which
+ * The text of planes with one through a point: along an axis it is a side of the box, else an
+ * oblique plane, which
  * replaces one that faces the same way; where there are too many, the oldest goes.
  * @param {string} text
  * @param {Bounds} bounds
@@ -136,11 +166,19 @@ export function nearestAxis(towards) {
  * @returns {string}
  */
 export function cutAt(text, bounds, point, normal) {
-  const plane = { normal, limit: dot(normal, point) }, axis = axisOf(plane);
-  if (axis >= 0) return movablePlanes({ bounds }, text)[2 * axis + Number(normal[axis] > 0)].move(Number(point[axis].toPrecision(6)));
-  const term = termOf(plane), { kept, others } = readPlanes(text, bounds);
+  const plane = { normal, limit: dot(normal, point) };
+  const axis = axisOf(plane);
+  if (axis >= 0)
+    return movablePlanes({ bounds }, text)[2 * axis + Number(normal[axis] > 0)].move(
+      Number(point[axis].toPrecision(6)),
+    );
+  const term = termOf(plane);
+  const { kept, others } = readPlanes(text, bounds);
   const facing = (/** @type {string} */ each) => each.split(">")[0] === term.split(">")[0];
-  return writePlanes({ kept, others: [...others.filter((each) => !facing(each)), term].slice(-MOST_OBLIQUE) }, bounds);
+  return writePlanes(
+    { kept, others: [...others.filter((each) => !facing(each)), term].slice(-MOST_OBLIQUE) },
+    bounds,
+  );
 }
 
 /**
@@ -151,7 +189,10 @@ export function cutAt(text, bounds, point, normal) {
  */
 export function limitsWithin(normal, box) {
   const ends = box.map(([from, to], i) => [normal[i] * from, normal[i] * to].sort((a, b) => a - b));
-  return [ends.reduce((sum, [least]) => sum + least, 0), ends.reduce((sum, [, most]) => sum + most, 0)];
+  return [
+    ends.reduce((sum, [least]) => sum + least, 0),
+    ends.reduce((sum, [, most]) => sum + most, 0),
+  ];
 }
 
 /**
@@ -175,29 +216,48 @@ export function writePlanes({ kept, others }, [low, high]) {
  * @returns {Movable[]}
  */
 export function movablePlanes({ bounds }, text) {
-  const planes = readPlanes(text, bounds), { kept, others } = planes;
+  const planes = readPlanes(text, bounds);
+  const { kept, others } = planes;
   const middle = vector((i) => (kept[i][0] + kept[i][1]) / 2);
-  const sides = AXES.flatMap((name, axis) => ["from", "to"].map((end, side) => ({
-    name: `${name} ${end}`,
-    normal: vector((i) => Number(i === axis)),
-    at: vector((i) => (i === axis ? kept[axis][side] : middle[i])),
-    outline: [],
-    value: kept[axis][side],
-    range: /** @type {Kept} */ ([bounds[0][axis], bounds[1][axis]]),
-    open: bounds[side][axis],
-    move: (/** @type {number} */ value) => {
-      const range = [...kept[axis]];
-      range[side] = side ? Math.max(value, range[0]) : Math.min(value, range[1]);
-      return writePlanes({ kept: /** @type {Kept[]} */ (kept.with(axis, /** @type {Kept} */ (range))), others }, bounds);
-    },
-  })));
+  const sides = AXES.flatMap((name, axis) =>
+    ["from", "to"].map((end, side) => ({
+      name: `${name} ${end}`,
+      normal: vector((i) => Number(i === axis)),
+      at: vector((i) => (i === axis ? kept[axis][side] : middle[i])),
+      outline: [],
+      value: kept[axis][side],
+      range: /** @type {Kept} */ ([bounds[0][axis], bounds[1][axis]]),
+      open: bounds[side][axis],
+      move: (/** @type {number} */ value) => {
+        const range = [...kept[axis]];
+        range[side] = side ? Math.max(value, range[0]) : Math.min(value, range[1]);
+        return writePlanes(
+          { kept: /** @type {Kept[]} */ (kept.with(axis, /** @type {Kept} */ (range))), others },
+          bounds,
+        );
+      },
+    })),
+  );
   const oblique = others.map((term, k) => {
     const { normal, limit } = planeOf(term);
-    const outline = outlineOf(normal, limit, kept), range = limitsWithin(normal, whole(bounds));
+    const outline = outlineOf(normal, limit, kept);
+    const range = limitsWithin(normal, whole(bounds));
     const foot = vector((i) => middle[i] + normal[i] * (limit - dot(normal, middle)));
-    const at = outline.length ? vector((i) => outline.reduce((sum, point) => sum + point[i], 0) / outline.length) : foot;
-    const move = (/** @type {number} */ value) => writePlanes({ kept, others: others.with(k, termOf({ normal, limit: value })) }, bounds);
-    return { name: `plane ${k + 1}`, normal, at, outline, value: limit, range, open: range[1], move };
+    const at = outline.length
+      ? vector((i) => outline.reduce((sum, point) => sum + point[i], 0) / outline.length)
+      : foot;
+    const move = (/** @type {number} */ value) =>
+      writePlanes({ kept, others: others.with(k, termOf({ normal, limit: value })) }, bounds);
+    return {
+      name: `plane ${k + 1}`,
+      normal,
+      at,
+      outline,
+      value: limit,
+      range,
+      open: range[1],
+      move,
+    };
   });
   return [...sides, ...oblique];
 }
@@ -210,7 +270,9 @@ export function movablePlanes({ bounds }, text) {
  */
 export function moved({ range: [low, high], move }, value) {
   const step = niceStep(high - low);
-  return move(Number(Math.min(Math.max(Math.round(value / step) * step, low), high).toPrecision(8)));
+  return move(
+    Number(Math.min(Math.max(Math.round(value / step) * step, low), high).toPrecision(8)),
+  );
 }
 
 /**
@@ -227,16 +289,24 @@ export function outlineOf(normal, limit, box) {
   });
   const middle = vector((i) => points.reduce((sum, point) => sum + point[i], 0) / points.length);
   const least = normal.map(Math.abs).indexOf(Math.min(...normal.map(Math.abs)));
-  const u = cross(normal, vector((i) => Number(i === least))), v = cross(normal, u);
-  const angle = (/** @type {Vec3} */ p) => Math.atan2(dot(v, p) - dot(v, middle), dot(u, p) - dot(u, middle));
+  const u = cross(
+    normal,
+    vector((i) => Number(i === least)),
+  );
+  const v = cross(normal, u);
+  const angle = (/** @type {Vec3} */ p) =>
+    Math.atan2(dot(v, p) - dot(v, middle), dot(u, p) - dot(u, middle));
   return points.sort((a, b) => angle(a) - angle(b));
 }
 
 /** The twelve edges of a box. @param {Kept[]} box @returns {[Vec3, Vec3][]} */
 export function edgesOf(box) {
   const corner = (/** @type {number} */ bits) => vector((i) => box[i][(bits >> i) & 1]);
-  return [0, 1, 2].flatMap((axis) => [0, 1, 2, 3, 4, 5, 6, 7].filter((bits) => !((bits >> axis) & 1)).map(
-    (bits) => /** @type {[Vec3, Vec3]} */ ([corner(bits), corner(bits | (1 << axis))])));
+  return [0, 1, 2].flatMap((axis) =>
+    [0, 1, 2, 3, 4, 5, 6, 7]
+      .filter((bits) => !((bits >> axis) & 1))
+      .map((bits) => /** @type {[Vec3, Vec3]} */ ([corner(bits), corner(bits | (1 << axis))])),
+  );
 }
 
 /** The volume's box, along each axis. @param {[Vec3, Vec3]} bounds @returns {Kept[]} */
@@ -246,7 +316,10 @@ function whole([low, high]) {
 
 /** @param {string} text */
 function termsOf(text) {
-  return text.split(";").map((term) => term.replaceAll(" ", "")).filter(Boolean);
+  return text
+    .split(";")
+    .map((term) => term.replaceAll(" ", ""))
+    .filter(Boolean);
 }
 
 /** @param {Vec3} a @param {Vec3} b */

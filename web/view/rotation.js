@@ -1,11 +1,17 @@
-/** Rotations in the server's conventions: right-handed, z up; yaw about z, then pitch about y, then roll about x. */
+/**
+ * Rotations in the server's conventions: right-handed, z up; yaw about z, then pitch about y, then
+ * roll about x.
+ */
 
 const DEGREE = Math.PI / 180;
 
 /** @typedef {[number, number, number]} Vec3 */
 /** @typedef {[number, number, number, number]} Quaternion w, x, y, z */
 /** @typedef {{yaw: number, pitch: number, roll: number}} Angles degrees */
-/** @typedef {Angles & {azimuth: number, elevation: number}} LightAndCamera knobs of the view, degrees */
+/**
+ * @typedef {Angles & {azimuth: number, elevation: number}} LightAndCamera knobs of the view,
+ *   degrees
+ */
 
 /**
  * Axes of a camera that orbits the target: `right` and `up` on the picture, `out` towards the eye.
@@ -51,7 +57,10 @@ export function compose([aw, ax, ay, az], [bw, bx, by, bz]) {
  * @returns {Quaternion}
  */
 export function fromAngles({ yaw, pitch, roll }) {
-  return compose(compose(aboutAxis([0, 0, 1], yaw), aboutAxis([0, 1, 0], pitch)), aboutAxis([1, 0, 0], roll));
+  return compose(
+    compose(aboutAxis([0, 0, 1], yaw), aboutAxis([0, 1, 0], pitch)),
+    aboutAxis([1, 0, 0], roll),
+  );
 }
 
 /**
@@ -63,7 +72,11 @@ export function toAngles([w, x, y, z]) {
   const sine = Math.min(1, Math.max(-1, 2 * (w * y - x * z)));
   const pitch = Math.asin(sine) / DEGREE;
   if (Math.abs(sine) > 1 - 1e-9) {
-    return { yaw: Math.atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)) / DEGREE, pitch, roll: 0 };
+    return {
+      yaw: Math.atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)) / DEGREE,
+      pitch,
+      roll: 0,
+    };
   }
   return {
     yaw: Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) / DEGREE,
@@ -97,7 +110,8 @@ export function rollLight(values, right, down) {
 }
 
 /**
- * Turn the light as if its front were dragged across the picture; sideways it goes round the vertical, and stays level.
+ * Turn the light as if its front were dragged across the picture; sideways it goes round the
+ * vertical, and stays level.
  * @param {LightAndCamera} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees

@@ -1,4 +1,7 @@
-/** A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that follows the view; letters; a legend. */
+/**
+ * A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that
+ * follows the view; letters; a legend.
+ */
 
 import { find, sizeOf, svgElement } from "../dom.js";
 import { boxOf, sidesOf } from "./camera.js";
@@ -10,22 +13,39 @@ import { readHidden } from "./surfaces.js";
 /** @typedef {import("./model.js").Knobs} Knobs */
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {{readonly values: Knobs, subscribe: (listener: () => void) => void}} Seen the picture on the stage: its knobs, and what is called when it is another */
+/**
+ * @typedef {{readonly values: Knobs, subscribe: (listener: () => void) => void}} Seen the picture
+ *   on the stage: its knobs, and what is called when it is another
+ */
 /** @typedef {[number, number]} Place right and up of the lower left corner, pixels */
 /** @typedef {{kind: string, points: Place[]}} Line */
-/** @typedef {{at: Place, text: string, size: number, middle: boolean, end?: boolean}} Words `middle`: centred there, both ways; `end`: that is where they end */
-/** @typedef {{from: Place, to: Place, colours: string[]}} Area a rectangle, its colours from left to right */
+/**
+ * @typedef {{at: Place, text: string, size: number, middle: boolean, end?: boolean}} Words
+ *   `middle`: centred there, both ways; `end`: that is where they end
+ */
+/**
+ * @typedef {{from: Place, to: Place, colours: string[]}} Area a rectangle, its colours from left to
+ *   right
+ */
 /** @typedef {{lines: Line[], words: Words[], areas?: Area[]}} Shapes */
-/** @typedef {{name: string, colours: string[], ticks: string[]}} Bar colours of values, and numbers from one end to the other */
-/** @typedef {{bar: Bar|null, labels: {name: string, colour: string}[]}} Legend a bar of colours, or labels */
+/**
+ * @typedef {{name: string, colours: string[], ticks: string[]}} Bar colours of values, and numbers
+ *   from one end to the other
+ */
+/**
+ * @typedef {{bar: Bar|null, labels: {name: string, colour: string}[]}} Legend a bar of colours, or
+ *   labels
+ */
 
 const DEGREE = Math.PI / 180;
-const [AXIS, LETTER] = [24, 33]; // pixels from where the axes meet to their ends, and to their letters
+// pixels from where the axes meet to their ends, and to their letters
+const [AXIS, LETTER] = [24, 33];
 /** @type {Place} */
 const CROSS = [40, 40];
 const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
 const DEPTH = "at the target’s depth"; // where a scale bar is right in perspective
-const LONGEST = { share: 0.25, pixels: 150 }; // of a scale bar: of the picture's width, and in any picture
+// of a scale bar: of the picture's width, and in any picture
+const LONGEST = { share: 0.25, pixels: 150 };
 
 const [INSET, BAR_WIDE, BAR_HIGH, ROW] = [16, 180, 10, 18]; // of a legend, pixels
 
@@ -33,13 +53,15 @@ const [INSET, BAR_WIDE, BAR_HIGH, ROW] = [16, 180, 10, 18]; // of a legend, pixe
 export const RULERS = ["on", "off"];
 
 /**
- * The greatest length that reads well, 1, 2 or 5 times a power of ten, and is no longer than another.
+ * The greatest length that reads well, 1, 2 or 5 times a power of ten, and is no longer than
+ * another.
  * @param {number} most
  * @returns {number}
  */
 export function roundLength(most) {
   const power = 10 ** Math.floor(Math.log10(most));
-  const length = [5, 2, 1].map((factor) => factor * power).find((each) => each <= most * (1 + 1e-9)) ?? power;
+  const length =
+    [5, 2, 1].map((factor) => factor * power).find((each) => each <= most * (1 + 1e-9)) ?? power;
   return Number(length.toPrecision(1));
 }
 
@@ -60,13 +82,16 @@ export function scaleBar(scene, { distance, fov }, { width, height }) {
  * The world's axes as the camera sees them, those that point away first.
  * @param {Pick<Scene, "volume">} scene
  * @param {Pick<Knobs, "azimuth"|"elevation">} values knobs of the view
- * @returns {{letter: string, right: number, up: number, out: number}[]} unit vectors; the letters of a patient's sides
+ * @returns {{letter: string, right: number, up: number, out: number}[]} unit vectors; the letters
+ *   of a patient's sides
  *   where the volume has them
  */
 export function tripod({ volume }, { azimuth, elevation }) {
   const { right, up, out } = cameraAxes(azimuth, elevation);
   const letters = [...(volume.letters || "xyz")];
-  return letters.map((letter, i) => ({ letter, right: right[i], up: up[i], out: out[i] })).sort((a, b) => a.out - b.out);
+  return letters
+    .map((letter, i) => ({ letter, right: right[i], up: up[i], out: out[i] }))
+    .sort((a, b) => a.out - b.out);
 }
 
 /**
@@ -81,35 +106,66 @@ export function rulerShapes(scene, values, size) {
   const [left, right] = [BAR_LEFT, BAR_LEFT + pixels];
   const axes = tripod(scene, values);
   /** @type {Words[]} */
-  const where = values.projection === "orthographic" ? [] : [{ at: [left, BAR_UP - 13], text: DEPTH, size: 11, middle: false }];
+  const where =
+    values.projection === "orthographic"
+      ? []
+      : [{ at: [left, BAR_UP - 13], text: DEPTH, size: 11, middle: false }];
   /** @type {(axis: {right: number, up: number}, way: number) => Place} */
   const end = (axis, way) => [CROSS[0] + way * axis.right, CROSS[1] + way * axis.up];
   return {
     lines: [
-      ...axes.map((axis) => ({ kind: axis.out < -0.01 ? "away" : "", points: [CROSS, end(axis, AXIS)] })),
-      { kind: "", points: [[left, BAR_UP + TICK], [left, BAR_UP], [right, BAR_UP], [right, BAR_UP + TICK]] },
+      ...axes.map((axis) => ({
+        kind: axis.out < -0.01 ? "away" : "",
+        points: [CROSS, end(axis, AXIS)],
+      })),
+      {
+        kind: "",
+        points: [
+          [left, BAR_UP + TICK],
+          [left, BAR_UP],
+          [right, BAR_UP],
+          [right, BAR_UP + TICK],
+        ],
+      },
     ],
     words: [
       ...axes.map((axis) => ({ at: end(axis, LETTER), text: axis.letter, size: 13, middle: true })),
-      { at: [left, BAR_UP + 9], text: lengthInWords(scene.volume, length), size: 13, middle: false },
+      {
+        at: [left, BAR_UP + 9],
+        text: lengthInWords(scene.volume, length),
+        size: 13,
+        middle: false,
+      },
       ...where,
     ],
   };
 }
 
 /**
- * The legend of a view's colours: those of errors where they are shown, else those by data; null where there are none.
+ * The legend of a view's colours: those of errors where they are shown, else those by data; null
+ * where there are none.
  * @param {Pick<Scene, "colours"|"error_scale">} scene
  * @param {Pick<Knobs, "overlay"|"hide">} values knobs of the view
  * @returns {Legend|null}
  */
 export function legendOf({ colours, error_scale: errors }, { overlay, hide }) {
-  if (overlay === "error") return { bar: { name: "Estimated error", colours: errors.colours, ticks: decades(errors) }, labels: [] };
+  if (overlay === "error")
+    return {
+      bar: { name: "Estimated error", colours: errors.colours, ticks: decades(errors) },
+      labels: [],
+    };
   if (!colours) return null;
   const hidden = readHidden(hide, colours.labels);
   const labels = colours.labels.filter(({ value }) => !hidden.includes(value));
   if (labels.length) return { bar: null, labels };
-  return { bar: { name: colours.name, colours: colours.colours, ticks: legendNumbers(colours.low, colours.high) }, labels: [] };
+  return {
+    bar: {
+      name: colours.name,
+      colours: colours.colours,
+      ticks: legendNumbers(colours.low, colours.high),
+    },
+    labels: [],
+  };
 }
 
 /**
@@ -121,25 +177,43 @@ export function legendOf({ colours, error_scale: errors }, { overlay, hide }) {
 export function legendShapes({ bar, labels }, { width, height }) {
   const right = width - INSET;
   if (bar) {
-    const left = right - BAR_WIDE, { name, colours, ticks } = bar;
+    const left = right - BAR_WIDE;
+    const { name, colours, ticks } = bar;
     const numbers = [0, (ticks.length - 1) / 2, ticks.length - 1].filter(Number.isInteger);
     return {
       lines: [],
       areas: [{ from: [left, INSET + 18], to: [right, INSET + 18 + BAR_HIGH], colours }],
       words: [
         { at: [right, INSET + 40], text: name, size: 13, middle: false, end: true },
-        ...numbers.map((n) => ({ at: /** @type {Place} */ ([left + (n * BAR_WIDE) / (ticks.length - 1), INSET + 3]), text: ticks[n], size: 12, middle: n > 0 && n < ticks.length - 1, end: n === ticks.length - 1 })),
+        ...numbers.map((n) => ({
+          at: /** @type {Place} */ ([left + (n * BAR_WIDE) / (ticks.length - 1), INSET + 3]),
+          text: ticks[n],
+          size: 12,
+          middle: n > 0 && n < ticks.length - 1,
+          end: n === ticks.length - 1,
+        })),
       ],
     };
   }
   const most = Math.max(1, Math.floor((height - 2 * INSET) / ROW));
-  const seen = labels.length > most ? labels.slice(0, most - 1) : labels, rest = labels.length - seen.length;
+  const seen = labels.length > most ? labels.slice(0, most - 1) : labels;
+  const rest = labels.length - seen.length;
   const rows = [...seen.map(({ name }) => name), ...(rest ? [`and ${rest} more`] : [])];
   const up = (/** @type {number} */ k) => INSET + ROW * (rows.length - 1 - k);
   return {
     lines: [],
-    areas: seen.map(({ colour }, k) => ({ from: [right - 12, up(k)], to: [right, up(k) + 12], colours: [colour] })),
-    words: rows.map((text, k) => ({ at: [right - 18, up(k) + 2], text, size: 13, middle: false, end: true })),
+    areas: seen.map(({ colour }, k) => ({
+      from: [right - 12, up(k)],
+      to: [right, up(k) + 12],
+      colours: [colour],
+    })),
+    words: rows.map((text, k) => ({
+      at: [right - 18, up(k) + 2],
+      text,
+      size: 13,
+      middle: false,
+      end: true,
+    })),
   };
 }
 
@@ -149,7 +223,9 @@ export function legendShapes({ bar, labels }, { width, height }) {
  * @returns {string[]}
  */
 export function decades({ low, high }) {
-  return Array.from({ length: Math.round(Math.log10(high / low)) + 1 }, (_, i) => errorInWords(low * 10 ** i));
+  return Array.from({ length: Math.round(Math.log10(high / low)) + 1 }, (_, i) =>
+    errorInWords(low * 10 ** i),
+  );
 }
 
 /**
@@ -164,7 +240,8 @@ export function legendNumbers(low, high) {
 }
 
 /**
- * Keep scale bar and axes up with the picture on the stage and with its size, and with whether they are wanted.
+ * Keep scale bar and axes up with the picture on the stage and with its size, and with whether they
+ * are wanted.
  * @param {SVGElement} root in the lower left corner
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -185,7 +262,8 @@ export function attachRulers(root, scene, view, shown) {
 }
 
 /**
- * Keep the letters of a patient's sides at the edges of the picture on the stage; none where the volume is of no patient.
+ * Keep the letters of a patient's sides at the edges of the picture on the stage; none where the
+ * volume is of no patient.
  * @param {HTMLElement} root holds an element for each side
  * @param {Scene} scene
  * @param {Seen} shown
@@ -193,7 +271,8 @@ export function attachRulers(root, scene, view, shown) {
 export function attachSides(root, scene, shown) {
   root.hidden = !scene.volume.letters;
   const draw = () => {
-    for (const [side, letter] of Object.entries(sidesOf(scene, shown.values))) find(root, `.${side}`).textContent = letter;
+    for (const [side, letter] of Object.entries(sidesOf(scene, shown.values)))
+      find(root, `.${side}`).textContent = letter;
   };
   shown.subscribe(draw);
   draw();
@@ -202,11 +281,20 @@ export function attachSides(root, scene, shown) {
 /** @param {Line} line */
 function lineOf({ kind, points }) {
   const row = points.map(([x, y]) => `${x.toFixed(2)},${(-y).toFixed(2)}`).join(" ");
-  return ["under", "line"].map((each) => svgElement("polyline", { class: `${each} ${kind}`, points: row }));
+  return ["under", "line"].map((each) =>
+    svgElement("polyline", { class: `${each} ${kind}`, points: row }),
+  );
 }
 
 /** @param {Words} words */
 function wordsOf({ at: [x, y], text, size, middle }) {
-  const anchor = { "text-anchor": middle ? "middle" : "start", "dominant-baseline": middle ? "central" : "auto" };
-  return svgElement("text", { x: x.toFixed(2), y: (-y).toFixed(2), "font-size": size, ...anchor }, text);
+  const anchor = {
+    "text-anchor": middle ? "middle" : "start",
+    "dominant-baseline": middle ? "central" : "auto",
+  };
+  return svgElement(
+    "text",
+    { x: x.toFixed(2), y: (-y).toFixed(2), "font-size": size, ...anchor },
+    text,
+  );
 }
