@@ -1,1 +1,3 @@
-"""Measurements in four suites: ``python -m benchmarks.speed``, ``accuracy``, ``service`` and ``scaling``."""
+"""Measurements in four suites: ``python -m benchmarks.speed``, ``accuracy``, ``service`` and
+``scaling``.
+"""

@@ -1,6 +1,8 @@
-"""``python -m benchmarks.house``: counts of concepts, names and lines in this repository, from its source.
+"""``python -m benchmarks.house``: counts of concepts, names and lines in this repository, from its
+source.
 
-Each count has a rule that needs no list kept by hand, so that the same command tells what a change has saved.
+Each count has a rule that needs no list kept by hand, so that the same command tells what a change
+has saved.
 """
 
 import ast
@@ -20,7 +22,9 @@ PRODUCT = ("isogi_core", "worker", "server", "isogi_report", "isogi_client.py", 
 """Folders and files of the product that Python runs."""
 
 KNOB_FOLDERS = ("isogi_core/model", "isogi_core/plan", "server", "web", "isogi_client.py")
-"""Where a knob may stand between a scene file and the picture: not what computes with its value, nor file formats."""
+"""Where a knob may stand between a scene file and the picture: not what computes with its value,
+nor file formats.
+"""
 
 RENDER_SIZE = 64
 """Pixels along each side of the picture whose render is traced."""
@@ -36,7 +40,9 @@ def files_of(*places: str, suffixes: tuple[str, ...] = (".py",)) -> list[Path]:
     """The files at these ``places``, a folder's with all that are in it."""
     roots = [ROOT / place for place in places]
     found = [path for root in roots for path in ([root] if root.is_file() else root.rglob("*"))]
-    return sorted(path for path in found if path.suffix in suffixes and "__pycache__" not in path.parts)
+    return sorted(
+        path for path in found if path.suffix in suffixes and "__pycache__" not in path.parts
+    )
 
 
 @cache
@@ -63,7 +69,9 @@ def methods_of(record: ast.ClassDef) -> dict[str, ast.FunctionDef]:
 
 
 def bounce_loops() -> int:
-    """Loops of kernels over the bounces of paths: their variable is ``bounce``, or their range ends at ``bounces``."""
+    """Loops of kernels over the bounces of paths: their variable is ``bounce``, or their range ends
+    at ``bounces``.
+    """
     loops = (node for path in files_of("isogi_core/kernels") for node in ast.walk(parsed(path)))
     return sum("bounce" in ast.unparse(each.target) for each in loops if isinstance(each, ast.For))
 
@@ -71,7 +79,10 @@ def bounce_loops() -> int:
 def point_records() -> int:
     """Classes whose fields hold both points and normals: records of points on surfaces."""
     records = [fields_of(each) for each in classes_in("isogi_core")]
-    return sum(any("normal" in each for each in names) and any(map(POINTS.match, names)) for names in records)
+    return sum(
+        any("normal" in each for each in names) and any(map(POINTS.match, names))
+        for names in records
+    )
 
 
 POINTS = re.compile("(points?|positions?|origins?|places?)$")
@@ -79,9 +90,14 @@ POINTS = re.compile("(points?|positions?|origins?|places?)$")
 
 
 def converging() -> int:
-    """Classes of frames with a ``step`` that answers whether the picture changed: machines that converge."""
+    """Classes of frames with a ``step`` that answers whether the picture changed: machines that
+    converge.
+    """
     steps = (methods_of(each).get("step") for each in classes_in("isogi_core/frame"))
-    return sum(step is not None and step.returns is not None and ast.unparse(step.returns) == "bool" for step in steps)
+    return sum(
+        step is not None and step.returns is not None and ast.unparse(step.returns) == "bool"
+        for step in steps
+    )
 
 
 def fields_in(name: str, place: str) -> int:
@@ -95,12 +111,20 @@ def shared_names() -> int:
 
 
 def common_constants() -> int:
-    """Constants at the top of modules whose name is one word, in two modules or more: it does not say of what."""
-    return sum(len(files) >= 2 for name, files in top_names(ast.Assign).items() if re.fullmatch("[A-Z]+", name))
+    """Constants at the top of modules whose name is one word, in two modules or more: it does not
+    say of what.
+    """
+    return sum(
+        len(files) >= 2
+        for name, files in top_names(ast.Assign).items()
+        if re.fullmatch("[A-Z]+", name)
+    )
 
 
 def top_names(kind: type[ast.stmt]) -> dict[str, set[Path]]:
-    """The modules of the product in which a name is given to a statement of this ``kind`` at the top."""
+    """The modules of the product in which a name is given to a statement of this ``kind`` at the
+    top.
+    """
     found: dict[str, set[Path]] = defaultdict(set)
     for path in files_of(*PRODUCT):
         for node in parsed(path).body:
@@ -113,9 +137,13 @@ def top_names(kind: type[ast.stmt]) -> dict[str, set[Path]]:
 def names_given(node: ast.stmt) -> list[str]:
     """The names that a definition or an assignment gives."""
     if isinstance(node, ast.Assign):
-        parts = (target.elts if isinstance(target, ast.Tuple) else [target] for target in node.targets)
+        parts = (
+            target.elts if isinstance(target, ast.Tuple) else [target] for target in node.targets
+        )
         return [each.id for each in chain.from_iterable(parts) if isinstance(each, ast.Name)]
-    return [node.name] if isinstance(node, ast.FunctionDef) else []
+    if isinstance(node, ast.FunctionDef):
+        return [node.name]
+    return []
 
 
 def knob_places(knob: str) -> int:
@@ -135,14 +163,18 @@ def lines_of(*places: str, suffixes: tuple[str, ...] = (".py",)) -> int:
 
 
 def render_trace() -> str:
-    """Files of the core that one render of a demo calls into, and how often a call leads back into one it had left."""
+    """Files of the core that one render of a demo calls into, and how often a call leads back into
+    one it had left.
+    """
     calls = traced(render_demo())
     stays = [name for before, name in pairwise(["", *calls]) if name != before]
     return f"{len(stays) - len(set(stays))} returns, {len(set(stays))} files"
 
 
 def render_demo() -> Callable[[], object]:
-    """What renders a new view of a demo, after another one has loaded kernels and prepared the scene."""
+    """What renders a new view of a demo, after another one has loaded kernels and prepared the
+    scene.
+    """
     from isogi_core.cache.scene_caches import Caches  # noqa: PLC0415  kernels load when counts of source are printed
     from isogi_core.frame.renderer import Renderer  # noqa: PLC0415
     from isogi_core.frame.tiles import Tiles  # noqa: PLC0415
@@ -153,7 +185,12 @@ def render_demo() -> Callable[[], object]:
     scene = load_scene("demo:orbital")
     renderer = Renderer(Caches(PreparedScene(scene), tempfile.mkdtemp(), 1 << 26), Tiles(1))
     views = [
-        View(scene.isovalue, scene.camera(azimuth, 20.0, 3.0, 30.0), width=RENDER_SIZE, height=RENDER_SIZE)
+        View(
+            scene.isovalue,
+            scene.camera(azimuth, 20.0, 3.0, 30.0),
+            width=RENDER_SIZE,
+            height=RENDER_SIZE,
+        )
         for azimuth in (30.0, 60.0)
     ]
     renderer.render(views[0])
@@ -161,7 +198,9 @@ def render_demo() -> Callable[[], object]:
 
 
 def traced(work: Callable[[], object]) -> list[str]:
-    """The files of the core whose functions are called in this thread while ``work`` runs, in order of the calls."""
+    """The files of the core whose functions are called in this thread while ``work`` runs, in order
+    of the calls.
+    """
     calls: list[str] = []
 
     def note(frame: FrameType, event: str, _: object) -> None:

@@ -1,11 +1,13 @@
-"""Draws docs/gallery/beside.webp: the volumes of the gallery by isogi, VTK (shadow map; SSAO) and Mitsuba.
+"""Draws docs/gallery/beside.webp: the volumes of the gallery by isogi, VTK (shadow map; SSAO) and
+Mitsuba.
 
     .venv/bin/python docs/draw_comparison.py [NAME …] [--samples 64] [--variant scalar_rgb]
 
-Needs VTK and Mitsuba (`pip install '.[bench]'`), the folder ISOGI_SHARED_DATA, and a graphics library that VTK can draw
-with off the screen. All four have one mesh or field, one camera, one albedo and one ground. isogi and Mitsuba have the
-default sky; VTK has a lamp where its sun is, and ambient light. VTK's and Mitsuba's pictures are drawn without further
-settings, Mitsuba's at so many samples a pixel.
+Needs VTK and Mitsuba (`pip install '.[bench]'`), the folder ISOGI_SHARED_DATA, and a graphics
+library that VTK can draw with off the screen. All four have one mesh or field, one camera, one
+albedo and one ground. isogi and Mitsuba have the default sky; VTK has a lamp where its sun is, and
+ambient light. VTK's and Mitsuba's pictures are drawn without further settings, Mitsuba's at so many
+samples a pixel.
 """
 
 import os
@@ -37,7 +39,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from draw_gallery import SECONDS, VOLUMES
 
-WIDTH, HEIGHT = 300, 225
+WIDTH = 300
+HEIGHT = 225
 HEADS = ("isogi", "VTK, shadow map", "VTK, SSAO", "Mitsuba, {samples} samples a pixel")
 MARGIN = 22
 """Pixels of the line of words above the pictures."""
@@ -50,7 +53,9 @@ def camera_of(scene: Scene, knobs: dict[str, str]) -> View:
     size = {"width": str(WIDTH), "height": str(HEIGHT)}
     params = read(FrameParams, {**size, **knobs}.items())
     with tempfile.TemporaryDirectory() as store:
-        fit = camera_schema(make_renderer(scene, store), view_of(scene, params, Settings()), None, None)
+        fit = camera_schema(
+            make_renderer(scene, store), view_of(scene, params, Settings()), None, None
+        )
     return view_of(scene, params.model_copy(update=fit.model_dump()), Settings())
 
 
@@ -80,10 +85,15 @@ def by_mitsuba(scene: Scene, view: View, samples: int, variant: str) -> np.ndarr
     """Mitsuba's picture of the mesh of flying edges in the scene's sky."""
     mesh = Edges(image(scene.volume), normals=False).mesh(view.isovalue)
     sky = scene.lighting.environment.constant + scene.lighting.environment.image
-    tracer = PathTracer(variant, mesh, view, scene.surfaces.albedo[0], scene.bounces + 2, sky, "multijitter")
+    tracer = PathTracer(
+        variant, mesh, view, scene.surfaces.albedo[0], scene.bounces + 2, sky, "multijitter"
+    )
     picture = tracer.picture(samples, os.cpu_count() or 1)
-    light, cover = picture[..., :3] * scene.default_exposure, picture[..., 3:]
-    shown = np.clip(light, 0.0, 1.0) + (1.0 - np.clip(cover, 0.0, 1.0)) * np.array(ground_of(GROUND))
+    light = picture[..., :3] * scene.default_exposure
+    cover = picture[..., 3:]
+    shown = np.clip(light, 0.0, 1.0) + (1.0 - np.clip(cover, 0.0, 1.0)) * np.array(
+        ground_of(GROUND)
+    )
     return tone_table()[(np.clip(shown, 0.0, 1.0) * (LEVELS - 1) + 0.5).astype(np.intp)]
 
 
@@ -101,12 +111,20 @@ def row(name: str, samples: int, variant: str) -> np.ndarray:
 @click.command()
 @click.argument("names", nargs=-1, type=click.Choice(list(VOLUMES)))
 @click.option("--samples", default=64, help="Mitsuba's paths of each pixel.")
-@click.option("--variant", default="scalar_rgb", help="Of Mitsuba; llvm_ad_rgb is faster, and needs LLVM's library.")
-@click.option("-o", "--output", default=Path(__file__).parent / "gallery" / "beside.webp", type=Path)
+@click.option(
+    "--variant",
+    default="scalar_rgb",
+    help="Of Mitsuba; llvm_ad_rgb is faster, and needs LLVM's library.",
+)
+@click.option(
+    "-o", "--output", default=Path(__file__).parent / "gallery" / "beside.webp", type=Path
+)
 def main(names: tuple[str, ...], samples: int, variant: str, output: Path) -> None:
     """Draw the contact sheet of these volumes, or of all."""
     use_threads(os.cpu_count() or 1)
-    sheet = Image.fromarray(np.concatenate([row(name, samples, variant) for name in names or VOLUMES]))
+    sheet = Image.fromarray(
+        np.concatenate([row(name, samples, variant) for name in names or VOLUMES])
+    )
     whole = Image.new("RGB", (sheet.width, sheet.height + MARGIN), "#ffffff")
     whole.paste(sheet, (0, MARGIN))
     for column, head in enumerate(HEADS):

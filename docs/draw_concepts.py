@@ -1,7 +1,8 @@
 """Draw how a picture comes about, in a flat world: ``python docs/draw_concepts.py``.
 
-Everything in the six panels is computed from one formula: the surface, the ray that hits it, the texels around the hit,
-their paths, the error of the row of pixels, and its light. Writes ``docs/concepts.svg``.
+Everything in the six panels is computed from one formula: the surface, the ray that hits it, the
+texels around the hit, their paths, the error of the row of pixels, and its light. Writes
+``docs/concepts.svg``.
 """
 
 import math
@@ -16,20 +17,33 @@ PICTURE = Path(__file__).with_name("concepts.svg")
 WORLD = (8.0, 6.0)
 """Width and height of the flat world in cells of its lattice: a texel at each whole number."""
 
-ISOVALUE, ALBEDO, BOUNCES = 0.5, 0.8, 3
-EYE, AIM, FIELD_OF_VIEW = np.array((0.25, 5.75)), np.array((4.6, 2.6)), math.radians(34)
-PIXELS, REPLICAS, TRUE_PATHS = 24, 16, 16384
+ISOVALUE = 0.5
+ALBEDO = 0.8
+BOUNCES = 3
+EYE = np.array((0.25, 5.75))
+AIM = np.array((4.6, 2.6))
+FIELD_OF_VIEW = math.radians(34)
+PIXELS = 24
+REPLICAS = 16
+TRUE_PATHS = 16384
 RUNGS = (16, 32, 64, 128, 256, 512, 1024)
-TARGET, CHUNK = 0.05, 3
+TARGET = 0.05
+CHUNK = 3
 """The error at which the picture is final, and texels along a side of a chunk: 16 in isogi."""
 
-PANEL, MARGIN, HEAD = (330, 248), 18, 74
+PANEL = (330, 248)
+MARGIN = 18
+HEAD = 74
 """Pixels: a panel's drawing, the space around it, and its heading with two lines of text."""
 
 STYLE = """text { font: 13px system-ui, sans-serif; fill: #4b5563 }
 .head { font-size: 15px; font-weight: 700; fill: #1f2937 } .small { font-size: 11px }
 path, line, polyline { fill: none }"""
-INK, SOLID, EYE_RAY, TEXEL, PATH = "#1f2937", "#d6d3d1", "#c2410c", "#1d4ed8", "#b45309"
+INK = "#1f2937"
+SOLID = "#d6d3d1"
+EYE_RAY = "#c2410c"
+TEXEL = "#1d4ed8"
+PATH = "#b45309"
 
 PANELS = """1  Eye ray
 A ray through each pixel finds the isosurface.
@@ -73,8 +87,11 @@ def sky(directions: np.ndarray) -> np.ndarray:
 
 
 def cast(starts: np.ndarray, directions: np.ndarray, isovalues: np.ndarray) -> np.ndarray:
-    """How far rays go (n,) until the field is above ``isovalues`` (n,); infinite where they leave the world."""
-    step, reach = 0.04, np.full(len(starts), np.inf)
+    """How far rays go (n,) until the field is above ``isovalues`` (n,); infinite where they leave
+    the world.
+    """
+    step = 0.04
+    reach = np.full(len(starts), np.inf)
     for far in np.arange(0.06, 10.0, step):
         going = np.isinf(reach)
         points = starts[going] + far * directions[going]
@@ -83,16 +100,21 @@ def cast(starts: np.ndarray, directions: np.ndarray, isovalues: np.ndarray) -> n
 
 
 def gather(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """What ``count`` paths from each of the ``points`` (n, 2) bring on their isosurfaces, (n, count)."""
+    """What ``count`` paths from each of the ``points`` (n, 2) bring on their isosurfaces, (n,
+    count).
+    """
     at = np.repeat(points, count, axis=0)
-    level, throughput, light = field(at), np.ones(len(at)), np.zeros(len(at))
+    level = field(at)
+    throughput = np.ones(len(at))
+    light = np.zeros(len(at))
     rows = np.arange(len(at))
     for _ in range(BOUNCES + 1):
         directions = scatter(normals(at), rng)
         reach = cast(at, directions, level[rows])
         out = np.isinf(reach)
         light[rows[out]] = throughput[rows[out]] * sky(directions[out])
-        at, rows = (at + np.where(out, 0.0, reach)[:, None] * directions)[~out], rows[~out]
+        at = (at + np.where(out, 0.0, reach)[:, None] * directions)[~out]
+        rows = rows[~out]
         throughput[rows] *= ALBEDO
     return light.reshape(len(points), count)
 
@@ -112,7 +134,9 @@ def eye_rays() -> np.ndarray:
 
 
 def hits() -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels show the surface, (PIXELS,), and where, (m, 2): moved onto it by Newton's steps."""
+    """Which pixels show the surface, (PIXELS,), and where, (m, 2): moved onto it by Newton's
+    steps.
+    """
     rays = eye_rays()
     reach = cast(np.repeat(EYE[None], PIXELS, axis=0), rays, np.full(PIXELS, ISOVALUE))
     seen = np.isfinite(reach)
@@ -145,7 +169,9 @@ def unshadowed(points: np.ndarray) -> np.ndarray:
 
 
 class Light:
-    """The light of the row of pixels: the ``truth`` (m,), what it shows after each rung, and what stands in before."""
+    """The light of the row of pixels: the ``truth`` (m,), what it shows after each rung, and what
+    stands in before.
+    """
 
     def __init__(self) -> None:
         rng = np.random.default_rng(20)
@@ -155,8 +181,12 @@ class Light:
         places, inverse = np.unique(texels.reshape(-1, 2), axis=0, return_inverse=True)
         self.texels = places
         paths = gather(places, REPLICAS * RUNGS[-1], rng).reshape(len(places), REPLICAS, -1)
-        shown = [paths[:, :, :count].mean(axis=2)[inverse].reshape(*weights.shape, REPLICAS) for count in RUNGS]
-        self.unshadowed, bare = unshadowed(self.points), unshadowed(places)[inverse].reshape(weights.shape)
+        shown = [
+            paths[:, :, :count].mean(axis=2)[inverse].reshape(*weights.shape, REPLICAS)
+            for count in RUNGS
+        ]
+        self.unshadowed = unshadowed(self.points)
+        bare = unshadowed(places)[inverse].reshape(weights.shape)
         ratios = self.unshadowed / (weights * bare).sum(axis=1)
         after = [ratios[:, None] * (weights[..., None] * each).sum(axis=1) for each in shown]
         self.after = [each[:, 0] for each in after]
@@ -170,13 +200,17 @@ class Light:
 
 def at(point: np.ndarray) -> str:
     """A point of the world in a panel, as SVG has it."""
-    x, y = point[0] / WORLD[0] * PANEL[0], (1.0 - point[1] / WORLD[1]) * PANEL[1]
+    x = point[0] / WORLD[0] * PANEL[0]
+    y = (1.0 - point[1] / WORLD[1]) * PANEL[1]
     return f"{x:.1f},{y:.1f}"
 
 
 def line(points: list[np.ndarray], colour: str, width: float = 1.5, more: str = "") -> str:
     """A line through points of the world."""
-    return f'<polyline points="{" ".join(map(at, points))}" stroke="{colour}" stroke-width="{width}" {more}/>'
+    return (
+        f'<polyline points="{" ".join(map(at, points))}" stroke="{colour}" '
+        f'stroke-width="{width}" {more}/>'
+    )
 
 
 def dot(point: np.ndarray, colour: str, radius: float = 4.0, more: str = "") -> str:
@@ -204,14 +238,18 @@ def lattice() -> Iterator[np.ndarray]:
 def is_needed(texel: np.ndarray) -> bool:
     """Whether a cell at the texel contains the isosurface."""
     cells = [texel + np.array((x, y)) for x in (-1, 0) for y in (-1, 0)]
-    solid = [[bool(field(cell + np.array((i, j))) > ISOVALUE) for i in (0, 1) for j in (0, 1)] for cell in cells]
+    solid = [
+        [bool(field(cell + np.array((i, j))) > ISOVALUE) for i in (0, 1) for j in (0, 1)]
+        for cell in cells
+    ]
     return any(any(each) and not all(each) for each in solid)
 
 
 def draw_eye_ray(light: Light) -> Iterator[str]:
     """A ray through each pixel, one of them with its hit and normal."""
     yield contour(ISOVALUE, SOLID, INK)
-    rays, chosen = eye_rays(), len(light.points) // 2
+    rays = eye_rays()
+    chosen = len(light.points) // 2
     ends = EYE + 9.0 * rays
     ends[light.seen] = light.points
     for end in ends[::2]:
@@ -244,21 +282,39 @@ def draw_texels(light: Light) -> Iterator[str]:
 def zoom_on(middle: np.ndarray, factor: float) -> str:
     """The transform that shows the world around ``middle``, so many times as large."""
     x, y = (float(each) for each in at(middle).split(","))
-    return f"translate({PANEL[0] / 2 - factor * x:.1f} {PANEL[1] / 2 - factor * y:.1f}) scale({factor})"
+    return (
+        f"translate({PANEL[0] / 2 - factor * x:.1f} {PANEL[1] / 2 - factor * y:.1f}) "
+        f"scale({factor})"
+    )
 
 
 def draw_chunks(light: Light) -> Iterator[str]:
-    """The lattice: texels that views may need, those of this view, and the chunks that hold some of these."""
-    side, read = CHUNK, {tuple(texel) for texel in light.texels}
+    """The lattice: texels that views may need, those of this view, and the chunks that hold some of
+    these.
+    """
+    side = CHUNK
+    read = {tuple(texel) for texel in light.texels}
     for x0, y0 in sorted({(x // side * side, y // side * side) for x, y in read}):
-        low, high = at(np.array((x0 - 0.5, y0 - 0.5))), at(np.array((x0 + side - 0.5, y0 + side - 0.5)))
-        (x, bottom), (right, y) = map(float, low.split(",")), map(float, high.split(","))
-        yield f'<rect x="{x}" y="{y}" width="{right - x}" height="{bottom - y}" fill="#dbeafe" stroke="#60a5fa"/>'
+        low = at(np.array((x0 - 0.5, y0 - 0.5)))
+        high = at(np.array((x0 + side - 0.5, y0 + side - 0.5)))
+        (x, bottom) = map(float, low.split(","))
+        (right, y) = map(float, high.split(","))
+        yield (
+            f'<rect x="{x}" y="{y}" width="{right - x}" height="{bottom - y}" fill="#dbeafe" '
+            'stroke="#60a5fa"/>'
+        )
     yield contour(ISOVALUE, "none", INK)
     for texel in lattice():
-        needed = is_needed(texel)
-        yield dot(texel, TEXEL if tuple(texel) in read else "#fff" if needed else "#d1d5db", 4 if needed else 2,
-                  f'stroke="{TEXEL}"' if needed else "")  # fmt: skip
+        if tuple(texel) in read:
+            colour = TEXEL
+        elif is_needed(texel):
+            colour = "#fff"
+        else:
+            colour = "#d1d5db"
+        if is_needed(texel):
+            yield dot(texel, colour, 4, f'stroke="{TEXEL}"')
+        else:
+            yield dot(texel, colour, 2, "")
 
 
 def draw_bake(light: Light) -> Iterator[str]:
@@ -275,7 +331,8 @@ def draw_bake(light: Light) -> Iterator[str]:
 
 def draw_path(start: np.ndarray, level: float, rng: np.random.Generator) -> Iterator[str]:
     """One path from a texel, thinner after each hit."""
-    points, width = start[None], 2.0
+    points = start[None]
+    width = 2.0
     for _ in range(BOUNCES + 1):
         direction = scatter(normals(points), rng)
         reach = cast(points, direction, np.array([level]))[0]
@@ -284,34 +341,56 @@ def draw_path(start: np.ndarray, level: float, rng: np.random.Generator) -> Iter
         yield line([points[0], end[0]], PATH, width, 'marker-end="url(#sun)"' if leaves else "")
         if leaves:
             return
-        points, width = end, width * ALBEDO
+        points = end
+        width = width * ALBEDO
         yield dot(points[0], PATH, 2.5)
 
 
 def draw_noise(light: Light) -> Iterator[str]:
     """Noise of the row's texels and its whole error, over the samples; logarithmic."""
-    left, right, top, bottom = 48, PANEL[0] - 22, 14, PANEL[1] - 34
+    left = 48
+    right = PANEL[0] - 22
+    top = 14
+    bottom = PANEL[1] - 34
 
     def place(step: int, error: float) -> str:
         x = left + (right - left) * step / (len(RUNGS) - 1)
-        return f"{x:.1f},{top + (bottom - top) * (math.log(0.3) - math.log(error)) / math.log(0.3 / 0.004):.1f}"
+        share = (math.log(0.3) - math.log(error)) / math.log(0.3 / 0.004)
+        return f"{x:.1f},{top + (bottom - top) * share:.1f}"
 
     for percent in (0.5, 1, 2, 5, 10, 20):
         _, y = place(0, percent / 100).split(",")
         yield f'<line x1="{left}" y1="{y}" x2="{right}" y2="{y}" stroke="#e5e7eb"/>'
-        yield f'<text class="small" x="{left - 6}" y="{float(y) + 4}" text-anchor="end">{percent} %</text>'
+        yield (
+            f'<text class="small" x="{left - 6}" y="{float(y) + 4}" '
+            f'text-anchor="end">{percent} %</text>'
+        )
     for step, rung in enumerate(RUNGS):
         x, _ = place(step, 0.01).split(",")
         yield f'<text class="small" x="{x}" y="{bottom + 16}" text-anchor="middle">{rung}</text>'
-    yield f'<text class="small" x="{right}" y="{bottom + 30}" text-anchor="end">samples a texel</text>'
+    yield (
+        f'<text class="small" x="{right}" y="{bottom + 30}" text-anchor="end">samples a '
+        "texel</text>"
+    )
     _, y = place(0, TARGET).split(",")
-    yield f'<line x1="{left}" y1="{y}" x2="{right}" y2="{y}" stroke="#15803d" stroke-dasharray="5 4"/>'
-    yield f'<text class="small" x="{left + 4}" y="{float(y) + 14}" style="fill:#15803d">target</text>'
-    for name, errors, colour in (("noise", light.noise, TEXEL), ("all error", light.errors, EYE_RAY)):
+    yield (
+        f'<line x1="{left}" y1="{y}" x2="{right}" y2="{y}" stroke="#15803d" '
+        'stroke-dasharray="5 4"/>'
+    )
+    yield (
+        f'<text class="small" x="{left + 4}" y="{float(y) + 14}" style="fill:#15803d">target</text>'
+    )
+    for name, errors, colour in (
+        ("noise", light.noise, TEXEL),
+        ("all error", light.errors, EYE_RAY),
+    ):
         points = [place(step, error) for step, error in enumerate(errors)]
         yield f'<polyline points="{" ".join(points)}" stroke="{colour}" stroke-width="2"/>'
         x, y = points[5].split(",")
-        yield f'<text class="small" x="{x}" y="{float(y) - 8}" text-anchor="middle" style="fill:{colour}">{name}</text>'
+        yield (
+            f'<text class="small" x="{x}" y="{float(y) - 8}" text-anchor="middle" '
+            f'style="fill:{colour}">{name}</text>'
+        )
 
 
 def draw_picture(light: Light) -> Iterator[str]:
@@ -322,7 +401,9 @@ def draw_picture(light: Light) -> Iterator[str]:
         (f"final, {RUNGS[-1]} samples", light.after[-1]),
         ("by paths from each pixel", light.truth),
     )
-    width, height, gap = (PANEL[0] - 24) / PIXELS, 26, 30
+    width = (PANEL[0] - 24) / PIXELS
+    height = 26
+    gap = 30
     white = max(float(shown.max()) for _, shown in rows)
     for step, (name, shown) in enumerate(rows):
         y = 26 + step * (height + gap)
@@ -333,15 +414,22 @@ def draw_picture(light: Light) -> Iterator[str]:
             yield f'<rect {box} fill="rgb({grey},{grey},{grey})"/>'
             if step == 0:
                 yield f'<rect {box} fill="url(#marks)"/>'
-        yield f'<rect x="12" y="{y}" width="{PANEL[0] - 24}" height="{height}" fill="none" stroke="#9ca3af"/>'
+        yield (
+            f'<rect x="12" y="{y}" width="{PANEL[0] - 24}" height="{height}" fill="none" '
+            'stroke="#9ca3af"/>'
+        )
 
 
 DEFINITIONS = f"""<defs>
-<marker id="arrow" orient="auto" refX="5" refY="3" markerWidth="7" markerHeight="6"><path d="M0 0 L6 3 L0 6 z" style="fill:{INK}"/></marker>
-<marker id="sun" orient="auto" refX="4" refY="3" markerWidth="6" markerHeight="6"><path d="M0 0 L6 3 L0 6 z" style="fill:{PATH}"/></marker>
-<pattern id="marks" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect width="2" height="6" fill="#f59e0b"/></pattern>
+<marker id="arrow" orient="auto" refX="5" refY="3" markerWidth="7" markerHeight="6">
+<path d="M0 0 L6 3 L0 6 z" style="fill:{INK}"/></marker>
+<marker id="sun" orient="auto" refX="4" refY="3" markerWidth="6" markerHeight="6">
+<path d="M0 0 L6 3 L0 6 z" style="fill:{PATH}"/></marker>
+<pattern id="marks" width="6" height="6" patternUnits="userSpaceOnUse"
+  patternTransform="rotate(45)">
+<rect width="2" height="6" fill="#f59e0b"/></pattern>
 <clipPath id="panel"><rect width="{PANEL[0]}" height="{PANEL[1]}"/></clipPath>
-</defs>"""  # noqa: E501
+</defs>"""
 
 
 def panel(number: int, parts: Iterator[str]) -> Iterator[str]:
@@ -350,7 +438,10 @@ def panel(number: int, parts: Iterator[str]) -> Iterator[str]:
     y = MARGIN + number // 3 * (PANEL[1] + HEAD + MARGIN)
     head, first, second = PANELS[3 * number : 3 * number + 3]
     yield f'<g transform="translate({x} {y})"><text class="head" y="14">{head}</text>'
-    yield f'<text y="36">{first}</text><text y="54">{second}</text><g transform="translate(0 {HEAD - 8})">'
+    yield (
+        f'<text y="36">{first}</text><text y="54">{second}</text><g transform="translate(0 '
+        f'{HEAD - 8})">'
+    )
     yield f'<rect width="{PANEL[0]}" height="{PANEL[1]}" rx="6" fill="#fff" stroke="#9ca3af"/>'
     yield '<g clip-path="url(#panel)">'
     yield from parts
@@ -362,9 +453,13 @@ def picture() -> str:
     light = Light()
     drawings = (draw_eye_ray, draw_texels, draw_chunks, draw_bake, draw_noise, draw_picture)
     parts = [part for number, draw in enumerate(drawings) for part in panel(number, draw(light))]
-    width, height = MARGIN + 3 * (PANEL[0] + MARGIN), MARGIN + 2 * (PANEL[1] + HEAD + MARGIN)
+    width = MARGIN + 3 * (PANEL[0] + MARGIN)
+    height = MARGIN + 2 * (PANEL[1] + HEAD + MARGIN)
     label = "From an eye ray over texels, a chunk, a bake and its noise to a picture"
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{label}">'
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
+        f'aria-label="{label}">'
+    )
     ground = f'<rect width="{width}" height="{height}" fill="#f9fafb"/>'
     return "\n".join([head, f"<style>{STYLE}</style>", DEFINITIONS, ground, *parts, "</svg>\n"])
 

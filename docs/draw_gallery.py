@@ -1,4 +1,5 @@
-"""Draws the pictures of docs/gallery.md: eight real volumes from the folder ISOGI_SHARED_DATA, under the default sky.
+"""Draws the pictures of docs/gallery.md: eight real volumes from the folder ISOGI_SHARED_DATA,
+under the default sky.
 
     .venv/bin/python docs/draw_gallery.py [NAME …]
 

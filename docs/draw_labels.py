@@ -1,4 +1,6 @@
-"""Draws docs/labels.webp: a segmentation by formula, a shell of four parts around a core, one of them hidden."""
+"""Draws docs/labels.webp: a segmentation by formula, a shell of four parts around a core, one of
+them hidden.
+"""
 
 import subprocess
 import sys
@@ -58,9 +60,22 @@ def draw(picture: Path) -> None:
         nrrd.write(f"{folder}/segmentation.nrrd", segmentation(), index_order="C")
         scene = Path(folder, "labels.toml")
         scene.write_text(SCENE, encoding="utf-8")
-        view = ["--azimuth", "45", "--elevation", "22", "--distance", "2.4", "--width", "480", "--height", "360"]
+        view = [
+            "--azimuth",
+            "45",
+            "--elevation",
+            "22",
+            "--distance",
+            "2.4",
+            "--width",
+            "480",
+            "--height",
+            "360",
+        ]
         command = [sys.executable, "-m", "server", "render", str(scene), "-o", str(picture), *view]
-        subprocess.run([*command, "--target-error", "0.02", "--store", f"{folder}/store"], check=True)
+        subprocess.run(
+            [*command, "--target-error", "0.02", "--store", f"{folder}/store"], check=True
+        )
 
 
 if __name__ == "__main__":

@@ -30,7 +30,9 @@ ALWAYS = {"width": "360", "height": "320", "max_error": "0.05"}
 
 
 def find_volume(data: Path, scene: Path) -> Path:
-    """The volume of a ``scene``, which its file names without a folder, somewhere in the folder ``data``."""
+    """The volume of a ``scene``, which its file names without a folder, somewhere in the folder
+    ``data``.
+    """
     return next(data.rglob(tomllib.loads(scene.read_text())["volume"]))
 
 
@@ -43,7 +45,9 @@ def main(names: list[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             beside = Path(folder) / scene.name
             beside.write_text(scene.read_text().replace(f'"{volume.name}"', f'"{volume}"'))
-            facts = render(str(beside), HERE / f"{name}.webp", ALWAYS | VIEWS[name], Settings(), SECONDS)
+            facts = render(
+                str(beside), HERE / f"{name}.webp", ALWAYS | VIEWS[name], Settings(), SECONDS
+            )
         sys.stdout.write(f"{rendered(facts)}\n")
 
 

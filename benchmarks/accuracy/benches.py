@@ -21,7 +21,9 @@ Settings = Callable[[str], Mapping[str, Any]]
 
 def bench_of(scene: Scene, size: int, folder: Path) -> Bench:
     """The bench of a scene as reports see it, in a picture of ``size`` × ``size`` pixels."""
-    return Bench(scene, view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), folder)
+    return Bench(
+        scene, view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), folder
+    )
 
 
 def benches(
@@ -32,14 +34,18 @@ def benches(
     size: int,
     only: Sequence[str],
 ) -> Iterator[tuple[str, Bench]]:
-    """The bench of ``target``, or those of the subjects whose names have any part of ``only``, with their names.
+    """The bench of ``target``, or those of the subjects whose names have any part of ``only``, with
+    their names.
 
     References are kept in ``output``. Says how long each was of use.
     """
     with tempfile.TemporaryDirectory() as passing:
         folder = output or Path(passing)
         if target is not None:
-            yield target, bench_of(load_scene(target, **settings("")), size, folder / Path(target).stem)
+            yield (
+                target,
+                bench_of(load_scene(target, **settings("")), size, folder / Path(target).stem),
+            )
             return
         for subject in (each for each in subjects if wanted(each.name, only)):
             begun = time.monotonic()

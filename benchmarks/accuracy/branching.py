@@ -2,10 +2,10 @@
 
     python -m benchmarks.accuracy branching [TARGET] [--size 512] [--only engine] [--json]
 
-Texels from all over a view are baked level by level until they are final, in tasks as workers have them, on one thread,
-with 1, 2, 4 and 8 branches. Times are over those of single paths: until all texels are final, and until the error is
-what single paths end with, between levels by a power of time. Errors are estimated ones, root mean squares over the
-texels.
+Texels from all over a view are baked level by level until they are final, in tasks as workers have
+them, on one thread, with 1, 2, 4 and 8 branches. Times are over those of single paths: until all
+texels are final, and until the error is what single paths end with, between levels by a power of
+time. Errors are estimated ones, root mean squares over the texels.
 """
 
 import math
@@ -32,8 +32,16 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 BRANCHES = (1, 2, 4, 8)
 
 SUBJECTS = (
-    *(Subject("engine", 70, "grace"), Subject("CT head", 110, "grace"), Subject("MNI brain", 90, "grace")),
-    *(Subject("chest CT", 60, "grace"), Subject("carp", 110, "noon_grass"), Subject("engine", 170, "uffizi")),
+    *(
+        Subject("engine", 70, "grace"),
+        Subject("CT head", 110, "grace"),
+        Subject("MNI brain", 90, "grace"),
+    ),
+    *(
+        Subject("chest CT", 60, "grace"),
+        Subject("carp", 110, "noon_grass"),
+        Subject("engine", 170, "uffizi"),
+    ),
 )
 
 Curve = list[tuple[float, float]]
@@ -42,13 +50,19 @@ Curve = list[tuple[float, float]]
 
 @part(size=512)
 @click.argument("target", required=False)
-@click.option("--only", multiple=True, help="Measure only scenes with this in their names; may be repeated.")
+@click.option(
+    "--only", multiple=True, help="Measure only scenes with this in their names; may be repeated."
+)
 def branching(target: str | None, size: int, only: tuple[str, ...]) -> Measurement:
     """In how many ways paths should go on from the first surface that they hit."""
-    figures: dict[str, Figures] = {name: measured(scene, size) for name, scene in scenes_of(target, only)}
+    figures: dict[str, Figures] = {
+        name: measured(scene, size) for name, scene in scenes_of(target, only)
+    }
     head = ("scene", *next(iter(figures.values())))
     text = markdown(head, ((name, *map(shown, own.values())) for name, own in figures.items()))
-    flat = {f"{name}: {what}": value for name, own in figures.items() for what, value in own.items()}
+    flat = {
+        f"{name}: {what}": value for name, own in figures.items() for what, value in own.items()
+    }
     return Measurement("Paths that branch", flat, text)
 
 
@@ -72,16 +86,24 @@ def measured(scene: Scene, size: int) -> Figures:
         seconds, error = curves[branches][-1]
         found[f"{branches}: time until final"] = seconds / time_alone
         found[f"{branches}: error then"] = error / error_alone
-        found[f"{branches}: time to equal error"] = seconds_to(error_alone, curves[branches]) / time_alone
+        found[f"{branches}: time to equal error"] = (
+            seconds_to(error_alone, curves[branches]) / time_alone
+        )
     return found
 
 
 def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
-    """How the error of the texels of ``tasks`` falls with time, where paths have so many ``branches``."""
-    spec = spec_for(PreparedScene(replace(scene, plan=replace(scene.plan, branches=branches))), "gi")
+    """How the error of the texels of ``tasks`` falls with time, where paths have so many
+    ``branches``.
+    """
+    spec = spec_for(
+        PreparedScene(replace(scene, plan=replace(scene.plan, branches=branches))), "gi"
+    )
     for texels in tasks:  # maps are made, and kernels loaded
         refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, scene.target_error)
-    lights, seconds, curve = [Light.dark(spec.plan, len(texels)) for texels in tasks], 0.0, Curve()
+    lights = [Light.dark(spec.plan, len(texels)) for texels in tasks]
+    seconds = 0.0
+    curve = Curve()
     level = 0
     while level < scene.plan.samples:
         level = next_level(level)
@@ -97,4 +119,6 @@ def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
 def seconds_to(error: float, curve: Curve) -> float:
     """When a curve comes to an ``error``: between two levels as if it fell with a power of time."""
     seconds, errors = np.log(curve).T
-    return float(np.exp(np.interp(-np.log(error), -errors, seconds))) if curve[-1][1] <= error else math.inf
+    if curve[-1][1] <= error:
+        return float(np.exp(np.interp(-np.log(error), -errors, seconds)))
+    return math.inf

@@ -1,10 +1,11 @@
-"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, and texels that just became visible.
+"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, and texels that
+just became visible.
 
     python -m benchmarks.accuracy card -o FOLDER [--size 128] [--only engine]
 
-Chromium draws WebGL 2 by its processor in a card's place, from the bytes that the server sends. Light is baked for each
-view alone, to a tenth: the same light is in both pictures. What was measured is kept in FOLDER; a view that is there is
-not measured again. Needs the shared data.
+Chromium draws WebGL 2 by its processor in a card's place, from the bytes that the server sends.
+Light is baked for each view alone, to a tenth: the same light is in both pictures. What was
+measured is kept in FOLDER; a view that is there is not measured again. Needs the shared data.
 """
 
 import gzip
@@ -32,7 +33,15 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from tests.frame.conftest import Workbench
-from tests.web.card.lab import CARD_FLAGS, CardScene, Lab, difference, lab_in, orthographic_camera, plain_light
+from tests.web.card.lab import (
+    CARD_FLAGS,
+    CardScene,
+    Lab,
+    difference,
+    lab_in,
+    orthographic_camera,
+    plain_light,
+)
 
 VOLUMES = {
     "engine": "engine_256x256x128_uint8.nhdr",
@@ -58,8 +67,8 @@ SHOW = """card.drawing.show(card.last.view, card.last.size);
 class Case:
     """A view of a ``volume`` under a ``light``, by a name; ``kind`` says what is compared.
 
-    Its light has a ``turn`` of angles in degrees; ``after`` are the azimuth and the isovalue of the view that is drawn
-    with the light of this one alone.
+    Its light has a ``turn`` of angles in degrees; ``after`` are the azimuth and the isovalue of the
+    view that is drawn with the light of this one alone.
     """
 
     volume: str
@@ -75,9 +84,20 @@ class Case:
     @property
     def name(self) -> str:
         """What a person calls it."""
-        more = ["turned"] * any(self.turn) + ["window"] * bool(self.window) + ["orthographic"] * self.parallel
-        more += [f"then {self.after[0]:g}° at {self.after[1]:g}"] if self.after else []
-        return ", ".join([f"{self.kind}: {self.volume} {self.isovalue:g}", f"{self.light} {self.azimuth:g}°", *more])
+        more = (
+            ["turned"] * any(self.turn)
+            + ["window"] * bool(self.window)
+            + ["orthographic"] * self.parallel
+        )
+        if self.after:
+            more += [f"then {self.after[0]:g}° at {self.after[1]:g}"]
+        return ", ".join(
+            [
+                f"{self.kind}: {self.volume} {self.isovalue:g}",
+                f"{self.light} {self.azimuth:g}°",
+                *more,
+            ]
+        )
 
 
 TURN = (70.0, -20.0, 15.0)
@@ -115,8 +135,15 @@ NEW = (
     Case("engine", 70, "uffizi", kind="new", after=(40.0, 80.0)),
 )
 CASES = (*TEXELS, *LOBES, *NEW)
-GOALS = {"texels": (0.999, 0.002), "moving": (0.98, 0.02), "rest": (0.992, 0.005), "new": (0.94, 0.03)}
-"""The share of surface pixels within 2/255 that is asked for at least, and the relative RMSE at most, by kind."""
+GOALS = {
+    "texels": (0.999, 0.002),
+    "moving": (0.98, 0.02),
+    "rest": (0.992, 0.005),
+    "new": (0.94, 0.03),
+}
+"""The share of surface pixels within 2/255 that is asked for at least, and the relative RMSE at
+most, by kind.
+"""
 
 KINDS = {
     "texels": "light of texels, before pixels get light of their own",
@@ -128,7 +155,9 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Found:
-    """How far a card's picture is from the server's, as ``Difference`` has it, and the ``bytes`` of a first view."""
+    """How far a card's picture is from the server's, as ``Difference`` has it, and the ``bytes`` of
+    a first view.
+    """
 
     within: float
     rmse: float
@@ -138,13 +167,21 @@ class Found:
 
 
 @part(size=128)
-@click.option("-o", "--output", default="card", type=click.Path(path_type=Path, file_okay=False), show_default=True)
+@click.option(
+    "-o",
+    "--output",
+    default="card",
+    type=click.Path(path_type=Path, file_okay=False),
+    show_default=True,
+)
 @click.option("--only", multiple=True, help="Part of a view's name, such as 'engine'; repeatable.")
 def card(output: Path, size: int, only: tuple[str, ...]) -> Measurement:
     """The card's pictures beside the server's, in Chromium that draws by its processor."""
     cases = [case for case in CASES if wanted(case.name, only)]
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *CARD_FLAGS])
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", *CARD_FLAGS]
+        )
         for case in (each for each in cases if not place_of(output, each, size).exists()):
             with lab_in(browser) as lab, TemporaryDirectory() as folder:
                 found = measure(case, lab, Path(folder), size)
@@ -152,8 +189,14 @@ def card(output: Path, size: int, only: tuple[str, ...]) -> Measurement:
             write_whole(place_of(output, case, size), json.dumps(asdict(found)).encode())
         browser.close()
     known = {case: place_of(output, case, size) for case in CASES}
-    read = {case: Found(**json.loads(place.read_text())) for case, place in known.items() if place.exists()}
-    return Measurement(f"The card's pictures beside the server's, {size} × {size}", figures_of(read), body(read))
+    read = {
+        case: Found(**json.loads(place.read_text()))
+        for case, place in known.items()
+        if place.exists()
+    }
+    return Measurement(
+        f"The card's pictures beside the server's, {size} × {size}", figures_of(read), body(read)
+    )
 
 
 def place_of(output: Path, case: Case, size: int) -> Path:
@@ -165,15 +208,25 @@ def place_of(output: Path, case: Case, size: int) -> Path:
 def scene_for(case: Case) -> Scene:
     """The scene of a view. ClickException where the shared data are not at hand."""
     if (data := shared_data()) is None:
-        raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
-    given = {"volume": VOLUMES[case.volume], "isovalue": case.isovalue, "lights": [dict(LIGHTS[case.light])]}
-    return build_scene(SceneSource(case.volume, {**given, "target_error": TARGET, "projected": False}, data))
+        raise click.ClickException(
+            "There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them."
+        )
+    given = {
+        "volume": VOLUMES[case.volume],
+        "isovalue": case.isovalue,
+        "lights": [dict(LIGHTS[case.light])],
+    }
+    return build_scene(
+        SceneSource(case.volume, {**given, "target_error": TARGET, "projected": False}, data)
+    )
 
 
 def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     """Bake a view, draw it by the card and by the server, and compare."""
-    bench, size = Workbench(scene_for(case), folder), size * (FINE if case.kind == "new" else 1)
-    view, first = view_of(case, bench, size), view_of(replace(case, after=None), bench, size)
+    bench = Workbench(scene_for(case), folder)
+    size = size * (FINE if case.kind == "new" else 1)
+    view = view_of(case, bench, size)
+    first = view_of(replace(case, after=None), bench, size)
     bench.bake(first)
     plain = replace(first, light=IDENTITY)
     shown = CardScene(lab, bench.renderer, plain, (size, size), LOBES_OF[case.kind])
@@ -199,7 +252,9 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
 
 
 FINE = 3
-"""By how much pictures of new texels are larger: where pixels are larger than texels, many texels are seen by none."""
+"""By how much pictures of new texels are larger: where pixels are larger than texels, many texels
+are seen by none.
+"""
 
 LOBES_OF = {"texels": False, "moving": True, "rest": True, "new": False}
 """Whether lobes are drawn, by kind."""
@@ -214,20 +269,30 @@ def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sen
     picture = shown.picture(view, rest=True, exposure=exposure, ground=ground_of("dark"))
     codes = shown.lab.floats(SHOW).reshape(view.height, view.width, 4)[::-1, :, :3]
     server = develop(frame, exposure, background="dark").astype(np.float64)
-    on, flat = frame.state > 0, (frame.state > 0) | (picture.covers > 0.5)
+    on = frame.state > 0
+    flat = (frame.state > 0) | (picture.covers > 0.5)
     flat.reshape(-1)[frame.edges.pixels if frame.edges else []] = False
     within = float((np.abs(codes - server).max(axis=-1)[flat] <= 2).mean())
-    rmse = float(np.sqrt(((picture.light - frame.radiance)[flat & on] ** 2).mean()) / frame.radiance[on].mean())
-    return Found(within, rmse, int(flat.sum()), int((on != (picture.covers > 0.5))[flat].sum()), sent)
+    rmse = float(
+        np.sqrt(((picture.light - frame.radiance)[flat & on] ** 2).mean())
+        / frame.radiance[on].mean()
+    )
+    return Found(
+        within, rmse, int(flat.sum()), int((on != (picture.covers > 0.5))[flat].sum()), sent
+    )
 
 
 def view_of(case: Case, bench: Workbench, size: int) -> View:
     """The view that a case is about: where it goes on, the one after."""
     azimuth, isovalue = case.after or (case.azimuth, case.isovalue)
-    view = bench.view(azimuth, size=size, isovalue=isovalue, light=quaternion_from_angles(*case.turn))
+    view = bench.view(
+        azimuth, size=size, isovalue=isovalue, light=quaternion_from_angles(*case.turn)
+    )
     if case.parallel:
         view = replace(view, camera=orthographic(view.camera, bench.scene.volume.radius))
-    return replace(view, window=read_window(case.window)) if case.window else view
+    if case.window:
+        return replace(view, window=read_window(case.window))
+    return view
 
 
 def figures_of(read: Mapping[Case, Found]) -> dict[str, Any]:
@@ -240,9 +305,15 @@ def figures_of(read: Mapping[Case, Found]) -> dict[str, Any]:
                 f"{kind}, within 2/255, all pixels": share(some),
                 f"{kind}, within 2/255, least": min(each.within for each in some),
                 f"{kind}, RMSE, most": max(each.rmse for each in some),
-                f"{kind}, views as asked": sum(each.within >= within and each.rmse <= rmse for each in some),
+                f"{kind}, views as asked": sum(
+                    each.within >= within and each.rmse <= rmse for each in some
+                ),
             }
-    engine = [found.bytes for case, found in read.items() if case.volume == "engine" and case.kind == "moving"]
+    engine = [
+        found.bytes
+        for case, found in read.items()
+        if case.volume == "engine" and case.kind == "moving"
+    ]
     return figures | ({"bytes of a first view of the engine": engine[0]} if engine else {})
 
 
@@ -257,13 +328,21 @@ def body(read: Mapping[Case, Found]) -> str:
     parts = []
     for kind, (within, rmse) in GOALS.items():
         rows = [
-            (case.name.partition(": ")[2], f"{each.within:.3%}", f"{each.rmse:.3%}", str(each.surface), str(each.torn))
+            (
+                case.name.partition(": ")[2],
+                f"{each.within:.3%}",
+                f"{each.rmse:.3%}",
+                str(each.surface),
+                str(each.torn),
+            )
             for case, each in read.items()
             if case.kind == kind
         ]
         asked = f"asked: {within:.1%} of surface pixels within 2/255, relative RMSE {rmse:.1%}"
         head = ("view", "within 2/255", "relative RMSE", "surface pixels", "shown by one alone")
-        parts += [f"## {KINDS[kind].capitalize()}\n\n{asked}\n\n{markdown(head, rows)}"] if rows else []
+        if rows:
+            parts += [f"## {KINDS[kind].capitalize()}\n\n{asked}\n\n{markdown(head, rows)}"]
     missing = [case.name for case in CASES if case not in read]
-    parts += ["## Not measured\n\n" + "\n".join(f"- {name}" for name in missing)] if missing else []
+    if missing:
+        parts += ["## Not measured\n\n" + "\n".join(f"- {name}" for name in missing)]
     return "\n\n".join(parts)

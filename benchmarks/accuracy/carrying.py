@@ -1,4 +1,6 @@
-"""Distances to take light from texels to a pixel: nearest, closest isovalue, trilinear, tricubic (S1, figure 6)."""
+"""Distances to take light from texels to a pixel: nearest, closest isovalue, trilinear, tricubic
+(S1, figure 6).
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,10 +31,10 @@ CORNERS = np.flatnonzero(((TAPS >= 0) & (TAPS <= 1)).all(axis=1))
 class Neighbourhood:
     """The 4×4×4 texels about each of m pixels' points.
 
-    ``numbers`` (m, 64) of texels in the order of TAPS; ``fractions`` (m, 3; z, y, x) within the cell; of each texel
-    ``light`` (t,) its luminance, of which so much is ``reflected`` (t,), ``noise`` (t,) the variance of that, ``lit``
-    (t,) whether it holds any light, ``apart`` (t,) how far its isovalue is from the picture's, and ``normals`` (t, 3)
-    those that it is lit about.
+    ``numbers`` (m, 64) of texels in the order of TAPS; ``fractions`` (m, 3; z, y, x) within the
+    cell; of each texel ``light`` (t,) its luminance, of which so much is ``reflected`` (t,),
+    ``noise`` (t,) the variance of that, ``lit`` (t,) whether it holds any light, ``apart`` (t,) how
+    far its isovalue is from the picture's, and ``normals`` (t, 3) those that it is lit about.
     """
 
     numbers: np.ndarray
@@ -46,18 +48,28 @@ class Neighbourhood:
 
 
 def errors_of_ways(bench: Bench) -> dict[str, Spread]:
-    """Errors of WAYS beside light at the pixels' own points, by name. Pixels without lit texels count as dark."""
-    around, own, straight = neighbourhood(bench, SAMPLES), own_light(bench), straight_light(bench)
-    return {name: compared(carry(around, weigh(around)), straight, own) for name, weigh in WAYS.items()}
+    """Errors of WAYS beside light at the pixels' own points, by name. Pixels without lit texels
+    count as dark.
+    """
+    around = neighbourhood(bench, SAMPLES)
+    own = own_light(bench)
+    straight = straight_light(bench)
+    return {
+        name: compared(carry(around, weigh(around)), straight, own) for name, weigh in WAYS.items()
+    }
 
 
 def compared(carried: Lit, straight: np.ndarray, own: Lit) -> Spread:
     """Carried light, with what comes ``straight`` from lobes, beside the pixels' ``own``."""
-    return spread_of(carried.light + straight - own.light, carried.noise + own.noise, mean_of(own.light))
+    return spread_of(
+        carried.light + straight - own.light, carried.noise + own.noise, mean_of(own.light)
+    )
 
 
 def neighbourhood(bench: Bench, samples: int, projected: bool = False) -> Neighbourhood:
-    """The texels about the pixels of the bench's view and their light, ``projected`` onto its isosurface or not."""
+    """The texels about the pixels of the bench's view and their light, ``projected`` onto its
+    isosurface or not.
+    """
     found: Neighbourhood = bench.once(
         ("texels", samples, projected), lambda: make_neighbourhood(bench, samples, projected)
     )
@@ -70,9 +82,14 @@ def make_neighbourhood(bench: Bench, samples: int, projected: bool) -> Neighbour
     return Neighbourhood(numbers, fractions, **light_of(bench, texels, samples, projected))
 
 
-def light_of(bench: Bench, texels: np.ndarray, samples: int, projected: bool) -> dict[str, np.ndarray]:
-    """What a ``Neighbourhood`` tells of ``texels`` (t, 3; z, y, x) int32, baked with so many ``samples``."""
-    renderer, view = bench.renderer(bench.scene), bench.view
+def light_of(
+    bench: Bench, texels: np.ndarray, samples: int, projected: bool
+) -> dict[str, np.ndarray]:
+    """What a ``Neighbourhood`` tells of ``texels`` (t, 3; z, y, x) int32, baked with so many
+    ``samples``.
+    """
+    renderer = bench.renderer(bench.scene)
+    view = bench.view
     level = renderer.gbuffer(view).isovalue
     spec = replace(renderer.caches.spec(view.shading), shown=level if projected else None)
     levels = np.full(len(texels), level if projected else np.nan)
@@ -91,19 +108,23 @@ def light_of(bench: Bench, texels: np.ndarray, samples: int, projected: bool) ->
 
 
 def texels_around(bench: Bench) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Texels and numbers as ``texels_about`` tells them of the cells that a bench's pixels lie in, and the fractions.
+    """Texels and numbers as ``texels_about`` tells them of the cells that a bench's pixels lie in,
+    and the fractions.
 
     The latter are (m, 3; z, y, x).
     """
     renderer = bench.renderer(bench.scene)
-    lattice, points = renderer.prepared.lattice, renderer.gbuffer(bench.view).points
+    lattice = renderer.prepared.lattice
+    points = renderer.gbuffer(bench.view).points
     places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
     cells = np.clip(np.floor(places).astype(np.int64), 0, np.array(lattice.shape) - 2)
     return *texels_about(cells, lattice.shape), np.clip(places - cells, 0.0, 1.0)
 
 
 def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The texels (t, 3) int32 about lattice ``cells`` (m, 3), and their numbers (m, 64); the border's repeat."""
+    """The texels (t, 3) int32 about lattice ``cells`` (m, 3), and their numbers (m, 64); the
+    border's repeat.
+    """
     around = np.clip(cells[:, None] + TAPS, 0, np.array(shape) - 1)
     flat = np.ravel_multi_index(tuple(np.moveaxis(around, -1, 0)), shape)
     found, numbers = np.unique(flat, return_inverse=True)
@@ -116,23 +137,25 @@ def lit_texels(light: Light, turned: RotatedLight) -> tuple[np.ndarray, np.ndarr
 
     And whether the texel holds any light, (t,) bool.
     """
-    spec, lit, numbers = (
-        turned.spec,
-        np.empty((len(light), LIGHT_NUMBERS), np.float32),
-        np.arange(len(light), dtype=np.int32),
-    )
+    spec = turned.spec
+    lit = np.empty((len(light), LIGHT_NUMBERS), np.float32)
+    numbers = np.arange(len(light), dtype=np.int32)
     rows = new_rows(spec, len(light))
     held = fill_rows(rows, numbers, light, spec) >= 0
     scatter = rows.scatter
     if spec.plan.nodes and turned.seen is not spec:
         weights = weights_between(turned.seen, spec)
-        scatter = scatter_at(weights, scatter, reflected_share(light, spec), rows.transfer[:, 0, spec.firsts])
+        scatter = scatter_at(
+            weights, scatter, reflected_share(light, spec), rows.transfer[:, 0, spec.firsts]
+        )
     light_texels(numbers, rows.transfer, scatter, *turned.in_units, lit)
     return lit * spec.unit, held
 
 
 def carry(around: Neighbourhood, weights: np.ndarray) -> Lit:
-    """The pixels' light by ``weights`` (m, 64) of their texels, of which those that hold none are left out."""
+    """The pixels' light by ``weights`` (m, 64) of their texels, of which those that hold none are
+    left out.
+    """
     held = weights * around.lit[around.numbers]
     held /= np.maximum(held.sum(axis=1, keepdims=True), 1e-30)
     light = (held * around.light[around.numbers]).sum(axis=1)
@@ -146,7 +169,9 @@ def nearest(around: Neighbourhood) -> np.ndarray:
 
 
 def closest_isovalue(around: Neighbourhood) -> np.ndarray:
-    """All weight on the corner that holds light whose own isosurface is closest to the picture's."""
+    """All weight on the corner that holds light whose own isosurface is closest to the
+    picture's.
+    """
     return least(around, around.apart[around.numbers[:, CORNERS]])
 
 
@@ -181,4 +206,6 @@ WAYS: Mapping[str, Callable[[Neighbourhood], np.ndarray]] = {
     "trilinear": trilinear,
     "tricubic B-spline": tricubic,
 }
-"""How texels are weighed, by a way's name. The B-spline smooths: it does not pass through the texels' own light."""
+"""How texels are weighed, by a way's name. The B-spline smooths: it does not pass through the
+texels' own light.
+"""

@@ -1,10 +1,12 @@
-"""What it costs to measure a picture's total error, and to reach the target, beside the bake of its light.
+"""What it costs to measure a picture's total error, and to reach the target, beside the bake of its
+light.
 
     python -m benchmarks.accuracy checking [TARGET] [--size 512] [--only TEXT …]
 
-Six scenes of the shared volumes, or the scene TARGET, by their default plans. Seconds are of the processor, all threads
-together. The first step traces control pixels; where these say that light is good enough, it is the only one. Further
-steps trace more of them, or give pixels light of their own.
+Six scenes of the shared volumes, or the scene TARGET, by their default plans. Seconds are of the
+processor, all threads together. The first step traces control pixels; where these say that light is
+good enough, it is the only one. Further steps trace more of them, or give pixels light of their
+own.
 """
 
 import tempfile
@@ -20,7 +22,16 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_report.bench import Bench
 
-HEAD = ("scene", "told at first, %", "told, %", "own light", "bake, s", "first step, s", "all steps, s", "KiB")
+HEAD = (
+    "scene",
+    "told at first, %",
+    "told, %",
+    "own light",
+    "bake, s",
+    "first step, s",
+    "all steps, s",
+    "KiB",
+)
 
 
 @part(size=512)
@@ -39,23 +50,28 @@ def checking(target: str | None, size: int, only: tuple[str, ...]) -> Measuremen
     if not rows:
         raise click.UsageError("No scene has that in its name.")
     first = median(value for key, value in figures.items() if key.endswith("first step / bake"))
-    return Measurement("Checks beside bakes", {**figures, "first step / bake, median": first}, markdown(HEAD, rows))
+    return Measurement(
+        "Checks beside bakes", {**figures, "first step / bake, median": first}, markdown(HEAD, rows)
+    )
 
 
 def measure(bench: Bench) -> dict[str, float]:
     """The figures of a view that is baked, and checked to its end."""
     bench.planned.frame()
-    renderer, target = bench.renderer(bench.scene), bench.scene.target_error
+    renderer = bench.renderer(bench.scene)
+    target = bench.scene.target_error
     renderer.render(bench.view, target)
     bytes_before = renderer.nbytes
-    first, every = Seconds(), Seconds()
+    first = Seconds()
+    every = Seconds()
     with first.counting():
         more = renderer.refine(bench.view, target)
     told = renderer.render(bench.view, target).total
     with every.counting():
         while more and renderer.refine(bench.view, target):
             pass
-    every, last = every + first, renderer.render(bench.view, target)
+    every = every + first
+    last = renderer.render(bench.view, target)
     bake = bench.planned.seconds
     return {
         "told at first": told.likely,

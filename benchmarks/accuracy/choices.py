@@ -1,10 +1,12 @@
-"""What S1's choices are worth: the lattice's density (figure 12), normals and offset (5), vicinity shading (10).
+"""What S1's choices are worth: the lattice's density (figure 12), normals and offset (5), vicinity
+shading (10).
 
     python -m benchmarks.accuracy choices [SCENE] [--size 80] [--paths 512] [-o FOLDER]
 
-Lattices and vicinity shading are baked to the target error and held against the reference; "interpolation" is what
-remains beside light at the pixels' own points, which a finer lattice mends alone. Normals and offsets are those of
-path-traced pictures, and differ from the scene's own by so much: all are of the same random numbers.
+Lattices and vicinity shading are baked to the target error and held against the reference;
+"interpolation" is what remains beside light at the pixels' own points, which a finer lattice mends
+alone. Normals and offsets are those of path-traced pictures, and differ from the scene's own by so
+much: all are of the same random numbers.
 """
 
 import tempfile
@@ -37,8 +39,19 @@ NORMALS = {"bspline": "smoothed gradient", "gradient": "plain gradient"}
 
 @part(size=80)
 @click.argument("target", required=False)
-@click.option("--paths", type=click.IntRange(8), default=512, show_default=True, help="Paths a pixel of pictures.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="Where references are kept.")
+@click.option(
+    "--paths",
+    type=click.IntRange(8),
+    default=512,
+    show_default=True,
+    help="Paths a pixel of pictures.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Where references are kept.",
+)
 def choices(target: str | None, size: int, paths: int, output: Path | None) -> Measurement:
     """Errors by the lattice's density, by normals and offset, and of vicinity shading."""
     scene = benchmark_scene(target)
@@ -53,7 +66,10 @@ def lattices(bench: Bench) -> Iterator[tuple[str, float]]:
     own = own_light(bench)
     for times in LATTICES:
         scene = bench.scene.with_settings(lattice=times * bench.scene.settings.lattice)
-        bake = bench.planned if times == 1.0 else baked(bench, scene, bench.view)
+        if times == 1.0:
+            bake = bench.planned
+        else:
+            bake = baked(bench, scene, bench.view)
         lit = lit_by_frame(bake.frame())
         carried = spread_of(lit.light - own.light, lit.noise + own.noise, mean_of(own.light))
         name = f"{scene.settings.lattice:g} texels per voxel"
@@ -62,7 +78,9 @@ def lattices(bench: Bench) -> Iterator[tuple[str, float]]:
 
 
 def vicinity(bench: Bench) -> Iterator[tuple[str, float]]:
-    """Vicinity shading as a picture of global illumination; nothing where the plan's own is that."""
+    """Vicinity shading as a picture of global illumination; nothing where the plan's own is
+    that.
+    """
     if bench.scene.plan.representation != "vicinity":
         bake = baked(bench, bench.scene, replace(bench.view, shading="vicinity"))
         yield from scored("vicinity shading", bench, bake)
@@ -101,5 +119,9 @@ def variants(scene: Scene) -> tuple[Scene, ...]:
     other = next(name for name in NORMALS if name != scene.settings.normals)
     return (
         scene.with_settings(normals=other),
-        *(scene.with_settings(offset=offset) for offset in OFFSETS if offset != scene.settings.offset),
+        *(
+            scene.with_settings(offset=offset)
+            for offset in OFFSETS
+            if offset != scene.settings.offset
+        ),
     )

@@ -2,9 +2,9 @@
 
     python -m benchmarks.accuracy colours [--size 64] [--paths 512] [--only TEXT …]
 
-The MNI brain by its gradient, through two maps, and by a second volume, another brain that fills a part of its box;
-and the engine by its gradient. Pictures are baked to 2 %, and checked as the server checks pictures at rest. Seconds
-are of the processor.
+The MNI brain by its gradient, through two maps, and by a second volume, another brain that fills a
+part of its box; and the engine by its gradient. Pictures are baked to 2 %, and checked as the
+server checks pictures at rest. Seconds are of the processor.
 """
 
 import tempfile
@@ -28,7 +28,11 @@ SECOND: Mapping[str, Any] = {"file": "brain_t1_124x160x140_uint8.nhdr", "map": "
 
 CASES: tuple[tuple[Subject, str, Mapping[str, Any]], ...] = (
     (Subject("MNI brain", 90, "uffizi"), "its gradient in viridis", GRADIENT),
-    (Subject("MNI brain", 90, "grace"), "its gradient in coolwarm", {**GRADIENT, "map": "coolwarm"}),
+    (
+        Subject("MNI brain", 90, "grace"),
+        "its gradient in coolwarm",
+        {**GRADIENT, "map": "coolwarm"},
+    ),
     (Subject("MNI brain", 90, "uffizi"), "another brain in magma", SECOND),
     (Subject("engine", 70, "grace"), "its gradient in cividis", {**GRADIENT, "map": "cividis"}),
 )
@@ -38,7 +42,13 @@ HEAD = (*CHECKED, "bounces")
 
 
 @part(size=64)
-@click.option("--paths", default=512, type=click.IntRange(8), help="Paths a pixel of references.", show_default=True)
+@click.option(
+    "--paths",
+    default=512,
+    type=click.IntRange(8),
+    help="Paths a pixel of references.",
+    show_default=True,
+)
 @click.option("--only", multiple=True, help="Part of a view's name; repeatable.")
 def colours(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
     """How far pictures of surfaces with colours by data are from the truth."""
@@ -50,16 +60,28 @@ def colours(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
             if not wanted(name, only):
                 continue
             scene = coloured(subject, table)
-            found.append(measure(name, bench_of(scene, size, Path(folder) / str(len(found))), None, paths))
+            found.append(
+                measure(name, bench_of(scene, size, Path(folder) / str(len(found))), None, paths)
+            )
             rows.append((*found[-1].row, f"{scene.plan.bounces}"))
             click.echo(" | ".join(rows[-1]), err=True)
     return measurement_of(f"Colours by data, {size} × {size}", found, HEAD, rows)
 
 
 def coloured(subject: Subject, table: Mapping[str, Any]) -> Scene:
-    """The scene of a subject with the colours of a ``table``; ClickException where the data are not at hand."""
+    """The scene of a subject with the colours of a ``table``; ClickException where the data are not
+    at hand.
+    """
     data = shared_data()
     if data is None:
-        raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
-    own = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "lights": [dict(LIGHTS[subject.light])]}
-    return build_scene(SceneSource(subject.scene, {**own, "volumes": [{"use": "colour", **table}]}, data))
+        raise click.ClickException(
+            "There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them."
+        )
+    own = {
+        "volume": VOLUMES[subject.volume],
+        "isovalue": subject.isovalue,
+        "lights": [dict(LIGHTS[subject.light])],
+    }
+    return build_scene(
+        SceneSource(subject.scene, {**own, "volumes": [{"use": "colour", **table}]}, data)
+    )

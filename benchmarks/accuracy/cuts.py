@@ -2,8 +2,9 @@
 
     python -m benchmarks.accuracy cuts [--size 48] [--paths 512] [--only TEXT …]
 
-The engine, the CT head and the MNI brain under two probes, with three cuts each, by their scenes' plans. Pictures are
-baked to 2 %, and checked as the server checks pictures at rest. Seconds are of the processor.
+The engine, the CT head and the MNI brain under two probes, with three cuts each, by their scenes'
+plans. Pictures are baked to 2 %, and checked as the server checks pictures at rest. Seconds are of
+the processor.
 """
 
 import tempfile
@@ -33,7 +34,13 @@ HEAD = (*CHECKED, "whole, s")
 
 
 @part(size=48)
-@click.option("--paths", default=512, type=click.IntRange(8), help="Paths a pixel of references.", show_default=True)
+@click.option(
+    "--paths",
+    default=512,
+    type=click.IntRange(8),
+    help="Paths a pixel of references.",
+    show_default=True,
+)
 @click.option("--only", multiple=True, help="Part of a view's name; repeatable.")
 def cuts(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
     """How far pictures of volumes that are cut open are from the truth."""
@@ -61,4 +68,6 @@ def texts(scene: Scene) -> Iterator[str]:
     """The CUTS of a scene's volume, as views ask for them."""
     low, high = scene.volume.world_bounds
     for planes in CUTS:
-        yield ";".join(f"{'xyz'[a]}{side}{low[a] + share * (high[a] - low[a]):g}" for a, side, share in planes)
+        yield ";".join(
+            f"{'xyz'[a]}{side}{low[a] + share * (high[a] - low[a]):g}" for a, side, share in planes
+        )

@@ -11,7 +11,9 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 
 def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> float:
-    """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; both (h, w, 3 or more)."""
+    """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; both (h,
+    w, 3 or more).
+    """
     light = best[on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS
     wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS - light
     return math.sqrt((wrong**2).mean()) / float(light.mean())
@@ -23,7 +25,9 @@ def rms(values: Sequence[float]) -> float:
 
 
 def without(error: float, noise: float) -> float:
-    """An error that was measured against a reference, without the reference's own independent ``noise``."""
+    """An error that was measured against a reference, without the reference's own independent
+    ``noise``.
+    """
     return math.sqrt(max(error**2 - noise**2, 0.0))
 
 

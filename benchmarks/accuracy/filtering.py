@@ -1,10 +1,13 @@
-"""What filtering takes out of light that converges, and whether the noise that is told then is true.
+"""What filtering takes out of light that converges, and whether the noise that is told then is
+true.
 
-    python -m benchmarks.accuracy filtering [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--json]
+    python -m benchmarks.accuracy filtering [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …]
+    [--json]
 
-All texels of a view have the same number of samples, or none but those that have light first. Its picture, filtered as
-frames are and each texel by itself, is held against paths from each pixel, and so are the errors that both tell of
-their noise. What is not noise, such as interpolation, is in the true errors alone.
+All texels of a view have the same number of samples, or none but those that have light first. Its
+picture, filtered as frames are and each texel by itself, is held against paths from each pixel, and
+so are the errors that both tell of their noise. What is not noise, such as interpolation, is in the
+true errors alone.
 """
 
 import tempfile
@@ -27,33 +30,59 @@ from isogi_report.metrics import Score, score
 LEVELS = (16, 64, 256)
 """Samples of each texel."""
 
-VIEWS = ("engine 70 under uffizi", "engine 70 under grace", "ct 110 under constant", "foam", "plates", "vessels")
+VIEWS = (
+    "engine 70 under uffizi",
+    "engine 70 under grace",
+    "ct 110 under constant",
+    "foam",
+    "plates",
+    "vessels",
+)
 """What is measured where nothing else is asked for: parts of the names of ``totals``."""
 
 HEAD = ("view", "samples", "each by itself, told", "true, 99 %", "filtered, told", "true, 99 %")
 
 
 @part(size=96)
-@click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
-@click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
+@click.option(
+    "--paths",
+    type=click.IntRange(8),
+    default=1024,
+    show_default=True,
+    help="Paths a pixel of references.",
+)
+@click.option(
+    "--seed",
+    multiple=True,
+    type=int,
+    default=(1,),
+    show_default=True,
+    help="Of volumes; repeatable.",
+)
 @click.option("--only", multiple=True, default=VIEWS, help="Part of a scene's name; repeatable.")
 def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...]) -> Measurement:
     """What filtering takes out of light that converges, and what is told of it."""
-    rows, figures = [], dict[str, float]()
+    rows = []
+    figures = dict[str, float]()
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in scenes(Path(folder), seed, only):
             bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
-            bake, best = ViewBake(bench.renderer(bench.scene), bench.view), bench.reference(paths)
+            bake = ViewBake(bench.renderer(bench.scene), bench.view)
+            best = bench.reference(paths)
             filters = Renderer(bake.renderer.caches, bench.tiles)
             bake.grow(FIRST_LEVEL)
             few = score((picture := quarter(bake, filters)).radiance, best, 1.0)
             rows.append((name, f"{FIRST_LEVEL} in a quarter", "", "", *texts(picture, few)))
-            figures[f"{name}, {FIRST_LEVEL} samples in a quarter: provisional"] = picture.coverage["provisional"]
+            figures[f"{name}, {FIRST_LEVEL} samples in a quarter: provisional"] = picture.coverage[
+                "provisional"
+            ]
             for samples in LEVELS:
                 bake.grow(samples)
                 pictures = pictures_of(bake, filters)
                 plain, calm = (score(each.radiance, best, 1.0) for each in pictures)
-                rows.append((name, str(samples), *texts(pictures[0], plain), *texts(pictures[1], calm)))
+                rows.append(
+                    (name, str(samples), *texts(pictures[0], plain), *texts(pictures[1], calm))
+                )
                 figures[f"{name}, {samples} samples: filtered / alone"] = calm.rmse / plain.rmse
     if not rows:
         raise click.UsageError("No view has that in its name.")

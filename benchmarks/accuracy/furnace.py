@@ -1,10 +1,12 @@
-"""Volumes of all kinds in a white furnace: with albedo 1 under constant light every pixel is exactly as bright as that.
+"""Volumes of all kinds in a white furnace: with albedo 1 under constant light every pixel is
+exactly as bright as that.
 
     python -m benchmarks.accuracy furnace [--size 96] [--paths 128] [--seed 1 …] [--only TEXT …]
 
-Pictures are baked by their scenes' plans to 2 %, and checked as the server checks pictures at rest. What is missing is
-light that leaks or is lost, and paths that end too soon; nothing is random in it. Pixels in closed bubbles, and others
-whose own paths do not find the light within the bounces of the truth, are counted apart.
+Pictures are baked by their scenes' plans to 2 %, and checked as the server checks pictures at rest.
+What is missing is light that leaks or is lost, and paths that end too soon; nothing is random in
+it. Pixels in closed bubbles, and others whose own paths do not find the light within the bounces of
+the truth, are counted apart.
 """
 
 import tempfile
@@ -35,7 +37,8 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels of a picture that find light: their mean, the darkest and the brightest; 1 is right.
+    """The pixels of a picture that find light: their mean, the darkest and the brightest; 1 is
+    right.
 
     ``dark`` is the share of others, which are ``off`` by so much from the truth at most.
     """
@@ -53,7 +56,11 @@ class Pixels:
         lit = true >= FOUND
         off = float(np.abs(shown - true)[~lit].max(initial=0.0))
         return cls(
-            float(shown[lit].mean()), float(shown[lit].min()), float(shown[lit].max()), float(1 - lit.mean()), off
+            float(shown[lit].mean()),
+            float(shown[lit].min()),
+            float(shown[lit].max()),
+            float(1 - lit.mean()),
+            off,
         )
 
     @property
@@ -63,17 +70,33 @@ class Pixels:
 
 
 @part(size=96)
-@click.option("--paths", type=click.IntRange(8), default=128, show_default=True, help="Paths a pixel of references.")
-@click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
+@click.option(
+    "--paths",
+    type=click.IntRange(8),
+    default=128,
+    show_default=True,
+    help="Paths a pixel of references.",
+)
+@click.option(
+    "--seed",
+    multiple=True,
+    type=int,
+    default=(1,),
+    show_default=True,
+    help="Of volumes; repeatable.",
+)
 @click.option("--only", multiple=True, help="Part of a volume's name; repeatable.")
 def furnace(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...]) -> Measurement:
     """Volumes of all kinds with albedo 1 under constant light, where every pixel is to be 1."""
-    rows, found = [], []
+    rows = []
+    found = []
     with tempfile.TemporaryDirectory() as folder:
         for name, make in volumes(seed):
             if not wanted(name, only):
                 continue
-            bench = bench_of(make(dict(CONSTANT), WHITE), size, Path(folder) / name.replace(" ", "-"))
+            bench = bench_of(
+                make(dict(CONSTANT), WHITE), size, Path(folder) / name.replace(" ", "-")
+            )
             frame = measure(bench)
             found.append(Pixels.of(frame, bench.reference(paths).mean))
             rows.append(row_of(name, found[-1], frame))
@@ -86,7 +109,8 @@ def furnace(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...])
 def measure(bench: Bench) -> Frame:
     """The frame of a view that is baked, and checked to its end."""
     bench.planned.frame()
-    renderer, target = bench.renderer(bench.scene), bench.scene.target_error
+    renderer = bench.renderer(bench.scene)
+    target = bench.scene.target_error
     while renderer.refine(bench.view, target):
         pass
     return renderer.render(bench.view, target)
@@ -108,7 +132,8 @@ def row_of(name: str, pixels: Pixels, frame: Frame) -> tuple[str, ...]:
 
 def figures(found: Sequence[Pixels]) -> dict[str, float]:
     """How far means and worst pixels are off, and how many are within half a percent and 5 %."""
-    means, worst = np.array([abs(each.mean - 1.0) for each in found]), np.array([each.worst for each in found])
+    means = np.array([abs(each.mean - 1.0) for each in found])
+    worst = np.array([each.worst for each in found])
     return {
         "volumes": len(found),
         "worst mean, off by": float(means.max()),

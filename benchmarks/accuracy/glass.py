@@ -1,11 +1,14 @@
-"""Glass: what its pictures tell of their error beside the truth, at once and at rest, and what that takes.
+"""Glass: what its pictures tell of their error beside the truth, at once and at rest, and what that
+takes.
 
-    python -m benchmarks.accuracy glass [SCENE] [--size 64] [--trees 64] [--paths 64] [--only TEXT …]
+    python -m benchmarks.accuracy glass [SCENE] [--size 64] [--trees 64] [--paths 64] [--only TEXT
+    …]
 
-All real volumes, of glass under a probe, each in one view; without shared data, the casting. The truth of a pixel is
-what two halves of trees of rays bring, of other random numbers than the picture's; the picture's squared error is the
-product of what it differs by from either, so that their noise is no part of it. Beside it stands by how much paths,
-which part nowhere and know all interfaces, bring more or less in the mean of all pixels, with their own noise.
+All real volumes, of glass under a probe, each in one view; without shared data, the casting. The
+truth of a pixel is what two halves of trees of rays bring, of other random numbers than the
+picture's; the picture's squared error is the product of what it differs by from either, so that
+their noise is no part of it. Beside it stands by how much paths, which part nowhere and know all
+interfaces, bring more or less in the mean of all pixels, with their own noise.
 """
 
 import tempfile
@@ -49,14 +52,24 @@ TOGETHER = 8
 """Trees of each half that are kept together."""
 
 HEAD = (
-    *("glass", "pixels", "told at once, %", "true, %", "told at rest, %", "true at rest, %", "told / true at rest"),
+    *(
+        "glass",
+        "pixels",
+        "told at once, %",
+        "true, %",
+        "told at rest, %",
+        "true at rest, %",
+        "told / true at rest",
+    ),
     *("at rest after, s", "paths' mean beside the truth's, %", "their noise, %"),
 )
 
 
 @dataclass(frozen=True)
 class Found:
-    """What was found of a view, relative to its true mean luminance; seconds until it is at rest."""
+    """What was found of a view, relative to its true mean luminance; seconds until it is at
+    rest.
+    """
 
     pixels: int
     told: float
@@ -76,18 +89,35 @@ class Found:
         """Its row under HEAD."""
         shares = (self.told, self.true, self.told_at_rest, self.true_at_rest)
         percents = [f"{100 * share:.2f}" for share in shares]
-        rest = (f"{self.ratio:.2f}", f"{self.seconds:.2f}", f"{100 * self.paths:+.2f}", f"{100 * self.noise:.2f}")
+        rest = (
+            f"{self.ratio:.2f}",
+            f"{self.seconds:.2f}",
+            f"{100 * self.paths:+.2f}",
+            f"{100 * self.noise:.2f}",
+        )
         return (name, f"{self.pixels}", *percents, *rest)
 
 
 @part(size=64)
 @click.argument("target", required=False)
 @click.option(
-    "--trees", default=64, type=click.IntRange(TOGETHER), show_default=True, help="Of each half of the truth."
+    "--trees",
+    default=64,
+    type=click.IntRange(TOGETHER),
+    show_default=True,
+    help="Of each half of the truth.",
 )
-@click.option("--paths", default=64, type=click.IntRange(2), show_default=True, help="Paths a pixel, for their mean.")
+@click.option(
+    "--paths",
+    default=64,
+    type=click.IntRange(2),
+    show_default=True,
+    help="Paths a pixel, for their mean.",
+)
 @click.option("--only", multiple=True, help="Part of a volume's name; repeatable.")
-def glass(target: str | None, trees: int, paths: int, size: int, only: tuple[str, ...]) -> Measurement:
+def glass(
+    target: str | None, trees: int, paths: int, size: int, only: tuple[str, ...]
+) -> Measurement:
     """What pictures of glass tell of their error beside the truth."""
     found = dict[str, Found]()
     for scene in scenes(target, only):
@@ -96,7 +126,9 @@ def glass(target: str | None, trees: int, paths: int, size: int, only: tuple[str
     figures = {
         "told / true at rest, median": median(each.ratio for each in found.values()),
         "true at rest, worst": max(each.true_at_rest for each in found.values()),
-        "told / true at once, least": min(each.told / max(each.true, 1e-9) for each in found.values()),
+        "told / true at once, least": min(
+            each.told / max(each.true, 1e-9) for each in found.values()
+        ),
         "seconds until at rest, median": median(each.seconds for each in found.values()),
     }
     rows = [each.row(name) for name, each in found.items()]
@@ -104,7 +136,9 @@ def glass(target: str | None, trees: int, paths: int, size: int, only: tuple[str
 
 
 def scenes(target: str | None, only: Sequence[str]) -> Iterator[Scene]:
-    """The scene ``target`` of glass, or all real volumes with these words in their names; the casting without those."""
+    """The scene ``target`` of glass, or all real volumes with these words in their names; the
+    casting without those.
+    """
     data = shared_data()
     if target is not None or data is None:
         yield load_scene(target, material="glass")
@@ -120,17 +154,27 @@ def measure(scene: Scene, size: int, trees: int, paths: int) -> Found:
     with tempfile.TemporaryDirectory() as folder:
         renderer = Renderer(Caches(PreparedScene(scene), Path(folder), MEMORY), Tiles())
         view = replace(view_of(scene, size), smooth=False)
-        first, begun = renderer.render(view), time.perf_counter()
+        first = renderer.render(view)
+        begun = time.perf_counter()
         while renderer.refine(view):
             pass
-        seconds, last = time.perf_counter() - begun, renderer.render(view)
+        seconds = time.perf_counter() - begun
+        last = renderer.render(view)
         halves = true_halves(renderer, view, trees)
         mean = float(halves.mean())
         traced = renderer.render(replace(view, shading="path_traced", samples=paths))
-    light, noise = seen(traced), traced.error.ravel()[traced.gbuffer.pixels]
+    light = seen(traced)
+    noise = traced.error.ravel()[traced.gbuffer.pixels]
     spread = float(np.sqrt(((noise * light) ** 2).sum())) / len(light)
     return Found(
-        *(len(light), first.noise, error_of(first, halves), last.noise, error_of(last, halves), seconds),
+        *(
+            len(light),
+            first.noise,
+            error_of(first, halves),
+            last.noise,
+            error_of(last, halves),
+            seconds,
+        ),
         *(float(light.mean()) / mean - 1.0, spread / mean),
     )
 
@@ -142,10 +186,13 @@ def seen(frame: Frame) -> np.ndarray:
 
 def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
     """The luminance of each surface point by two halves of so many trees each; (m, HALVES)."""
-    light, gbuffer = RotatedLight(renderer.caches.spec("gi"), view), renderer.gbuffer(view)
+    light = RotatedLight(renderer.caches.spec("gi"), view)
+    gbuffer = renderer.gbuffer(view)
     sums = np.zeros((len(gbuffer.pixels), HALVES))
     for first in range(0, trees, TOGETHER):
-        some = Trees(BREADTH, range(OTHERS, OTHERS + HALVES), range(first, min(first + TOGETHER, trees)))
+        some = Trees(
+            BREADTH, range(OTHERS, OTHERS + HALVES), range(first, min(first + TOGETHER, trees))
+        )
         found, _ = SeenThrough.of(gbuffer, light, some, renderer.tiles).gather(dark_row(0))
         sums += luminance_of(found).reshape(len(sums), HALVES, -1).sum(axis=2)
     return np.asarray(sums / trees)

@@ -1,4 +1,6 @@
-"""isogi's side of a race to equal error: a set of pictures from nothing, and how wrong some of them are in all."""
+"""isogi's side of a race to equal error: a set of pictures from nothing, and how wrong some of them
+are in all.
+"""
 
 import math
 import tempfile
@@ -30,12 +32,16 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 """The golden angle."""
 
 STEPS = (5, 3, 2, 1)
-"""Turns of the light between one picked picture and the next: the first that goes through all of them."""
+"""Turns of the light between one picked picture and the next: the first that goes through all of
+them.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSet:
-    """``views`` cameras spread evenly above the horizon, three radii away, 30 degrees wide, by ``turns`` of light."""
+    """``views`` cameras spread evenly above the horizon, three radii away, 30 degrees wide, by
+    ``turns`` of light.
+    """
 
     scene: Scene
     size: int
@@ -57,15 +63,20 @@ class PictureSet:
         return View(self.scene.isovalue, towards, light, self.size, self.size)
 
     def picks(self, count: int) -> list[Pick]:
-        """Cameras and turns of ``count`` pictures from all over the set, different in both as far as there are."""
+        """Cameras and turns of ``count`` pictures from all over the set, different in both as far
+        as there are.
+        """
         count = min(count, len(self))
         step = next(step for step in STEPS if math.gcd(step, self.turns) == 1)
-        return [((2 * i + 1) * self.views // (2 * count), step * i % self.turns) for i in range(count)]
+        return [
+            ((2 * i + 1) * self.views // (2 * count), step * i % self.turns) for i in range(count)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """A picture of the set as isogi has ``lit`` it, and as long paths from each pixel show it at ``best``.
+    """A picture of the set as isogi has ``lit`` it, and as long paths from each pixel show it at
+    ``best``.
 
     ``outside`` (h, w) bool are the pixels that show the surface's outer side.
     """
@@ -75,8 +86,12 @@ class Check:
     outside: np.ndarray
 
     def error(self, on: np.ndarray) -> float:
-        """isogi's total error: relative RMSE over the pixels ``on``, without the reference's own noise there."""
-        return without(relative_rmse(self.lit.radiance, self.best.mean, on), replace(self.best, on=on).noise)
+        """isogi's total error: relative RMSE over the pixels ``on``, without the reference's own
+        noise there.
+        """
+        return without(
+            relative_rmse(self.lit.radiance, self.best.mean, on), replace(self.best, on=on).noise
+        )
 
     def noise(self, on: np.ndarray) -> float:
         """The part of it that is noise of samples, as the frame estimates it."""
@@ -86,7 +101,9 @@ class Check:
 
 @dataclass(frozen=True)
 class Costs:
-    """What was spent from nothing: on the ``first`` picture alone, and on ``baking`` and ``rendering`` the set."""
+    """What was spent from nothing: on the ``first`` picture alone, and on ``baking`` and
+    ``rendering`` the set.
+    """
 
     first: Seconds
     baking: Seconds
@@ -99,12 +116,18 @@ class Costs:
 
 
 class Isogi:
-    """A renderer over an empty ``store`` whose texels take ``samples`` each; ``baking`` and ``rendering`` are timed."""
+    """A renderer over an empty ``store`` whose texels take ``samples`` each; ``baking`` and
+    ``rendering`` are timed.
+    """
 
     def __init__(self, scene: Scene, store: str, samples: int) -> None:
-        """Nothing is made yet: maps are made when the first view needs them, and that is counted."""
-        self.renderer, self.samples = make_renderer(scene, store), samples
-        self.baking, self.rendering = Seconds(), Seconds()
+        """Nothing is made yet: maps are made when the first view needs them, and that is
+        counted.
+        """
+        self.renderer = make_renderer(scene, store)
+        self.samples = samples
+        self.baking = Seconds()
+        self.rendering = Seconds()
 
     def bake(self, views: Sequence[View]) -> None:
         """Bake what the views read, each chunk once for all of them, and keep it in the store."""
@@ -129,7 +152,9 @@ class Isogi:
 
 
 def run(pictures: PictureSet, samples: int, picks: Sequence[Pick]) -> tuple[list[Frame], Costs]:
-    """Render the first of ``picks`` on an empty store, and the whole set on another; the frames of all picks."""
+    """Render the first of ``picks`` on an empty store, and the whole set on another; the frames of
+    all picks.
+    """
     with tempfile.TemporaryDirectory() as store:
         one = Isogi(pictures.scene, store, samples)
         one.bake([pictures.view(*picks[0])])
@@ -138,12 +163,16 @@ def run(pictures: PictureSet, samples: int, picks: Sequence[Pick]) -> tuple[list
         every = Isogi(pictures.scene, store, samples)
         every.bake([pictures.view(camera) for camera in range(pictures.views)])
         kept = {pick: frame for pick, frame in frames(every, pictures) if pick in picks}
-    return [kept[pick] for pick in picks], Costs(one.baking + one.rendering, every.baking, every.rendering)
+    return [kept[pick] for pick in picks], Costs(
+        one.baking + one.rendering, every.baking, every.rendering
+    )
 
 
 def frames(isogi: Isogi, pictures: PictureSet) -> Iterator[tuple[Pick, Frame]]:
     """All pictures of a set, camera by camera."""
-    with tqdm(desc="isogi renders", unit="picture", total=len(pictures), disable=len(pictures) < 3) as bar:
+    with tqdm(
+        desc="isogi renders", unit="picture", total=len(pictures), disable=len(pictures) < 3
+    ) as bar:
         for pick in np.ndindex(pictures.views, pictures.turns):
             yield (pick[0], pick[1]), isogi.frame(pictures.view(*pick))
             bar.update()
@@ -157,16 +186,24 @@ def warm(pictures: PictureSet, samples: int) -> None:
 
 
 def check(scene: Scene, lit: Sequence[Frame], paths: int) -> list[Check]:
-    """The frames with their references: so many ``paths`` from each pixel, with all the bounces that matter."""
+    """The frames with their references: so many ``paths`` from each pixel, with all the bounces
+    that matter.
+    """
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(with_bounces(scene), store)
         bar = tqdm(lit, desc="references", unit="picture", disable=len(lit) < 2)
-        return [Check(each, trace_reference(renderer, each.view, paths), outside(each, renderer)) for each in bar]
+        return [
+            Check(each, trace_reference(renderer, each.view, paths), outside(each, renderer))
+            for each in bar
+        ]
 
 
 def outside(frame: Frame, renderer: Renderer) -> np.ndarray:
-    """Which pixels show the outer side of the surface: where its normal points towards the eye; (h, w) bool."""
-    gbuffer, seen = frame.gbuffer, np.zeros(frame.state.size, np.bool_)
+    """Which pixels show the outer side of the surface: where its normal points towards the eye; (h,
+    w) bool.
+    """
+    gbuffer = frame.gbuffer
+    seen = np.zeros(frame.state.size, np.bool_)
     towards = frame.view.camera.eye - gbuffer.points * np.array(gbuffer.spacing)
     seen[gbuffer.pixels] = (gbuffer.normals(renderer.tiles) * towards).sum(axis=1) > 0.0
     return seen.reshape(gbuffer.shape)

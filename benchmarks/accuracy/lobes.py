@@ -1,9 +1,11 @@
-"""What lobes cost: frames under a light that turns, and that rests, by how many of its lobes are lit by shadow rays.
+"""What lobes cost: frames under a light that turns, and that rests, by how many of its lobes are
+lit by shadow rays.
 
     python -m benchmarks.accuracy lobes [TARGET] [--size 512] [--repeats 15] [--json]
 
-The same view with 0, 1, 2 … lobes of its light, whose texels have few samples; the frames take turns, and ratios are
-of medians. "told" is the error that harmonics are expected to have with so many.
+The same view with 0, 1, 2 … lobes of its light, whose texels have few samples; the frames take
+turns, and ratios are of medians. "told" is the error that harmonics are expected to have with so
+many.
 """
 
 import tempfile
@@ -53,7 +55,10 @@ def lobes(target: str | None, size: int, repeats: int) -> Measurement:
             renderer = make_renderer(each, stack.enter_context(tempfile.TemporaryDirectory()))
             view = view_of(each, size)
             bake_view(renderer, view, MIN_SAMPLES)
-            candidates |= {f"{n} turned": relight(renderer, view), f"{n} at rest": at_rest(renderer, view)}
+            candidates |= {
+                f"{n} turned": relight(renderer, view),
+                f"{n} at rest": at_rest(renderer, view),
+            }
             candidates[f"{n} turned, processor"] = processor(renderer, view)
         median = medians(candidates, repeats)
     figures = {**summarise(median), **overrides(scenes)}
@@ -63,7 +68,9 @@ def lobes(target: str | None, size: int, repeats: int) -> Measurement:
 def with_lobes(scene: Scene, count: int) -> Scene:
     """The scene by the plan that it has with so many lobes."""
     overrides = replace(scene.settings.overrides, lobes=count)
-    return replace(scene.with_settings(overrides=overrides), plan=plan_scene(scene.inputs, overrides))
+    return replace(
+        scene.with_settings(overrides=overrides), plan=plan_scene(scene.inputs, overrides)
+    )
 
 
 def processor(renderer: Renderer, view: View) -> Candidate:
@@ -89,11 +96,22 @@ def at_rest(renderer: Renderer, view: View) -> Candidate:
 
 def summarise(median: dict[str, float]) -> Figures:
     """Medians in milliseconds, and how many times as long frames with lobes take."""
-    ratios = {f"{name} / 0{name[1:]}": time / median[f"0{name[1:]}"] for name, time in median.items()}
-    return {**milliseconds(median), **{name: ratio for name, ratio in ratios.items() if not name.startswith("0")}}
+    ratios = {
+        f"{name} / 0{name[1:]}": time / median[f"0{name[1:]}"] for name, time in median.items()
+    }
+    return {
+        **milliseconds(median),
+        **{name: ratio for name, ratio in ratios.items() if not name.startswith("0")},
+    }
 
 
 def overrides(scenes: dict[int, Scene]) -> Figures:
     """The plans' own expectation of what their harmonics err by, and what a texel keeps."""
-    errors = {f"{n} told, %": 100.0 * dict(scene.plan.errors).get("harmonics", 0.0) for n, scene in scenes.items()}
-    return {**errors, **{f"{n} bytes a texel": scene.plan.bytes_per_texel for n, scene in scenes.items()}}
+    errors = {
+        f"{n} told, %": 100.0 * dict(scene.plan.errors).get("harmonics", 0.0)
+        for n, scene in scenes.items()
+    }
+    return {
+        **errors,
+        **{f"{n} bytes a texel": scene.plan.bytes_per_texel for n, scene in scenes.items()},
+    }

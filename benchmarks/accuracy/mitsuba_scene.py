@@ -21,7 +21,9 @@ DEPTH = 24
 """Segments of a path, at most."""
 
 CLOSER = 2
-"""Points of the mesh along each axis, over those of the volume, where that has no more than FEW of them."""
+"""Points of the mesh along each axis, over those of the volume, where that has no more than FEW of
+them.
+"""
 
 FEW = 128
 
@@ -38,7 +40,9 @@ class Ball:
 
 
 def surface_of(scene: Scene, albedo: Sequence[float]) -> dict[str, Any]:
-    """What light meets at the surface: diffuse on both sides, metal, glass, or a share of it with the rest clear."""
+    """What light meets at the surface: diffuse on both sides, metal, glass, or a share of it with
+    the rest clear.
+    """
     if scene.surfaces.material.refracts:
         return {"type": "dielectric", "int_ior": scene.surfaces.material.index, "ext_ior": 1.0}
     if scene.surfaces.shine is not None and scene.surfaces.shine.strength:
@@ -52,28 +56,42 @@ def surface_of(scene: Scene, albedo: Sequence[float]) -> dict[str, Any]:
 class SceneTracer(PathTracer):
     """Mitsuba's path tracer of a whole scene, in the coordinates of the volume's box.
 
-    Behind a mask Mitsuba leaves out reflected light, too, where it is to hide lights: a shell under an even sky is
-    0.449 in place of 0.485. So lights are seen through clear surfaces, and a picture of black ones is taken off.
+    Behind a mask Mitsuba leaves out reflected light, too, where it is to hide lights: a shell under
+    an even sky is 0.449 in place of 0.485. So lights are seen through clear surfaces, and a picture
+    of black ones is taken off.
     """
 
-    def __init__(self, scene: Scene, view: View, ball: Ball | None = None, *, black: bool = False) -> None:
-        """Take on a scene; a ``ball`` is exact, any other surface a mesh of the cells, with normals of the field.
+    def __init__(
+        self, scene: Scene, view: View, ball: Ball | None = None, *, black: bool = False
+    ) -> None:
+        """Take on a scene; a ``ball`` is exact, any other surface a mesh of the cells, with normals
+        of the field.
 
         The surface is ``black`` where asked.
         """
         probe = scene.lighting.environment.constant + scene.lighting.environment.image
         self._begin(VARIANT, probe)
-        parts: dict[str, Any] = {"sensor": self._sensor(view, SAMPLERS[1]), **self._walls(scene.lighting.room)}
+        parts: dict[str, Any] = {
+            "sensor": self._sensor(view, SAMPLERS[1]),
+            **self._walls(scene.lighting.room),
+        }
         if probe.any():
             parts["light"] = self._light(pixelwise(probe) if self.turns else probe, view)
         bsdf = surface_of(scene, (0.0,) * 3 if black else tuple(scene.surfaces.albedo))
-        parts["isosurface"] = self._ball(ball, bsdf) if ball else self._meshed(scene, view, bsdf)
+        if ball:
+            parts["isosurface"] = self._ball(ball, bsdf)
+        else:
+            parts["isosurface"] = self._meshed(scene, view, bsdf)
         self._load(parts, DEPTH, hides=not scene.surfaces.clear)
         open_air = scene.surfaces.clear and not scene.lighting.room.any
-        self._behind = SceneTracer(scene, view, ball, black=True) if open_air and not black else None
+        self._behind = (
+            SceneTracer(scene, view, ball, black=True) if open_air and not black else None
+        )
 
     def picture(self, samples: int, threads: int, seed: int = 0) -> np.ndarray:
-        """The picture, as that of a ``PathTracer``; the alpha of a scene with clear surfaces is 1."""
+        """The picture, as that of a ``PathTracer``; the alpha of a scene with clear surfaces is
+        1.
+        """
         seen = super().picture(samples, threads, seed)
         if self._behind is not None:
             seen[..., :3] -= self._behind.picture(samples, threads, seed)[..., :3]
@@ -82,10 +100,14 @@ class SceneTracer(PathTracer):
     def _walls(self, room: Room) -> Mapping[str, Any]:
         """Rectangles that are black behind where one side is lit."""
         parts = {}
-        for number, (wall, corner, (u, v)) in enumerate(zip(room.walls, room.corners, room.edges, strict=True)):
+        for number, (wall, corner, (u, v)) in enumerate(
+            zip(room.walls, room.corners, room.edges, strict=True)
+        ):
             matrix = np.eye(4)
             normal = np.cross(u, v)
-            matrix[:3] = np.column_stack([u / 2, v / 2, normal / np.linalg.norm(normal), corner + (u + v) / 2])
+            matrix[:3] = np.column_stack(
+                [u / 2, v / 2, normal / np.linalg.norm(normal), corner + (u + v) / 2]
+            )
             shape = {"type": "rectangle", "to_world": self.mitsuba.ScalarTransform4f(matrix)}
             both = matte(wall.albedo)
             shape["bsdf"] = both["bsdf"] if wall.sides == 1 else both
@@ -99,7 +121,8 @@ class SceneTracer(PathTracer):
 
     def _meshed(self, scene: Scene, view: View, bsdf: Mapping[str, Any]) -> Any:
         """The mesh of the isosurface, whose points have the normals that isogi shades with."""
-        level, volume = scene.volume.normalise_isovalue(scene.isovalue), scene.volume
+        level = scene.volume.normalise_isovalue(scene.isovalue)
+        volume = scene.volume
         closer = CLOSER if max(volume.shape) <= FEW else 1
         voxels = between(np.asarray(volume.voxels, np.float32), closer)
         points, triangles = make_mesh(make_volume(voxels), level)
@@ -116,7 +139,8 @@ class SceneTracer(PathTracer):
 
 
 def pixelwise(probe: np.ndarray) -> np.ndarray:
-    """A finer image, which Mitsuba shows as isogi shows a ``probe`` (h, w, 3), whose pixels are even.
+    """A finer image, which Mitsuba shows as isogi shows a ``probe`` (h, w, 3), whose pixels are
+    even.
 
     Mitsuba interpolates between pixels, and puts the first and the last row onto the poles.
     """
@@ -126,12 +150,15 @@ def pixelwise(probe: np.ndarray) -> np.ndarray:
 
 
 def between(voxels: np.ndarray, closer: int) -> np.ndarray:
-    """The same values, with ``closer`` times as many along each axis: those of the trilinear field between them."""
+    """The same values, with ``closer`` times as many along each axis: those of the trilinear field
+    between them.
+    """
     for axis in range(3 if closer > 1 else 0):
         count = voxels.shape[axis]
         at = np.arange((count - 1) * closer + 1) / closer
         low = np.minimum(at.astype(int), count - 2)
         share = (at - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
-        below, above = np.take(voxels, low, axis), np.take(voxels, low + 1, axis)
+        below = np.take(voxels, low, axis)
+        above = np.take(voxels, low + 1, axis)
         voxels = below + share * (above - below)
     return voxels

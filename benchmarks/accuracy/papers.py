@@ -1,8 +1,8 @@
 """The papers' own method, to measure ours against (Wyman et al., TVCG 2006, sections 3 and 4).
 
-A texel keeps all light, direct and reflected, as one set of harmonics of order ORDER in single floats, and of a light
-that is the same from all sides one number; it is lit on the isosurface through its own point. A pixel reads the eight
-texels around it, trilinearly, and no more.
+A texel keeps all light, direct and reflected, as one set of harmonics of order ORDER in single
+floats, and of a light that is the same from all sides one number; it is lit on the isosurface
+through its own point. A pixel reads the eight texels around it, trilinearly, and no more.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,9 @@ def papers_scene(scene: Scene) -> Scene:
 
 
 class PapersBake:
-    """The light of a bench's view by the papers' method; ``seconds`` of the processor were spent on it."""
+    """The light of a bench's view by the papers' method; ``seconds`` of the processor were spent on
+    it.
+    """
 
     def __init__(self, bench: Bench) -> None:
         """Bake nothing yet."""
@@ -53,17 +55,22 @@ class PapersBake:
             tell(f"{samples} paths, {self.seconds:.0f} s")
 
     def radiance(self, view: View) -> np.ndarray:
-        """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3) float64 linear RGB."""
-        shown, picture = self.bake.shown, np.zeros((view.height * view.width, 3))
+        """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3)
+        float64 linear RGB.
+        """
+        shown = self.bake.shown
+        picture = np.zeros((view.height * view.width, 3))
         lit, held = lit_texels(self.bake.light, RotatedLight(self.bake.spec, view))
         picture[shown.gbuffer.pixels] = interpolate(shown, lit[:, :3], held)
         return picture.reshape(view.height, view.width, 3)
 
 
 def interpolate(shown: ViewTexels, lit: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """The light of surface points, trilinearly of the texels around them that hold any; (points, channels) float64.
+    """The light of surface points, trilinearly of the texels around them that hold any; (points,
+    channels) float64.
 
-    Of each texel that is ``shown``, ``lit`` (t, channels) is its light, and ``held`` (t,) whether it holds any.
+    Of each texel that is ``shown``, ``lit`` (t, channels) is its light, and ``held`` (t,) whether
+    it holds any.
     """
     weights = trilinear(shown.gbuffer.points, shown.lattice) * held[shown.corners]
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
@@ -71,7 +78,9 @@ def interpolate(shown: ViewTexels, lit: np.ndarray, held: np.ndarray) -> np.ndar
 
 
 def trilinear(points: np.ndarray, lattice: Lattice) -> np.ndarray:
-    """Weights (m, 8) of the texels about ``points`` (m, 3; x, y, z, voxels), x fastest (S1, section 4.2)."""
+    """Weights (m, 8) of the texels about ``points`` (m, 3; x, y, z, voxels), x fastest (S1, section
+    4.2).
+    """
     places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
     low = np.clip(np.floor(places), 0, np.array(lattice.shape) - 2)
     inside = np.clip(places - low, 0.0, 1.0)[:, None]

@@ -1,4 +1,5 @@
-"""Contours an exported volume by its value, coloured by its light: run by ParaView's own ``pvpython``, in batch.
+"""Contours an exported volume by its value, coloured by its light: run by ParaView's own
+``pvpython``, in batch.
 
 Its only argument is a JSON object of what ``draw`` takes.
 """
@@ -12,18 +13,28 @@ from paraview.simple import Contour, CreateView, Render, SaveScreenshot, Show, X
 Row = Sequence[float]
 
 
-def draw(file: str, isovalue: float, eye: Row, target: Row, up: Row, fov: float, size: int, out: str) -> None:
+def draw(
+    file: str, isovalue: float, eye: Row, target: Row, up: Row, fov: float, size: int, out: str
+) -> None:
     """Draw the isosurface to a picture; light is emitted as it is."""
     volume = XMLImageDataReader(FileName=[file])
     surface = Contour(Input=volume, ContourBy=["POINTS", "value"], Isosurfaces=[isovalue])
     view = CreateView("RenderView")
-    view.ViewSize, view.OrientationAxesVisibility = [size, size], 0
-    view.UseColorPaletteForBackground, view.Background = 0, [0.0, 0.0, 0.0]
+    view.ViewSize = [size, size]
+    view.OrientationAxesVisibility = 0
+    view.UseColorPaletteForBackground = 0
+    view.Background = [0.0, 0.0, 0.0]
     shown = Show(surface, view)
-    shown.ColorArrayName, shown.MapScalars = ["POINTS", "colour"], 0
-    shown.Ambient, shown.Diffuse, shown.Specular = 1.0, 0.0, 0.0
+    shown.ColorArrayName = ["POINTS", "colour"]
+    shown.MapScalars = 0
+    shown.Ambient = 1.0
+    shown.Diffuse = 0.0
+    shown.Specular = 0.0
     Render(view)  # the first one places the camera anew
-    view.CameraPosition, view.CameraFocalPoint, view.CameraViewUp, view.CameraViewAngle = eye, target, up, fov
+    view.CameraPosition = eye
+    view.CameraFocalPoint = target
+    view.CameraViewUp = up
+    view.CameraViewAngle = fov
     Render(view)
     SaveScreenshot(out, view, ImageResolution=[size, size])
     sys.stdout.write(str(surface.GetDataInformation().GetNumberOfPoints()))

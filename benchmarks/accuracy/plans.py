@@ -1,17 +1,19 @@
-"""What scenes of one volume keep for each texel by their plans, beside what S1 keeps whatever the scene.
+"""What scenes of one volume keep for each texel by their plans, beside what S1 keeps whatever the
+scene.
 
     python -m benchmarks.accuracy plans [--size 128] [--target 0.05] [--scene NAME …] [--json]
 
-The engine block at 70, or the casting where the shared data are not at hand; scenes under probes are then left out.
-All texels of one view are baked to the target error twice: by the scene's plan, and as S1 does, 25 harmonics of each
-channel as floats, with as many bounces. Errors are those of the view's frame, relative RMSE of the luminance over
-surface pixels, against paths from each pixel, with more bounces where there are any.
+The engine block at 70, or the casting where the shared data are not at hand; scenes under probes
+are then left out. All texels of one view are baked to the target error twice: by the scene's plan,
+and as S1 does, 25 harmonics of each channel as floats, with as many bounces. Errors are those of
+the view's frame, relative RMSE of the luminance over surface pixels, against paths from each pixel,
+with more bounces where there are any.
 
-Seconds are of the processor, all threads together, in one run, so that other work on the machine counts little;
-kernels are compiled before. Megabytes of a view are those of its files, in which equal channels take little more than
-one. Those of the lattice are computed, before compression: all texels of the chunks that some isovalue shows by the
-plan's bytes, and of all chunks by S1's. A dash is for S1 under lamps, which harmonics do not hold, and for errors of a
-black picture.
+Seconds are of the processor, all threads together, in one run, so that other work on the machine
+counts little; kernels are compiled before. Megabytes of a view are those of its files, in which
+equal channels take little more than one. Those of the lattice are computed, before compression: all
+texels of the chunks that some isovalue shows by the plan's bytes, and of all chunks by S1's. A dash
+is for S1 under lamps, which harmonics do not hold, and for errors of a black picture.
 """
 
 import tempfile
@@ -49,14 +51,23 @@ SMALL = 8
 """Pixels a side of the views that kernels are compiled on."""
 
 HEAD = (
-    *("scene", "plan", "layers", "bytes per texel (S1: 300)", "texels shown", "lattice, MB, plan / S1"),
+    *(
+        "scene",
+        "plan",
+        "layers",
+        "bytes per texel (S1: 300)",
+        "texels shown",
+        "lattice, MB, plan / S1",
+    ),
     *("bake of a view, s, plan / S1", "its store, MB, plan / S1", "error, plan / S1"),
 )
 
 
 @dataclass(frozen=True)
 class Bake:
-    """What a view's texels took: ``seconds`` of the processor, ``megabytes`` of files; the ``error`` of its frame."""
+    """What a view's texels took: ``seconds`` of the processor, ``megabytes`` of files; the
+    ``error`` of its frame.
+    """
 
     seconds: float
     megabytes: float
@@ -81,8 +92,16 @@ class Row:
 
 
 @part(size=128)
-@click.option("--target", type=click.FloatRange(1e-4, 1.0), default=0.05, show_default=True, help="Texels' error.")
-@click.option("--scene", "names", type=click.Choice(list(PLANNED)), multiple=True, help="Only these.")
+@click.option(
+    "--target",
+    type=click.FloatRange(1e-4, 1.0),
+    default=0.05,
+    show_default=True,
+    help="Texels' error.",
+)
+@click.option(
+    "--scene", "names", type=click.Choice(list(PLANNED)), multiple=True, help="Only these."
+)
 def plans(size: int, target: float, names: tuple[str, ...]) -> Measurement:
     """What scenes keep for each texel by their plans, beside what S1 keeps of any."""
     chosen = names or tuple(PLANNED)
@@ -107,7 +126,8 @@ def figures_of(row: Row) -> Iterator[tuple[str, Any]]:
 
 def measure(name: str, scene: Scene, size: int) -> Row:
     """Bake the view's texels in both ways, once all that calls is compiled."""
-    s1, loose = as_s1(scene), replace(scene, target_error=1.0)
+    s1 = as_s1(scene)
+    loose = replace(scene, target_error=1.0)
     for way in filter(None, (loose, as_s1(loose))):
         baked(way, SMALL, traced(loose, SMALL, 1))
     best = traced(scene, size, PATHS)
@@ -124,20 +144,31 @@ def measure(name: str, scene: Scene, size: int) -> Row:
 
 
 def traced(scene: Scene, size: int, paths: int) -> Frame:
-    """The view's frame by the path tracer, with more bounces than the scene has where it has any."""
-    longest = max(scene.bounces, LONGEST) if scene.bounces else 0
+    """The view's frame by the path tracer, with more bounces than the scene has where it has
+    any.
+    """
+    if scene.bounces:
+        longest = max(scene.bounces, LONGEST)
+    else:
+        longest = 0
     longer = replace(scene, plan=replace(scene.plan, bounces=longest))
     with tempfile.TemporaryDirectory() as store:
-        return make_renderer(longer, store).render(view_of(scene, size, shading="path_traced", samples=paths))
+        return make_renderer(longer, store).render(
+            view_of(scene, size, shading="path_traced", samples=paths)
+        )
 
 
 def baked(scene: Scene, size: int, best: Frame) -> Bake:
     """Bake what the view reads to a new store, and compare its frame with the ``best``."""
     with tempfile.TemporaryDirectory() as store:
-        renderer, view = make_renderer(scene, store), view_of(scene, size)
-        demands, loader = renderer.render(view, enough=MAX_SAMPLES).demands, renderer.caches.of(view.shading)
+        renderer = make_renderer(scene, store)
+        view = view_of(scene, size)
+        demands = renderer.render(view, enough=MAX_SAMPLES).demands
+        loader = renderer.caches.of(view.shading)
         begun = time.process_time()
-        renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], scene.target_error), len(demands), 1)
+        renderer.tiles.run(
+            lambda a, b: bake(loader, demands[a:b], scene.target_error), len(demands), 1
+        )
         taken = time.process_time() - begun
         written = sum(file.stat().st_size for file in Path(store).rglob("*") if file.is_file())
         return Bake(taken, written / 1e6, frame_error(renderer.render(view), best))
@@ -155,16 +186,28 @@ def bake(loader: Loader, demands: Sequence[Demand], target: float) -> None:
 
 
 def frame_error(frame: Frame, best: Frame) -> float | None:
-    """RMSE of the luminance over surface pixels, over its mean in the ``best``; None where all is black."""
+    """RMSE of the luminance over surface pixels, over its mean in the ``best``; None where all is
+    black.
+    """
     on = best.state > 0
-    return relative_rmse(frame.radiance, best.radiance, on) if best.radiance[on].any() else None
+    if best.radiance[on].any():
+        return relative_rmse(frame.radiance, best.radiance, on)
+    return None
 
 
 def describe(layer: Layer) -> str:
-    """Kind, order n above 1, channels and precision of a layer, and the band l from which on it is of bytes."""
-    order = f" n = {layer.order}" if layer.order > 1 else ""
+    """Kind, order n above 1, channels and precision of a layer, and the band l from which on it is
+    of bytes.
+    """
+    if layer.order > 1:
+        order = f" n = {layer.order}"
+    else:
+        order = ""
     colour = " RGB" if layer.channels == 3 else ""
-    coarse = "" if layer.coarse is None else f", bytes from l = {layer.coarse}"
+    if layer.coarse is None:
+        coarse = ""
+    else:
+        coarse = f", bytes from l = {layer.coarse}"
     return f"{layer.kind}{order}{colour} ({'half' if layer.half else 'single'}{coarse})"
 
 
@@ -175,11 +218,23 @@ def table(rows: Sequence[Row]) -> str:
 
 def cells(row: Row) -> list[str]:
     """The text of each of a row's cells."""
-    plan, s1, texels = row.by_plan, row.by_s1, row.texels
-    chunks, side = texels.shown_chunks, texels.chunk
-    lattice = (lattice_bytes(chunks, side, row.bytes_per_texel), lattice_bytes(texels.chunks, side, S1_BYTES))
+    plan = row.by_plan
+    s1 = row.by_s1
+    texels = row.texels
+    chunks = texels.shown_chunks
+    side = texels.chunk
+    lattice = (
+        lattice_bytes(chunks, side, row.bytes_per_texel),
+        lattice_bytes(texels.chunks, side, S1_BYTES),
+    )
     return [
-        *(row.scene, row.representation, row.layers, str(row.bytes_per_texel), f"{texels.shown / texels.total:.1%}"),
+        *(
+            row.scene,
+            row.representation,
+            row.layers,
+            str(row.bytes_per_texel),
+            f"{texels.shown / texels.total:.1%}",
+        ),
         pair("{:,.1f}", *(size / 1e6 for size in lattice)),
         pair("{:.1f}", plan.seconds, s1.seconds if s1 else None),
         pair("{:.2f}", plan.megabytes, s1.megabytes if s1 else None),

@@ -1,8 +1,9 @@
-"""Texels on the isosurface that is shown, in place of each on its own; and other weights for the pixels that read them.
+"""Texels on the isosurface that is shown, in place of each on its own; and other weights for the
+pixels that read them.
 
-What is tried: texels projected along the gradient (see ``kernels.transport.texel_points``), all or only those that are
-far; weights by how texels' normals agree with a pixel's, and by how near their isovalues are; and light carried as a
-ratio to its unshadowed light.
+What is tried: texels projected along the gradient (see ``kernels.transport.texel_points``), all or
+only those that are far; weights by how texels' normals agree with a pixel's, and by how near their
+isovalues are; and light carried as a ratio to its unshadowed light.
 """
 
 import math
@@ -12,9 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.accuracy import carrying
-from benchmarks.accuracy.carrying import Neighbourhood, carry, compared, neighbourhood, texels_around, trilinear
+from benchmarks.accuracy.carrying import (
+    Neighbourhood,
+    carry,
+    compared,
+    neighbourhood,
+    texels_around,
+    trilinear,
+)
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.kernels.shading.irradiance_ratio import LEAST_COSINE, MIN_UNSHADOWED, NORMAL_TURN_LIMIT
+from isogi_core.kernels.shading.irradiance_ratio import (
+    LEAST_COSINE,
+    MIN_UNSHADOWED,
+    NORMAL_TURN_LIMIT,
+)
 from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_report.bench import Bench
@@ -27,10 +39,11 @@ WAYS_OFF = (0.25, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """The texels about a view's pixels on their ``own`` isosurfaces, and ``projected`` onto the picture's.
+    """The texels about a view's pixels on their ``own`` isosurfaces, and ``projected`` onto the
+    picture's.
 
-    ``ways`` (t,) are how far from it they are, in voxels, as estimated; ``normals`` (m, 3) are the pixels'. ``bare``
-    tells unshadowed luminance by normals (n, 3).
+    ``ways`` (t,) are how far from it they are, in voxels, as estimated; ``normals`` (m, 3) are the
+    pixels'. ``bare`` tells unshadowed luminance by normals (n, 3).
     """
 
     own: Neighbourhood
@@ -40,10 +53,15 @@ class Sides:
     bare: Callable[[np.ndarray], np.ndarray]
 
     def beyond(self, way: float) -> Neighbourhood:
-        """Texels projected where they are farther than a ``way`` and can be, the others on their own isosurfaces."""
+        """Texels projected where they are farther than a ``way`` and can be, the others on their
+        own isosurfaces.
+        """
         there = self.far(way)
         fields = ("light", "reflected", "noise", "apart", "lit")
-        picked = {name: np.where(there, getattr(self.projected, name), getattr(self.own, name)) for name in fields}
+        picked = {
+            name: np.where(there, getattr(self.projected, name), getattr(self.own, name))
+            for name in fields
+        }
         normals = np.where(there[:, None], self.projected.normals, self.own.normals)
         return replace(self.own, **picked, normals=normals)
 
@@ -54,30 +72,45 @@ class Sides:
 
 def errors_of_moves(bench: Bench) -> dict[str, Spread]:
     """Errors of WAYS beside light at the pixels' own points, by name."""
-    sides, own, straight = sides_of(bench), own_light(bench), straight_light(bench)
-    return {name: compared(weigh(sides, sides.beyond(way)), straight, own) for name, (way, weigh) in WAYS.items()}
+    sides = sides_of(bench)
+    own = own_light(bench)
+    straight = straight_light(bench)
+    return {
+        name: compared(weigh(sides, sides.beyond(way)), straight, own)
+        for name, (way, weigh) in WAYS.items()
+    }
 
 
 def sides_of(bench: Bench) -> Sides:
     """Bake a view's texels on both isosurfaces."""
-    renderer, samples = bench.renderer(bench.scene), carrying.SAMPLES
-    prepared, gbuffer = renderer.prepared, renderer.gbuffer(bench.view)
-    own, projected = neighbourhood(bench, samples), neighbourhood(bench, samples, projected=True)
-    texels, ways = texels_around(bench)[0], np.empty(len(own.light))
+    renderer = bench.renderer(bench.scene)
+    samples = carrying.SAMPLES
+    prepared = renderer.prepared
+    gbuffer = renderer.gbuffer(bench.view)
+    own = neighbourhood(bench, samples)
+    projected = neighbourhood(bench, samples, projected=True)
+    texels = texels_around(bench)[0]
+    ways = np.empty(len(own.light))
     measure_distances(prepared.field, prepared.step, gbuffer.isovalue, texels, ways)
     normals = gbuffer.normals(bench.tiles).astype(np.float64)
     return Sides(
-        own, projected, ways, normals, bare_light(RotatedLight(renderer.caches.spec(bench.view.shading), bench.view))
+        own,
+        projected,
+        ways,
+        normals,
+        bare_light(RotatedLight(renderer.caches.spec(bench.view.shading), bench.view)),
     )
 
 
 def bare_light(turned: RotatedLight) -> Callable[[np.ndarray], np.ndarray]:
-    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as frames have it; but
-    by harmonics, each colour MIN_UNSHADOWED of its mean at least."""
-    sky, mean = turned.sky, turned.albedo * turned.mean / turned.spec.unit
+    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as
+    frames have it; but by harmonics, each colour MIN_UNSHADOWED of its mean at least."""
+    sky = turned.sky
+    mean = turned.albedo * turned.mean / turned.spec.unit
 
     def bare(normals: np.ndarray) -> np.ndarray:
-        theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
+        theta = np.arccos(np.clip(normals[:, 2], -1.0, 1.0))
+        phi = np.arctan2(normals[:, 1], normals[:, 0])
         light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
         return luminance_of(np.maximum(light.T, MIN_UNSHADOWED * mean))
 
@@ -95,13 +128,17 @@ def by_normals(sides: Sides, around: Neighbourhood) -> Lit:
 
 
 def by_isovalues(sides: Sides, around: Neighbourhood) -> Lit:
-    """Trilinear weights over how far texels' isovalues are, in units of the field's own change within a cell."""
+    """Trilinear weights over how far texels' isovalues are, in units of the field's own change
+    within a cell.
+    """
     apart = np.where(around.apart > 0.0, sides.ways, 0.0)[around.numbers]
     return carry(around, trilinear(around) / (0.1 + np.minimum(apart, 1e6)))
 
 
 def by_shares(sides: Sides, around: Neighbourhood) -> Lit:
-    """Trilinear weights of what texels have of unshadowed light about their normals, put under the pixel's own."""
+    """Trilinear weights of what texels have of unshadowed light about their normals, put under the
+    pixel's own.
+    """
     return shared(sides, around, trilinear(around))
 
 
@@ -111,14 +148,21 @@ def by_shares_and_normals(sides: Sides, around: Neighbourhood) -> Lit:
 
 
 def agreement(sides: Sides, around: Neighbourhood) -> np.ndarray:
-    """What texels count by their normals and their pixels'; (m, 64), positive. See ``irradiance_ratio.agree``."""
+    """What texels count by their normals and their pixels'; (m, 64), positive. See
+    ``irradiance_ratio.agree``.
+    """
     cosines = np.einsum("mkc,mc->mk", around.normals[around.numbers], sides.normals)
-    return np.asarray((np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / NORMAL_TURN_LIMIT)) ** 2)
+    return np.asarray(
+        (np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / NORMAL_TURN_LIMIT)) ** 2
+    )
 
 
 def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:
-    """Light by ``weights`` (m, 64): direct light as ratios to unshadowed light, reflected light as it is."""
-    over, under = sides.bare(around.normals), sides.bare(sides.normals)
+    """Light by ``weights`` (m, 64): direct light as ratios to unshadowed light, reflected light as
+    it is.
+    """
+    over = sides.bare(around.normals)
+    under = sides.bare(sides.normals)
     means = {
         name: carry(replace(around, light=light), weights)
         for name, light in (
@@ -128,7 +172,10 @@ def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:
         )
     }
     brighter = under / np.maximum(means["over"].light, 1e-30)
-    return Lit(means["direct"].light * brighter + means["reflected"].light, means["direct"].noise * brighter**2)
+    return Lit(
+        means["direct"].light * brighter + means["reflected"].light,
+        means["direct"].noise * brighter**2,
+    )
 
 
 WAYS: Mapping[str, tuple[float, Callable[[Sides, Neighbourhood], Lit]]] = {

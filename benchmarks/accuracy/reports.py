@@ -21,10 +21,18 @@ from server.cli.arguments import duration
 
 
 @part(size=112)
-@click.option("-o", "--output", default="reports", type=click.Path(path_type=Path, file_okay=False), show_default=True)
+@click.option(
+    "-o",
+    "--output",
+    default="reports",
+    type=click.Path(path_type=Path, file_okay=False),
+    show_default=True,
+)
 @click.option("--deadline", callback=duration, help="Of each report, such as 4m.")
 def reports(output: Path, size: int, deadline: float | None) -> Measurement:
-    """How wrong isogi's light is, by cause, and what it costs: reports of real volumes, summed up."""
+    """How wrong isogi's light is, by cause, and what it costs: reports of real volumes, summed
+    up.
+    """
     for subject in SIX:
         click.echo(subject.name, err=True)
         facts = make(subject, output / subject.folder, size, deadline)
@@ -38,4 +46,6 @@ def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> d
     """The report of a subject: what the command would tell of it."""
     scene = scene_of(subject)
     view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
-    return report_of(scene, view, scene.default_exposure, ReportRequest(folder, deadline), time.monotonic())
+    return report_of(
+        scene, view, scene.default_exposure, ReportRequest(folder, deadline), time.monotonic()
+    )

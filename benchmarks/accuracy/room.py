@@ -1,11 +1,13 @@
-"""Rooms, glass, clear surfaces and shine beside Mitsuba's pictures of the same scene, pixel by pixel.
+"""Rooms, glass, clear surfaces and shine beside Mitsuba's pictures of the same scene, pixel by
+pixel.
 
     python -m benchmarks.accuracy room [--size 64] [--paths 4096] [--only TEXT …]
 
-isogi's pictures are baked to 2 % and checked by an engine with two workers. Mitsuba traces paths on a mesh of the cells
-with the normals of the field, or on a ball, through all of a pixel; isogi's pictures are four times as wide, and of
-theirs 16 pixels are one. Compared are pixels that show no outline.
-Beside the RMSE of isogi's picture stands that of its own path-traced one: what they have in common is the mesh's.
+isogi's pictures are baked to 2 % and checked by an engine with two workers. Mitsuba traces paths on
+a mesh of the cells with the normals of the field, or on a ball, through all of a pixel; isogi's
+pictures are four times as wide, and of theirs 16 pixels are one. Compared are pixels that show no
+outline. Beside the RMSE of isogi's picture stands that of its own path-traced one: what they have
+in common is the mesh's.
 """
 
 import tempfile
@@ -41,11 +43,17 @@ PATIENCE = 300.0
 ACROSS = 4
 """isogi's pixels along a side of one of Mitsuba's."""
 
-SIDE, RADIUS = 32, 10.0
+SIDE = 32
+RADIUS = 10.0
 """Voxels along the side of the volume with a ball, and the ball's radius."""
 
 BALL = Ball(((SIDE - 1) / 2,) * 3, RADIUS)
-LAMP = {"corner": [8.0, 8.0, 60.0], "edges": [[0.0, 15.0, 0.0], [15.0, 0.0, 0.0]], "radiance": 20.0, "sides": 1}
+LAMP = {
+    "corner": [8.0, 8.0, 60.0],
+    "edges": [[0.0, 15.0, 0.0], [15.0, 0.0, 0.0]],
+    "radiance": 20.0,
+    "sides": 1,
+}
 FLOOR = {"corner": [-20.0, -20.0, 0.0], "edges": [[71.0, 0.0, 0.0], [0.0, 71.0, 0.0]]}
 
 SCENES: dict[str, dict[str, Any]] = {
@@ -54,14 +62,22 @@ SCENES: dict[str, dict[str, Any]] = {
         "isovalue": 90,
         "room": "cornell",
     },
-    "nucleon at 140 in a Cornell room": {"volume": "nucleon_41x41x41_uint8.nhdr", "isovalue": 140, "room": "cornell"},
+    "nucleon at 140 in a Cornell room": {
+        "volume": "nucleon_41x41x41_uint8.nhdr",
+        "isovalue": 140,
+        "room": "cornell",
+    },
     "nucleon at 140 in a Cornell room, half clear": {
         "volume": "nucleon_41x41x41_uint8.nhdr",
         "isovalue": 140,
         "room": "cornell",
         "clear": 0.5,
     },
-    "bucky at 120, half clear": {"volume": "bucky_32x32x32_uint8.nhdr", "isovalue": 120, "clear": 0.5},
+    "bucky at 120, half clear": {
+        "volume": "bucky_32x32x32_uint8.nhdr",
+        "isovalue": 120,
+        "clear": 0.5,
+    },
     "glass ball and its caustic": {"material": "glass", "walls": [FLOOR, LAMP]},
     **{
         f"metal ball, roughness {rough:g}": {"shine": {"kind": "metal", "roughness": rough}}
@@ -86,14 +102,19 @@ HEAD = (
 
 
 @part(size=64)
-@click.option("--paths", default=4096, type=click.IntRange(8), help="Paths a pixel.", show_default=True)
+@click.option(
+    "--paths", default=4096, type=click.IntRange(8), help="Paths a pixel.", show_default=True
+)
 @click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
 def room(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
     """How far pictures of rooms, glass, clear surfaces and shine are from Mitsuba's."""
     data = shared_data()
     if not installed() or data is None:
-        raise click.ClickException("This needs Mitsuba and the shared volumes: install it, set ISOGI_SHARED_DATA.")
-    figures, rows = dict[str, float](), list[tuple[str, ...]]()
+        raise click.ClickException(
+            "This needs Mitsuba and the shared volumes: install it, set ISOGI_SHARED_DATA."
+        )
+    figures = dict[str, float]()
+    rows = list[tuple[str, ...]]()
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in scenes(Path(folder), data, only):
             found = measure(scene, size, paths)
@@ -118,11 +139,16 @@ def scenes(folder: Path, data: Path, only: tuple[str, ...]) -> Iterator[tuple[st
 
 def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
     """Pictures of a scene, isogi's and Mitsuba's."""
-    azimuth, elevation, distance = next(at for key, at in VIEWS.items() if key in (*scene.source.document, ""))
+    azimuth, elevation, distance = next(
+        at for key, at in VIEWS.items() if key in (*scene.source.document, "")
+    )
     camera = scene.camera(azimuth, elevation, distance, 30.0)
     view = replace(view_of(scene, ACROSS * size, camera=camera), smooth=False)
     frame, traced = pictures(scene, view, paths // ACROSS**2)
-    ball = BALL if "ball" in scene.source.name else None
+    if "ball" in scene.source.name:
+        ball = BALL
+    else:
+        ball = None
     tracer = SceneTracer(scene, replace(view, width=size, height=size), ball)
     best = converge(tracer, paths, joined((frame.state > 0) & ~edges(frame)) > INSIDE)
     wrong = apart(joined(frame.radiance), best)
@@ -139,13 +165,19 @@ def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
 
 def apart(picture: np.ndarray, best: Converged) -> np.ndarray:
     """Differences of luminance over the mean; (pixels,)."""
-    found, light = (each[best.on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS for each in (picture, best.picture))
+    found, light = (
+        each[best.on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS
+        for each in (picture, best.picture)
+    )
     return np.asarray((found - light) / light.mean())
 
 
 def pictures(scene: Scene, view: View, paths: int) -> tuple[Frame, Frame]:
     """The picture out of the cache, and the path-traced one."""
-    with tempfile.TemporaryDirectory() as store, closing(RenderEngine([scene], store, workers=2)) as engine:
+    with (
+        tempfile.TemporaryDirectory() as store,
+        closing(RenderEngine([scene], store, workers=2)) as engine,
+    ):
         engine.start()
         frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
         traced = replace(view, shading="path_traced", samples=paths)
@@ -155,18 +187,24 @@ def pictures(scene: Scene, view: View, paths: int) -> tuple[Frame, Frame]:
 def joined(picture: np.ndarray) -> np.ndarray:
     """The means of ACROSS × ACROSS pixels of a picture (h, w, …)."""
     height, width = (each // ACROSS for each in picture.shape[:2])
-    return np.asarray(picture.reshape(height, ACROSS, width, ACROSS, *picture.shape[2:]).mean(axis=(1, 3)))
+    return np.asarray(
+        picture.reshape(height, ACROSS, width, ACROSS, *picture.shape[2:]).mean(axis=(1, 3))
+    )
 
 
 def edges(frame: Frame) -> np.ndarray:
-    """Pixels beside which the surface's place jumps by more than its slope explains: outlines; (h, w) bool."""
+    """Pixels beside which the surface's place jumps by more than its slope explains: outlines; (h,
+    w) bool.
+    """
     near = frame.position
     found = np.zeros(frame.state.shape, bool)
     for axis in (0, 1):
         step = np.linalg.norm(np.diff(near, axis=axis), axis=-1)
         jump = step > 4.0 * np.median(step[step > 0.0])
-        first, last = [slice(None)] * 2, [slice(None)] * 2
-        first[axis], last[axis] = slice(None, -1), slice(1, None)
+        first = [slice(None)] * 2
+        last = [slice(None)] * 2
+        first[axis] = slice(None, -1)
+        last[axis] = slice(1, None)
         found[tuple(first)] |= jump
         found[tuple(last)] |= jump
     return found

@@ -1,7 +1,9 @@
-"""What ``isogi inspect`` tells of an isosurface's error beside what it errs by, and the fit behind it.
+"""What ``isogi inspect`` tells of an isosurface's error beside what it errs by, and the fit behind
+it.
 
-Each surface is shown in 48 × 48 pixels under constant light, its texels baked to 2 % each: the error is that of
-interpolation alone, relative RMSE beside paths from each pixel, less the noise of both.
+Each surface is shown in 48 × 48 pixels under constant light, its texels baked to 2 % each: the
+error is that of interpolation alone, relative RMSE beside paths from each pixel, less the noise of
+both.
 """
 
 import math
@@ -20,7 +22,13 @@ from benchmarks.common.scenes import shared_data
 from benchmarks.common.suite import part
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.projection import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, Expectation, measure_stiffness
+from isogi_core.plan.projection import (
+    NOISY_ERROR,
+    SMOOTH_ERROR,
+    STEEP_ERROR,
+    Expectation,
+    measure_stiffness,
+)
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.bench import Bench
@@ -48,8 +56,11 @@ VOLUMES = {
 }
 """Isovalues of the shared volumes."""
 
-RAMPS, NOISES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0), (0.02, 0.05, 0.1, 0.2)
-"""Voxels that the ramps of made volumes are wide, and standard deviations of the noise on the ramp of 4."""
+RAMPS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+NOISES = (0.02, 0.05, 0.1, 0.2)
+"""Voxels that the ramps of made volumes are wide, and standard deviations of the noise on the ramp
+of 4.
+"""
 
 PERCENTILES = (5, 10, 50, 90, 95)
 SMALLEST = 0.001
@@ -69,13 +80,17 @@ class Surface(NamedTuple):
 @part()
 @click.option("--only", default="", metavar="TEXT", help="Surfaces whose name has this.")
 def stiffness(only: str) -> Measurement:
-    """What `isogi inspect` tells of an isosurface's error, beside what it errs by, and the fit behind it."""
+    """What `isogi inspect` tells of an isosurface's error, beside what it errs by, and the fit
+    behind it.
+    """
     surfaces = []
     for name, scene in scenes(only):
         surfaces.append(surface_of(name, scene))
         click.echo(told(surfaces[-1]), err=True)
     if len(surfaces) < 3:
-        raise click.UsageError(f"{len(surfaces)} surfaces with '{only}' in their names are at hand, a fit takes three.")
+        raise click.UsageError(
+            f"{len(surfaces)} surfaces with '{only}' in their names are at hand, a fit takes three."
+        )
     return Measurement("what is told of surfaces beside what was measured", figures(surfaces))
 
 
@@ -118,13 +133,17 @@ def surface_of(name: str, scene: Scene) -> Surface:
 
 def figures(surfaces: Sequence[Surface]) -> dict[str, float]:
     """How what is told lies to what was measured, and what a fit to these surfaces would be."""
-    error, likely = np.array([each.error for each in surfaces]), np.array([each.told.likely for each in surfaces])
+    error = np.array([each.error for each in surfaces])
+    likely = np.array([each.told.likely for each in surfaces])
     inside = [each.told.low <= each.error <= each.told.high for each in surfaces]
     spread = np.percentile(error / likely, PERCENTILES)
     smooth, steep, noisy = fit(surfaces)
     return {
         "surfaces": len(surfaces),
-        **{f"measured / told, percentile {p}": float(x) for p, x in zip(PERCENTILES, spread, strict=True)},
+        **{
+            f"measured / told, percentile {p}": float(x)
+            for p, x in zip(PERCENTILES, spread, strict=True)
+        },
         "within the range that is told": float(np.mean(inside)),
         "rank correlation": float(spearmanr(error, likely).statistic),
         **{"fit, smooth": smooth, "fit, all steep": steep, "fit, all noisy": noisy},
@@ -132,7 +151,9 @@ def figures(surfaces: Sequence[Surface]) -> dict[str, float]:
 
 
 def fit(surfaces: Sequence[Surface]) -> tuple[float, float, float]:
-    """What surfaces err by that are smooth, and how much more by all steep, all noisy: least Σ |log(error / fit)|."""
+    """What surfaces err by that are smooth, and how much more by all steep, all noisy: least Σ
+    |log(error / fit)|.
+    """
     error = np.array([each.error for each in surfaces])
     shares = np.array([(1.0, each.steep, each.noisy) for each in surfaces])
     start = np.array([SMOOTH_ERROR, STEEP_ERROR, NOISY_ERROR])
@@ -140,13 +161,20 @@ def fit(surfaces: Sequence[Surface]) -> tuple[float, float, float]:
     def strays(terms: np.ndarray) -> float:
         return float(np.abs(np.log(error / (shares @ np.abs(terms)))).sum())
 
-    best = minimize(strays, start, method="Nelder-Mead", options={"maxiter": 9000, "xatol": 1e-7, "fatol": 1e-7})
+    best = minimize(
+        strays, start, method="Nelder-Mead", options={"maxiter": 9000, "xatol": 1e-7, "fatol": 1e-7}
+    )
     smooth, steep, noisy = np.abs(best.x)
     return float(smooth), float(steep), float(noisy)
 
 
 def told(surface: Surface) -> str:
     """A surface in a line."""
-    low, likely, high = (100.0 * each for each in (surface.told.low, surface.told.likely, surface.told.high))
+    low, likely, high = (
+        100.0 * each for each in (surface.told.low, surface.told.likely, surface.told.high)
+    )
     shares = f"steep {100.0 * surface.steep:.0f} %, noisy {100.0 * surface.noisy:.0f} %"
-    return f"{surface.name}: {shares}, told {likely:.2g} % ({low:.2g} to {high:.2g}), is {100.0 * surface.error:.2g} %"
+    return (
+        f"{surface.name}: {shares}, told {likely:.2g} % ({low:.2g} to {high:.2g}), is "
+        f"{100.0 * surface.error:.2g} %"
+    )

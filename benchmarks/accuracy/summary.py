@@ -12,16 +12,18 @@ from isogi_report.sections import Cell, Column, Table, table_of, text_columns
 Data = Mapping[str, Any]
 
 INTRODUCTION = """\
-How wrong isogi's light is, by cause, and what it costs. Each row is a view of a scene, against a reference that is \
-path-traced from each pixel to the lights themselves, with as many bounces as may matter. Errors are relative RMSE: of \
-the luminance of surface pixels, over the reference's mean, less the noise that is known. The total is the frame's; \
-each part is what remains when one ingredient alone gives way to its exact counterpart. A dash is a part that the \
-scene's plan does not have. Bake is the seconds of the processor, all threads together, in which the view's light was \
-baked, each texel until pixels are at a target error of 2 %, which is of Monte Carlo noise alone."""
+How wrong isogi's light is, by cause, and what it costs. Each row is a view of a scene, against a \
+reference that is path-traced from each pixel to the lights themselves, with as many bounces as \
+may matter. Errors are relative RMSE: of the luminance of surface pixels, over the reference's \
+mean, less the noise that is known. The total is the frame's; each part is what remains when one \
+ingredient alone gives way to its exact counterpart. A dash is a part that the scene's plan does \
+not have. Bake is the seconds of the processor, all threads together, in which the view's light \
+was baked, each texel until pixels are at a target error of 2 %, which is of Monte Carlo noise \
+alone."""
 
 MADE = """\
-Each scene has an albedo of 0.7 and is planned by isogi. `isogi report SCENE -o DIR` makes one such report of your own \
-scene, with everything that is left out here."""
+Each scene has an albedo of 0.7 and is planned by isogi. `isogi report SCENE -o DIR` makes one \
+such report of your own scene, with everything that is left out here."""
 
 PICTURES = "accuracy-reports"
 """The folder beside the page that its pictures are in."""
@@ -40,8 +42,13 @@ BAKE = "bake"
 
 
 def summary_of(folders: Mapping[str, Path]) -> Measurement:
-    """The summary of the reports in ``folders``, by their names, with their pictures and curves. Raises OSError."""
-    reports = {name: json.loads((folder / "report.json").read_text("utf-8")) for name, folder in folders.items()}
+    """The summary of the reports in ``folders``, by their names, with their pictures and curves.
+    Raises OSError.
+    """
+    reports = {
+        name: json.loads((folder / "report.json").read_text("utf-8"))
+        for name, folder in folders.items()
+    }
     files: Files = {}
     parts = [INTRODUCTION, overview(reports), f"{MADE} {measured_on(reports)}", *missing(reports)]
     parts += [*shown(reports, folders, files), *curves(reports, folders, files), *scores(reports)]
@@ -61,10 +68,16 @@ def figures(reports: Mapping[str, Data]) -> Iterator[tuple[str, float]]:
 
 def overview(reports: Mapping[str, Data]) -> str:
     """The total of each scene's error, a column for each of its parts, and what the bake took."""
-    totals = {name: {row[0]: row[1] for row in rows_of(data, "split")} for name, data in reports.items()}
+    totals = {
+        name: {row[0]: row[1] for row in rows_of(data, "split")} for name, data in reports.items()
+    }
     found = dict.fromkeys(part for table in totals.values() for part in table)
     parts = [part for part in found if part not in SUMS]
-    columns = (Column("scene"), Column("total", "share"), *(Column(part, "share") for part in parts))
+    columns = (
+        Column("scene"),
+        Column("total", "share"),
+        *(Column(part, "share") for part in parts),
+    )
     rows = [
         (name, table.get(TOTAL), *(table.get(part) for part in parts), bake_seconds(reports[name]))
         for name, table in totals.items()
@@ -76,16 +89,23 @@ def overview(reports: Mapping[str, Data]) -> str:
 def bake_seconds(data: Data) -> Cell:
     """What a report's light took, by its summary."""
     tables = [table_of(table) for table in headline(data)]
-    cells = [dict(zip((each.name for each in table.columns), table.rows[0], strict=True)) for table in tables]
+    cells = [
+        dict(zip((each.name for each in table.columns), table.rows[0], strict=True))
+        for table in tables
+    ]
     return next((cell[BAKE] for cell in cells if BAKE in cell), None)
 
 
 def measured_on(reports: Mapping[str, Data]) -> str:
     """The machine, and the sizes of the pictures."""
     data = next(iter(reports.values()))
-    box, view = data["machine"], data["view"]
+    box = data["machine"]
+    view = data["view"]
     size = f"{view['width']} × {view['height']} pixels"
-    return f"Measured on {box['cores']} cores of {box['processor']} ({box['system']}), with pictures of {size}."
+    return (
+        f"Measured on {box['cores']} cores of {box['processor']} ({box['system']}), with "
+        f"pictures of {size}."
+    )
 
 
 def missing(reports: Mapping[str, Data]) -> Iterator[str]:
@@ -98,10 +118,17 @@ def missing(reports: Mapping[str, Data]) -> Iterator[str]:
 
 def scores(reports: Mapping[str, Data]) -> Iterator[str]:
     """The score of each scene's frame, its plan, and what it took."""
-    head = next((table_of(each) for data in reports.values() for each in headline(data)), Table("", (), ()))
+    head = next(
+        (table_of(each) for data in reports.values() for each in headline(data)), Table("", (), ())
+    )
     columns = (Column("scene"), Column("plan"), Column("bytes per texel", "count"), *head.columns)
     rows = [
-        (name, data["scene"]["plan"]["representation"], data["scene"]["plan"]["bytes_per_texel"], *each["rows"][0])
+        (
+            name,
+            data["scene"]["plan"]["representation"],
+            data["scene"]["plan"]["bytes_per_texel"],
+            *each["rows"][0],
+        )
         for name, data in reports.items()
         for each in headline(data)
     ]
@@ -128,12 +155,17 @@ def shown(reports: Mapping[str, Data], folders: Mapping[str, Path], files: Files
     """Frames, references and error maps side by side, twice as large as they are."""
     yield "## The frames, their references, and where they differ"
     for name, data in reports.items():
-        drawn, width = section(data, "summary").get("pictures", ()), 2 * data["view"]["width"]
+        drawn = section(data, "summary").get("pictures", ())
+        width = 2 * data["view"]["width"]
         copies = [f"{name}-{i + 1}" for i in range(len(drawn))]
-        places = [copied(folders[name] / each["png"], files, to) for each, to in zip(drawn, copies, strict=True)]
+        places = [
+            copied(folders[name] / each["png"], files, to)
+            for each, to in zip(drawn, copies, strict=True)
+        ]
         if drawn:
             yield " ".join(
-                image(file, f"{name}: {each['caption']}", width) for file, each in zip(places, drawn, strict=True)
+                image(file, f"{name}: {each['caption']}", width)
+                for file, each in zip(places, drawn, strict=True)
             )
             yield f"*{name}: {', '.join(map(caption, drawn))}.*"
 
@@ -146,7 +178,9 @@ def image(file: str, text: str, width: int) -> str:
 def caption(picture: Data) -> str:
     """A picture's caption, with the scale of its colours where it is an error map."""
     scale = picture.get("scale")
-    return picture["caption"] + ("" if scale is None else f" (blue {100 * scale:g} % too dark, red too bright)")
+    return picture["caption"] + (
+        "" if scale is None else f" (blue {100 * scale:g} % too dark, red too bright)"
+    )
 
 
 def section(data: Data, key: str) -> Data:
@@ -163,7 +197,9 @@ def markdown(columns: Sequence[Column], rows: Iterable[Sequence[Any]]) -> str:
     """A table in Markdown, its cells as reports write them."""
     texts = text_columns(Table("", tuple(columns), tuple(map(tuple, rows))))
     words = sum(not column.numeric for column in texts)
-    return lines_of([each.head for each in texts], zip(*(each.cells for each in texts), strict=True), left=words)
+    return lines_of(
+        [each.head for each in texts], zip(*(each.cells for each in texts), strict=True), left=words
+    )
 
 
 def copied(path: Path, files: Files, name: str) -> str:

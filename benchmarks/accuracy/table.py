@@ -1,11 +1,14 @@
-"""How near pictures are to the truth while the light turns, beside the papers' own method at equal bake time.
+"""How near pictures are to the truth while the light turns, beside the papers' own method at equal
+bake time.
 
-    python -m benchmarks.accuracy table -o FOLDER [--size 96] [--paths 1024] [--only "engine under grace"]
+    python -m benchmarks.accuracy table -o FOLDER [--size 96] [--paths 1024] [--only "engine under
+    grace"]
 
-Each case is a view of a volume under a light; light is baked once, for all turns, to the scene's target error, by the
-plan's own choices. The papers' method (see ``papers``) bakes the same view for as many
-seconds of the processor, or more. Both are held against references that are path-traced from each pixel to the lights
-themselves. What was measured is kept in FOLDER; a case that is there is not measured again. Needs the shared data.
+Each case is a view of a volume under a light; light is baked once, for all turns, to the scene's
+target error, by the plan's own choices. The papers' method (see ``papers``) bakes the same view for
+as many seconds of the processor, or more. Both are held against references that are path-traced
+from each pixel to the lights themselves. What was measured is kept in FOLDER; a case that is there
+is not measured again. Needs the shared data.
 """
 
 import io
@@ -41,8 +44,12 @@ FINER = (("lattice", 2), ("order", 10), ("target_error", 0.01))
 TURNS = ((0.0, 0.0, 0.0), (110.0, 25.0, 0.0), (230.0, -40.0, 60.0))
 """Angles (z, y, x), in degrees, that the light is turned by."""
 
-RMSE, P99, SUN = 0.03, 0.10, 0.04
-"""What issue and page ask for: relative RMSE, its 99th percentile, and the RMSE under noon_grass."""
+RMSE = 0.03
+P99 = 0.10
+SUN = 0.04
+"""What issue and page ask for: relative RMSE, its 99th percentile, and the RMSE under
+noon_grass.
+"""
 
 SCALE = 0.2
 """The relative error at the ends of the maps' colours."""
@@ -51,17 +58,25 @@ PICTURED = 1
 """Which of the TURNS pictures show."""
 
 ABOUT = """\
-Each row is a view of a volume, its light turned to {turns} orientations; the figures are those of the worst. Errors \
-are of the luminance of surface pixels, against paths from each pixel to the lights themselves with as many bounces \
-as may matter ({paths:,} a pixel), over the reference's mean: the relative RMSE, less the reference's own noise, and \
-the 99th percentile of errors as they are. Light is baked once for all turns, by scenes of albedo 0.7 and \
-isogi's own plan, to a target error of 2 %, or as they say besides. Beside it stands the papers' own \
-method: harmonics of order 5 of all light (one number under constant light), texels on their own isosurfaces, \
-trilinear pixels, and as many paths for each texel as take at least as long to bake. Seconds are of the processor. \
-The goals are {rmse:.0%} and {p99:.0%}, and {sun:.0%} under noon_grass. Pictures have {size} × {size} pixels."""
+Each row is a view of a volume, its light turned to {turns} orientations; the figures are those of \
+the worst. Errors are of the luminance of surface pixels, against paths from each pixel to the \
+lights themselves with as many bounces as may matter ({paths:,} a pixel), over the reference's \
+mean: the relative RMSE, less the reference's own noise, and the 99th percentile of errors as they \
+are. Light is baked once for all turns, by scenes of albedo 0.7 and isogi's own plan, to a target \
+error of 2 %, or as they say besides. Beside it stands the papers' own method: harmonics of order \
+5 of all light (one number under constant light), texels on their own isosurfaces, trilinear \
+pixels, and as many paths for each texel as take at least as long to bake. Seconds are of the \
+processor. The goals are {rmse:.0%} and {p99:.0%}, and {sun:.0%} under noon_grass. Pictures have \
+{size} × {size} pixels."""
 
 HEAD = (
-    *("view", "papers' method, RMSE (99th percentile), %", "**isogi**", "within goals", "references' noise"),
+    *(
+        "view",
+        "papers' method, RMSE (99th percentile), %",
+        "**isogi**",
+        "within goals",
+        "references' noise",
+    ),
     *("papers' bake, s", "bake, s", "papers' bytes a texel", "bytes a texel", "lobes"),
 )
 
@@ -79,7 +94,9 @@ class Case:
         return ", ".join([self.subject.name, *(f"`{key} = {value:g}`" for key, value in self.told)])
 
     def folder(self, size: int, paths: int) -> str:
-        """The name of the folder of what is measured in pictures of a size, by so many paths a pixel."""
+        """The name of the folder of what is measured in pictures of a size, by so many paths a
+        pixel.
+        """
         told = "".join(f"-{key}-{value:g}" for key, value in self.told)
         return f"{self.subject.folder}{told}-{size}-{paths}"
 
@@ -91,9 +108,11 @@ CASES = (*OWN, *TOLD)
 
 @dataclass(frozen=True)
 class Measured:
-    """What was found of one subject, by turns: ``rmse`` and ``p99`` of ours, and of the papers' method.
+    """What was found of one subject, by turns: ``rmse`` and ``p99`` of ours, and of the papers'
+    method.
 
-    ``noise`` is the references' own; ``seconds`` of the processor were baked, and a texel takes so many ``bytes``.
+    ``noise`` is the references' own; ``seconds`` of the processor were baked, and a texel takes so
+    many ``bytes``.
     """
 
     rmse: list[float]
@@ -109,9 +128,23 @@ class Measured:
 
 
 @part(size=96)
-@click.option("-o", "--output", default="accuracy", type=click.Path(path_type=Path, file_okay=False), show_default=True)
-@click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
-@click.option("--only", multiple=True, help="Part of a view's name, such as 'engine under grace'; repeatable.")
+@click.option(
+    "-o",
+    "--output",
+    default="accuracy",
+    type=click.Path(path_type=Path, file_okay=False),
+    show_default=True,
+)
+@click.option(
+    "--paths",
+    type=click.IntRange(8),
+    default=1024,
+    show_default=True,
+    help="Paths a pixel of references.",
+)
+@click.option(
+    "--only", multiple=True, help="Part of a view's name, such as 'engine under grace'; repeatable."
+)
 def table(output: Path, size: int, paths: int, only: tuple[str, ...]) -> Measurement:
     """Pictures beside the truth while the light turns, and beside the papers' own method."""
     folders = {case: output / case.folder(size, paths) for case in CASES}
@@ -119,7 +152,11 @@ def table(output: Path, size: int, paths: int, only: tuple[str, ...]) -> Measure
         if wanted(case.name, only) and not (folder / "measured.json").exists():
             click.echo(case.name, err=True)
             measure(case, folder, size, paths)
-    found = {case: read(folder) for case, folder in folders.items() if (folder / "measured.json").exists()}
+    found = {
+        case: read(folder)
+        for case, folder in folders.items()
+        if (folder / "measured.json").exists()
+    }
     sheets = dict(sheets_of(folders))
     pictures = {sheet_of(place): data for place, data in sheets.items()}
     return Measurement(
@@ -134,14 +171,22 @@ def measure(case: Case, folder: Path, size: int, paths: int) -> None:
     """Bake a view by both methods, compare, and keep what was found in its ``folder``."""
     scene = scene_of(case.subject, **dict(case.told))
     bench = bench_of(scene, size, folder)
-    ours, papers = bench.planned, PapersBake(bench)
+    ours = bench.planned
+    papers = PapersBake(bench)
     papers.grow(ours.seconds, lambda text: click.echo(f"  the papers' method: {text}", err=True))
     ours.frame()
-    renderer, found, shown = bench.renderer(scene), [], {}
+    renderer = bench.renderer(scene)
+    found = []
+    shown = {}
     for number, angles in enumerate(TURNS):
         turned = replace(bench.view, light=quaternion_from_angles(*angles))
-        best = replace(bench, view=turned, folder=folder / f"turn-{number}", _made={}).reference(paths)
-        pictures = {"papers": papers.radiance(turned), "isogi": renderer.render(turned, scene.target_error).radiance}
+        best = replace(bench, view=turned, folder=folder / f"turn-{number}", _made={}).reference(
+            paths
+        )
+        pictures = {
+            "papers": papers.radiance(turned),
+            "isogi": renderer.render(turned, scene.target_error).radiance,
+        }
         found.append([score(picture, best, 1.0) for picture in pictures.values()])
         if number == PICTURED:
             shown = drawn(pictures, best, scene.default_exposure)
@@ -164,10 +209,18 @@ def measure(case: Case, folder: Path, size: int, paths: int) -> None:
     )
 
 
-def drawn(pictures: Mapping[str, np.ndarray], best: Reference, exposure: float) -> dict[str, np.ndarray]:
+def drawn(
+    pictures: Mapping[str, np.ndarray], best: Reference, exposure: float
+) -> dict[str, np.ndarray]:
     """Pictures (h, w, 3) uint8 sRGB of both methods, the reference, and the methods' errors."""
-    shown = {name: shown_as(each, best.on, exposure) for name, each in {**pictures, "reference": best.mean}.items()}
-    errors = {f"{name} error": error_colours(error_map(each, best), SCALE) for name, each in pictures.items()}
+    shown = {
+        name: shown_as(each, best.on, exposure)
+        for name, each in {**pictures, "reference": best.mean}.items()
+    }
+    errors = {
+        f"{name} error": error_colours(error_map(each, best), SCALE)
+        for name, each in pictures.items()
+    }
     return {**shown, **errors}
 
 
@@ -184,7 +237,9 @@ def read(folder: Path) -> Measured:
 
 def goal(subject: Subject) -> float:
     """The relative RMSE that is asked of a subject."""
-    return SUN if subject.light == "noon_grass" else RMSE
+    if subject.light == "noon_grass":
+        return SUN
+    return RMSE
 
 
 def met(case: Case, found: Measured) -> bool:
@@ -211,8 +266,12 @@ def cell(rmse: Sequence[float], p99: Sequence[float]) -> str:
     return f"{100 * max(rmse):.2f} ({100 * max(p99):.1f})"
 
 
-def body(found: Mapping[Case, Measured], sheets: Iterable[tuple[str, float]], size: int, paths: int) -> str:
-    """The text of the page: what was done, the table, and the pictures of the places that have a sheet."""
+def body(
+    found: Mapping[Case, Measured], sheets: Iterable[tuple[str, float]], size: int, paths: int
+) -> str:
+    """The text of the page: what was done, the table, and the pictures of the places that have a
+    sheet.
+    """
     about = ABOUT.format(turns=len(TURNS), paths=paths, rmse=RMSE, p99=P99, sun=SUN, size=size)
     rows = markdown(HEAD, (cells(case, each) for case, each in found.items()))
     return "\n\n".join([about, rows, *map(shown_in_page, sheets)])
@@ -234,9 +293,14 @@ def figures_of(found: Mapping[Case, Measured]) -> dict[str, float]:
     own = {case: each for case, each in found.items() if not case.told}
     finer = {case: each for case, each in found.items() if case.told}
     for name, some in (("by the plan", own), ("of scenes that say more", finer)):
-        figures |= {f"views {name}": len(some), f"views {name} within goals": sum(starmap(met, some.items()))}
+        figures |= {
+            f"views {name}": len(some),
+            f"views {name} within goals": sum(starmap(met, some.items())),
+        }
     if own:
-        figures["RMSE of all turns, %"] = 100.0 * rms([error for each in own.values() for error in each.rmse])
+        figures["RMSE of all turns, %"] = 100.0 * rms(
+            [error for each in own.values() for error in each.rmse]
+        )
         papers = [error for each in own.values() for error in each.papers_rmse]
         figures["papers' RMSE of all turns, %"] = 100.0 * rms(papers)
     return figures
@@ -246,7 +310,10 @@ def shown_in_page(place: tuple[str, float]) -> str:
     """A place's pictures in the page."""
     name = f"{place[0]} at {place[1]:g}"
     what = "the papers' method, isogi, the reference, and errors of the papers' method and of isogi"
-    caption = f"{', '.join(LIGHTS)} from above; {what} (blue {SCALE:.0%} of the mean too dark, red too bright)"
+    caption = (
+        f"{', '.join(LIGHTS)} from above; {what} (blue {SCALE:.0%} of the mean too dark, "
+        "red too bright)"
+    )
     return f"## {name}\n\n![{name}](accuracy-table/{sheet_of(place)})\n\n*{name}; {caption}.*"
 
 
@@ -256,7 +323,9 @@ def sheet_of(place: tuple[str, float]) -> str:
 
 
 def sheets_of(folders: Mapping[Case, Path]) -> Iterator[tuple[tuple[str, float], bytes]]:
-    """A sheet (PNG) for each place that is measured under all lights: lights from above, columns as the page says."""
+    """A sheet (PNG) for each place that is measured under all lights: lights from above, columns as
+    the page says.
+    """
     columns = ("papers", "isogi", "reference", "papers error", "isogi error")
     for place in PLACES:
         files = [folders[Case(Subject(*place, light))] / "pictures.npz" for light in LIGHTS]
@@ -267,5 +336,7 @@ def sheets_of(folders: Mapping[Case, Path]) -> Iterator[tuple[tuple[str, float],
                     rows.append(np.concatenate([shown[name] for name in columns], axis=1))
             sheet = Image.fromarray(np.concatenate(rows))
             data = io.BytesIO()
-            sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST).save(data, "png")
+            sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST).save(
+                data, "png"
+            )
             yield place, data.getvalue()

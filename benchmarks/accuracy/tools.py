@@ -1,11 +1,13 @@
-"""Exports in other tools: what independent readers make of them, and ParaView's picture beside isogi's.
+"""Exports in other tools: what independent readers make of them, and ParaView's picture beside
+isogi's.
 
     python -m benchmarks.accuracy tools [SCENE.toml] [--size 384] [--error 0.03] [--gltf DIR]
 
-`isogi export` writes an isosurface as .glb, .ply and .usdz, and the volume as .vti and .zarr. trimesh, the validator of
-glTF (npm's gltf-validator, below DIR), the validators of OpenUSD, napari's layers (no window) and ParaView's pvpython
-read them; what is not installed is named. ParaView contours the volume by `value`, coloured by `colour`; its picture is
-compared with isogi's of the same camera as sRGB, in pixels where both show the surface.
+`isogi export` writes an isosurface as .glb, .ply and .usdz, and the volume as .vti and .zarr.
+trimesh, the validator of glTF (npm's gltf-validator, below DIR), the validators of OpenUSD,
+napari's layers (no window) and ParaView's pvpython read them; what is not installed is named.
+ParaView contours the volume by `value`, coloured by `colour`; its picture is compared with isogi's
+of the same camera as sRGB, in pixels where both show the surface.
 """
 
 import importlib.util
@@ -43,7 +45,9 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
 
 
 def small_scene(folder: Path) -> str:
-    """A small volume of the shared data in the light of a street, which stays where it is; a demo without them."""
+    """A small volume of the shared data in the light of a street, which stays where it is; a demo
+    without them.
+    """
     data = shared_data()
     if data is None:
         return "demo:orbital"
@@ -59,7 +63,16 @@ def exported(scene: str, folder: Path, error: float) -> dict[str, Any]:
     for kind in KINDS:
         output = folder / f"lit.{kind}"
         seconds, facts = isogi(
-            "export", scene, "-o", output, "--store", folder / "light", "--target-error", error, "--workers", 2
+            "export",
+            scene,
+            "-o",
+            output,
+            "--store",
+            folder / "light",
+            "--target-error",
+            error,
+            "--workers",
+            2,
         )
         figures |= {f"{kind}: seconds": seconds, f"{kind}: MB": facts["bytes"] / 1e6}
     return figures | {"final light": facts["final"]}
@@ -70,21 +83,31 @@ def meshes(folder: Path, gltf: Path | None) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     if importlib.util.find_spec("trimesh"):
         trimesh = import_module("trimesh")
-        glb, ply = (trimesh.load(folder / f"lit.{kind}", process=False, force="mesh") for kind in ("glb", "ply"))
+        glb, ply = (
+            trimesh.load(folder / f"lit.{kind}", process=False, force="mesh")
+            for kind in ("glb", "ply")
+        )
         figures["trimesh: vertices of .glb"] = len(glb.vertices)
         figures["trimesh: .ply encloses, voxels"] = float(ply.volume)
         place = np.abs(glb.vertices[:, [0, 2, 1]] * (1, -1, 1) - ply.vertices).max()
         figures["trimesh: .glb and .ply apart at most, voxels"] = float(place)
-        figures["trimesh: colours of .ply"] = len(np.unique(np.asarray(ply.visual.vertex_colors), axis=0))
+        figures["trimesh: colours of .ply"] = len(
+            np.unique(np.asarray(ply.visual.vertex_colors), axis=0)
+        )
     if gltf is not None and shutil.which("node"):
         command = ["node", "-e", VALIDATE, str(folder / "lit.glb")]
         told = subprocess.run(command, cwd=gltf, capture_output=True, text=True, check=True).stdout
         counts = {"numErrors": "errors", "numWarnings": "warnings"}
-        figures |= {f"gltf-validator: {what}": json.loads(told)[key] for key, what in counts.items()}
+        figures |= {
+            f"gltf-validator: {what}": json.loads(told)[key] for key, what in counts.items()
+        }
     if importlib.util.find_spec("pxr"):
-        validation, usd = import_module("pxr.UsdValidation"), import_module("pxr.Usd")
+        validation = import_module("pxr.UsdValidation")
+        usd = import_module("pxr.Usd")
         every = validation.ValidationRegistry().GetOrLoadAllValidators()
-        found = validation.ValidationContext(every).Validate(usd.Stage.Open(str(folder / "lit.usdz")))
+        found = validation.ValidationContext(every).Validate(
+            usd.Stage.Open(str(folder / "lit.usdz"))
+        )
         figures |= {"OpenUSD: validators": len(every), "OpenUSD: findings": len(found)}
     return figures
 
@@ -93,8 +116,11 @@ def layers(folder: Path) -> dict[str, Any]:
     """What napari's layers hold, without a window."""
     if not (importlib.util.find_spec("napari") and importlib.util.find_spec("trimesh")):
         return {"napari": "not installed"}
-    model, trimesh, zarr = (import_module(name) for name in ("napari.components", "trimesh", "zarr"))
-    viewer, mesh = model.ViewerModel(), trimesh.load(folder / "lit.ply", process=False)
+    model, trimesh, zarr = (
+        import_module(name) for name in ("napari.components", "trimesh", "zarr")
+    )
+    viewer = model.ViewerModel()
+    mesh = trimesh.load(folder / "lit.ply", process=False)
     colours = np.asarray(mesh.visual.vertex_colors) / 255.0
     surface = viewer.add_surface((mesh.vertices, mesh.faces), vertex_colors=colours)
     image = viewer.add_image(zarr.open_array(folder / "lit.zarr" / "0", mode="r"), channel_axis=0)
@@ -106,17 +132,23 @@ def layers(folder: Path) -> dict[str, Any]:
 
 
 def paraview(asked: str) -> int:
-    """Have ParaView draw a picture, on a screen that nobody sees and by its own Python; the contour's points."""
+    """Have ParaView draw a picture, on a screen that nobody sees and by its own Python; the
+    contour's points.
+    """
     script = str(Path(__file__).with_name("paraview_view.py"))
     command = ["xvfb-run", "-a", "pvpython", "--force-offscreen-rendering", script, asked]
     own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, env=own, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise click.ClickException(f"pvpython ended with {done.returncode}: {done.stderr.strip()[-200:]}")
+        raise click.ClickException(
+            f"pvpython ended with {done.returncode}: {done.stderr.strip()[-200:]}"
+        )
     return int(done.stdout.split()[-1])
 
 
-def beside_paraview(scene: str, folder: Path, size: int, error: float) -> tuple[dict[str, Any], dict[str, bytes]]:
+def beside_paraview(
+    scene: str, folder: Path, size: int, error: float
+) -> tuple[dict[str, Any], dict[str, bytes]]:
     """ParaView's picture of the volume beside isogi's: figures, and both pictures as one."""
     if shutil.which("pvpython") is None or shutil.which("xvfb-run") is None:
         return {"ParaView": "pvpython or xvfb-run is not installed"}, {}
@@ -142,14 +174,22 @@ def beside_paraview(scene: str, folder: Path, size: int, error: float) -> tuple[
         "ParaView: pixels of the picture that one alone shows": float(outline),
     }
     picture = io.BytesIO()
-    Image.fromarray(np.concatenate([np.where(own[..., 3:4] > 0, ours, 0), theirs], axis=1)).save(picture, "png")
+    Image.fromarray(np.concatenate([np.where(own[..., 3:4] > 0, ours, 0), theirs], axis=1)).save(
+        picture, "png"
+    )
     return figures, {"beside.png": picture.getvalue()}
 
 
 @part(size=384)
 @click.argument("target", required=False)
-@click.option("--error", default=0.03, show_default=True, help="Relative error at which light is final.")
-@click.option("--gltf", type=click.Path(path_type=Path, exists=True), help="Folder with node_modules/gltf-validator.")
+@click.option(
+    "--error", default=0.03, show_default=True, help="Relative error at which light is final."
+)
+@click.option(
+    "--gltf",
+    type=click.Path(path_type=Path, exists=True),
+    help="Folder with node_modules/gltf-validator.",
+)
 def tools(target: str | None, size: int, error: float, gltf: Path | None) -> Measurement:
     """Exports in other tools: what their readers find, and ParaView's picture beside isogi's."""
     with tempfile.TemporaryDirectory() as name:
@@ -161,5 +201,8 @@ def tools(target: str | None, size: int, error: float, gltf: Path | None) -> Mea
     found = Measurement(title, figures | pictures)
     if not drawn:
         return found
-    text = f"{found.body}\n\n![isogi's picture, and ParaView's of the exported volume](accuracy-tools/beside.png)"
+    text = (
+        f"{found.body}\n\n![isogi's picture, and ParaView's of the exported "
+        "volume](accuracy-tools/beside.png)"
+    )
     return Measurement(title, figures | pictures, text, drawn)

@@ -1,11 +1,14 @@
-"""What pictures tell of their total error beside the truth, and what it takes to bring it to the target.
+"""What pictures tell of their total error beside the truth, and what it takes to bring it to the
+target.
 
-    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--part 1/4]
+    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …]
+    [--part 1/4]
         [--kept FILE]
 
-Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in
-lights of all kinds, as they stand and turned; their pictures are then checked as the server checks pictures at rest.
-References are path-traced from each pixel, with as many bounces as may matter, until their noise is within NOISE.
+Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes'
+plans to 2 %, in lights of all kinds, as they stand and turned; their pictures are then checked as
+the server checks pictures at rest. References are path-traced from each pixel, with as many bounces
+as may matter, until their noise is within NOISE.
 """
 
 import tempfile
@@ -39,10 +42,26 @@ from isogi_report.bench import Bench, ViewBake, dark
 from isogi_report.metrics import score
 
 PLACES = (
-    *(("engine_256x256x128_uint8", 70), ("engine_256x256x128_uint8", 170), ("ct_head_208x256x225_uint8", 110)),
-    *(("mni152_t1_197x233x189_uint8", 90), ("carp_256x512x256_uint8", 110), ("brain_t1_124x160x140_uint8", 50)),
-    *(("bonsai_256x256x256_uint8", 40), ("heptane_302x302x302_uint8", 100), ("fuel_crop_64x33x32_uint8", 100)),
-    *(("avm_337x319x154_uint8", 120), ("boston_teapot_256x256x178_uint8", 35), ("tooth_103x94x161_uint16", 700)),
+    *(
+        ("engine_256x256x128_uint8", 70),
+        ("engine_256x256x128_uint8", 170),
+        ("ct_head_208x256x225_uint8", 110),
+    ),
+    *(
+        ("mni152_t1_197x233x189_uint8", 90),
+        ("carp_256x512x256_uint8", 110),
+        ("brain_t1_124x160x140_uint8", 50),
+    ),
+    *(
+        ("bonsai_256x256x256_uint8", 40),
+        ("heptane_302x302x302_uint8", 100),
+        ("fuel_crop_64x33x32_uint8", 100),
+    ),
+    *(
+        ("avm_337x319x154_uint8", 120),
+        ("boston_teapot_256x256x178_uint8", 35),
+        ("tooth_103x94x161_uint16", 700),
+    ),
     *(("nucleon_41x41x41_uint8", 140), ("bucky_32x32x32_uint8", 90), ("neghip_66x66x66_uint8", 90)),
     *(("hydrogen3d_64x64x64_float32", 0.02), ("isabel_t30_wind_125x125x25_float32", 35)),
     ("lidc_chest_256x256x133_uint8", 60),
@@ -50,10 +69,15 @@ PLACES = (
 """All shared volumes by their files, at isovalues of the middle of what their notes name."""
 
 TURNS = {"": None, " turned": (110.0, 25.0, 0.0)}
-"""Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have them, and others."""
+"""Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have
+them, and others.
+"""
 
-NOISE, MOST = 0.005, 64
-"""The relative noise that references may have, and times ``--paths`` that they may take for that."""
+NOISE = 0.005
+MOST = 64
+"""The relative noise that references may have, and times ``--paths`` that they may take for
+that.
+"""
 
 HEAD = (
     *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
@@ -64,11 +88,12 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Found:
-    """A view: what was ``predicted``, and first told, of a picture whose true error is ``lit``; and of that at the end.
+    """A view: what was ``predicted``, and first told, of a picture whose true error is ``lit``; and
+    of that at the end.
 
-    ``p99`` is what 99 % of the pixels truly err by at most then, and ``tail`` what the picture says of it; None where
-    it is not measured. ``own`` is the share of pixels with light of their own; texels have so many ``samples``
-    then, in the mean; seconds are of the processor.
+    ``p99`` is what 99 % of the pixels truly err by at most then, and ``tail`` what the picture says
+    of it; None where it is not measured. ``own`` is the share of pixels with light of their own;
+    texels have so many ``samples`` then, in the mean; seconds are of the processor.
     """
 
     name: str
@@ -89,7 +114,10 @@ class Found:
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> "Found":
         """One that was written as JSON."""
-        tail = TailError(**given["tail"]) if given.get("tail") else None
+        if given.get("tail"):
+            tail = TailError(**given["tail"])
+        else:
+            tail = None
         totals = {name: TotalError(**given[name]) for name in ("first", "last")}
         return cls(**{**given, **totals, "tail": tail})
 
@@ -106,7 +134,14 @@ class Found:
         )
 
 
-CHECKED = ("view", "texels' light, %", "told at the end, %", "true at the end, 99 %, %", "own light", "bake, s")
+CHECKED = (
+    "view",
+    "texels' light, %",
+    "told at the end, %",
+    "true at the end, 99 %, %",
+    "own light",
+    "bake, s",
+)
 """Heads of the columns of ``Found.row``."""
 
 
@@ -118,7 +153,9 @@ def measurement_of(
         raise click.UsageError("No view has that in its name.")
     figures = {
         "views": len(found),
-        "within 3 % and 99th percentile 10 %": sum(each.true <= 0.03 and each.p99 <= 0.1 for each in found),
+        "within 3 % and 99th percentile 10 %": sum(
+            each.true <= 0.03 and each.p99 <= 0.1 for each in found
+        ),
         "final": sum(each.final for each in found),
         "worst, %": 100 * max(each.true for each in found),
     }
@@ -126,25 +163,60 @@ def measurement_of(
 
 
 @part(size=96)
-@click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
-@click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
+@click.option(
+    "--paths",
+    type=click.IntRange(8),
+    default=1024,
+    show_default=True,
+    help="Paths a pixel of references.",
+)
+@click.option(
+    "--seed",
+    multiple=True,
+    type=int,
+    default=(1,),
+    show_default=True,
+    help="Of volumes; repeatable.",
+)
 @click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
-@click.option("--part", "share", default="1/1", show_default=True, help="Every so many-th scene, from which on.")
-@click.option("--kept", type=Path, help="A file of views measured before, and where others are added.")
+@click.option(
+    "--part",
+    "share",
+    default="1/1",
+    show_default=True,
+    help="Every so many-th scene, from which on.",
+)
+@click.option(
+    "--kept", type=Path, help="A file of views measured before, and where others are added."
+)
 def totals(
-    size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...], share: str, kept: Path | None
+    size: int,
+    paths: int,
+    seed: tuple[int, ...],
+    only: tuple[str, ...],
+    share: str,
+    kept: Path | None,
 ) -> Measurement:
-    """What pictures tell of their total error, beside the truth, and what reaching the target takes."""
-    found, (first, step), known = [], map(int, share.split("/")), Kept(kept, Found.of)
+    """What pictures tell of their total error, beside the truth, and what reaching the target
+    takes.
+    """
+    found = []
+    (first, step) = map(int, share.split("/"))
+    known = Kept(kept, Found.of)
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in islice(scenes(Path(folder), seed, only), first - 1, None, step):
             bench = cache(partial(made_bench, scene, size, Path(folder) / name.replace(" ", "-")))
             for turn, angles in TURNS.items():
-                found.append(known.get(name + turn) or known.put(measure(name + turn, bench(), angles, paths)))
+                found.append(
+                    known.get(name + turn)
+                    or known.put(measure(name + turn, bench(), angles, paths))
+                )
                 click.echo(" | ".join(row_of(found[-1])), err=True)
     if not found:
         raise click.UsageError("No view has that in its name.")
-    return Measurement("Total errors, told and true", figures(found), markdown(HEAD, map(row_of, found)))
+    return Measurement(
+        "Total errors, told and true", figures(found), markdown(HEAD, map(row_of, found))
+    )
 
 
 def made_bench(scene: Callable[[], Scene], size: int, folder: Path) -> Bench:
@@ -152,7 +224,9 @@ def made_bench(scene: Callable[[], Scene], size: int, folder: Path) -> Bench:
     return bench_of(scene(), size, folder)
 
 
-def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Callable[[], Scene]]]:
+def scenes(
+    folder: Path, seeds: Sequence[int], only: Sequence[str]
+) -> Iterator[tuple[str, Callable[[], Scene]]]:
     """All scenes by name, and what makes them."""
     write_hdr(folder / "lamps.hdr", street())
     street_lights = {"a street at night": {"type": "probe", "file": str(folder / "lamps.hdr")}}
@@ -169,7 +243,10 @@ def volumes(seeds: Sequence[int]) -> Iterator[tuple[str, Callable[..., Scene]]]:
     """All volumes by name, and what makes a scene of each: of a light, and an albedo."""
     data = shared_data()
     for file, isovalue in PLACES if data is not None else ():
-        yield f"{file.split('_')[0]} {isovalue:g}", partial(file_scene, f"{data}/{file}.nhdr", isovalue)
+        yield (
+            f"{file.split('_')[0]} {isovalue:g}",
+            partial(file_scene, f"{data}/{file}.nhdr", isovalue),
+        )
     for kind in KINDS:
         for seed in seeds:
             yield f"{kind} {seed}", partial(formula_scene, kind, seed)
@@ -182,7 +259,9 @@ def file_scene(file: str, isovalue: float, light: dict[str, str], albedo: float 
 
 def of_file(light: dict[str, str], data: Path | None) -> dict[str, str]:
     """A light whose file, if it has one, is named from anywhere."""
-    return {**light, "file": str(data / light["file"])} if data and "file" in light else light
+    if data and "file" in light:
+        return {**light, "file": str(data / light["file"])}
+    return light
 
 
 def formula_scene(kind: str, seed: int, light: dict[str, str], albedo: float = 0.7) -> Scene:
@@ -202,18 +281,28 @@ def street() -> np.ndarray:
     return image
 
 
-def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, paths: int) -> Found:
-    """Bring a view's picture, with the light turned by ``angles``, to its target, and hold it against the truth."""
-    turned = replace(bench.view, light=quaternion_from_angles(*angles)) if angles else bench.view
+def measure(
+    name: str, bench: Bench, angles: tuple[float, float, float] | None, paths: int
+) -> Found:
+    """Bring a view's picture, with the light turned by ``angles``, to its target, and hold it
+    against the truth.
+    """
+    if angles:
+        turned = replace(bench.view, light=quaternion_from_angles(*angles))
+    else:
+        turned = bench.view
     folder = bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still")
     best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
-    bake, target, spent = ViewBake(bench.renderer(bench.scene), bench.view), bench.scene.target_error, [0.0]
+    bake = ViewBake(bench.renderer(bench.scene), bench.view)
+    target = bench.scene.target_error
+    spent = [0.0]
     bake.show(dark(bake.layers, len(bake.texels)), np.arange(len(bake.shown.places)))
     renderer = Renderer(bake.renderer.caches, bench.tiles)
     frames = [lit := lit_frame(bake, renderer, turned, target)]
     while refined(renderer, turned, target, spent):
         frames.append(lit_frame(bake, renderer, turned, target))
-    first, last = frames[min(1, len(frames) - 1)], frames[-1]
+    first = frames[min(1, len(frames) - 1)]
+    last = frames[-1]
     before, after = (score(frame.radiance, best, 1.0) for frame in (lit, last))
     return Found(
         name=name,
@@ -251,7 +340,9 @@ def refined(renderer: Renderer, view: View, target: float, spent: list[float]) -
 
 
 def quiet_reference(bench: Bench, paths: int) -> Reference:
-    """The reference of a view after so many ``paths`` a pixel, or more where small lamps leave it noisy."""
+    """The reference of a view after so many ``paths`` a pixel, or more where small lamps leave it
+    noisy.
+    """
     best = bench.reference(paths)
     while best.noise > NOISE and best.samples < MOST * paths:
         best = bench.reference(2 * best.samples)
@@ -279,7 +370,9 @@ def row_of(found: Found) -> tuple[str, ...]:
 
 
 def tail_cells(found: Found) -> tuple[str, str]:
-    """What a picture tells of its 99th percentile at the end, in percent, and that over the truth."""
+    """What a picture tells of its 99th percentile at the end, in percent, and that over the
+    truth.
+    """
     tail = found.tail
     if tail is None:
         return "", ""
@@ -297,10 +390,16 @@ def figures_of_tails(found: Sequence[Found]) -> dict[str, float]:
         "99 % told / true, least": ratios[0],
         "99 % told / true, median": median(ratios),
         "99 % told / true, most": ratios[-1],
-        "99 % told / true within 0.7 and 1.4": sum(0.7 <= ratio <= 1.4 for ratio in ratios) / len(ratios),
-        "99 % intervals that hold the truth": sum(tail.low <= true <= tail.high for tail, true in tails) / len(tails),
+        "99 % told / true within 0.7 and 1.4": sum(0.7 <= ratio <= 1.4 for ratio in ratios)
+        / len(ratios),
+        "99 % intervals that hold the truth": sum(
+            tail.low <= true <= tail.high for tail, true in tails
+        )
+        / len(tails),
         "99 % intervals with an upper end": sum(tail.high < 1.0 for tail, _ in tails) / len(tails),
-        "worst true 99 % of a final picture": max((each.p99 for each in found if each.final), default=0.0),
+        "worst true 99 % of a final picture": max(
+            (each.p99 for each in found if each.final), default=0.0
+        ),
     }
 
 
@@ -313,11 +412,14 @@ def figures(found: Sequence[Found]) -> dict[str, float]:
     return {
         "views": len(found),
         "told / true, median": median(ratios),
-        "told / true within 0.67 and 1.5": sum(0.67 <= ratio <= 1.5 for ratio in ratios) / len(found),
+        "told / true within 0.67 and 1.5": sum(0.67 <= ratio <= 1.5 for ratio in ratios)
+        / len(found),
         "intervals that hold the truth": sum(held) / len(found),
         "final": sum(each.final for each in found) / len(found),
         "within 3 % and 99th percentile 10 %": sum(met) / len(found),
-        "worst true error told as final": max((each.true for each in found if each.final), default=0.0),
+        "worst true error told as final": max(
+            (each.true for each in found if each.final), default=0.0
+        ),
         "told / true at the end, median": median(ends),
         "told / true at the end, least": ends[0],
         "told / true at the end, most": ends[-1],

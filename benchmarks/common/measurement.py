@@ -17,15 +17,18 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "measurements"
 
 Figures = Mapping[str, Any]
-"""Numbers, words or truth values by name. A figure keeps its name: pages that state it look it up by that."""
+"""Numbers, words or truth values by name. A figure keeps its name: pages that state it look it up
+by that.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """What a part of a suite has measured.
 
-    ``text`` is Markdown; a table of the figures where it is empty. ``pictures`` are files by name, written beside the
-    page. ``variant`` tells two measurements of one part apart. ``wrong`` says what must not be, if anything is.
+    ``text`` is Markdown; a table of the figures where it is empty. ``pictures`` are files by name,
+    written beside the page. ``variant`` tells two measurements of one part apart. ``wrong`` says
+    what must not be, if anything is.
     """
 
     title: str
@@ -39,17 +42,23 @@ class Measurement:
     def lines(self) -> str:
         """The figures for a terminal, one a line."""
         width = max(map(len, self.figures), default=0)
-        return "\n".join(f"  {name:<{width}}  {shown(value)}" for name, value in self.figures.items())
+        return "\n".join(
+            f"  {name:<{width}}  {shown(value)}" for name, value in self.figures.items()
+        )
 
     @property
     def body(self) -> str:
         """What stands on its page, in Markdown."""
-        return self.text or markdown(("figure", "value"), ((name, shown(v)) for name, v in self.figures.items()))
+        return self.text or markdown(
+            ("figure", "value"), ((name, shown(v)) for name, v in self.figures.items())
+        )
 
 
 def shown(value: Any) -> str:
     """A figure for a person."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
@@ -59,30 +68,47 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) 
 
 
 def merged(found: Sequence[Measurement]) -> Measurement:
-    """One measurement of several: each is a section, and its figures have its title before their names."""
+    """One measurement of several: each is a section, and its figures have its title before their
+    names.
+    """
     if len(found) == 1:
         return found[0]
-    figures = {f"{each.title}: {name}": value for each in found for name, value in each.figures.items()}
+    figures = {
+        f"{each.title}: {name}": value for each in found for name, value in each.figures.items()
+    }
     text = "\n\n".join(f"## {each.title}\n\n{each.body}" for each in found)
     pictures = {name: data for each in found for name, data in each.pictures.items()}
-    return Measurement(", ".join(each.title for each in found), figures, text, pictures, found[0].variant)
+    return Measurement(
+        ", ".join(each.title for each in found), figures, text, pictures, found[0].variant
+    )
 
 
 def write_measurement(name: str, found: Measurement, command: str, folder: Path = FOLDER) -> Path:
-    """Write ``NAME.md``, with commit, date, machine and command at its head, and ``NAME.json``; the page's path.
+    """Write ``NAME.md``, with commit, date, machine and command at its head, and ``NAME.json``; the
+    page's path.
 
-    Pictures go to a folder ``NAME`` beside them, and ``index.md`` lists all pages. Each file is whole or not there.
-    Raises OSError; ValueError where a figure is no number, word or truth value.
+    Pictures go to a folder ``NAME`` beside them, and ``index.md`` lists all pages. Each file is
+    whole or not there. Raises OSError; ValueError where a figure is no number, word or truth value.
     """
-    facts = {"commit": commit(), "date": f"{datetime.now(UTC):%Y-%m-%d}", "machine": hardware(), "command": command}
+    facts = {
+        "commit": commit(),
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "machine": hardware(),
+        "command": command,
+    }
     figures = {key: checked(key, value) for key, value in plain(found.figures).items()}
     (folder / name if found.pictures else folder).mkdir(parents=True, exist_ok=True)
     for file, data in found.pictures.items():
         write_whole(folder / name / file, data)
     document = {"name": name, "title": found.title, **facts, "figures": figures}
-    write_whole(folder / f"{name}.json", (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode())
+    write_whole(
+        folder / f"{name}.json",
+        (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode(),
+    )
     page = folder / f"{name}.md"
-    write_whole(page, "\n".join([*front(facts), "", f"# {found.title}", "", found.body, ""]).encode())
+    write_whole(
+        page, "\n".join([*front(facts), "", f"# {found.title}", "", found.body, ""]).encode()
+    )
     write_whole(folder / "index.md", index_of(folder).encode())
     return page
 
@@ -90,24 +116,32 @@ def write_measurement(name: str, found: Measurement, command: str, folder: Path 
 INDEX = """\
 # Measurements
 
-Each page states its commit, date, machine and command. `python -m benchmarks.SUITE PART --write` writes a page, its \
-figures as JSON, and this list; the suites are `speed`, `accuracy`, `service` and `scaling`. `--list` names the parts \
-of a suite. Ratios compare only within one page: candidates take turns in one process.
+Each page states its commit, date, machine and command. `python -m benchmarks.SUITE PART --write` \
+writes a page, its figures as JSON, and this list; the suites are `speed`, `accuracy`, `service` \
+and `scaling`. `--list` names the parts of a suite. Ratios compare only within one page: \
+candidates take turns in one process.
 """
 
 EARLIER = """\
 ## Measured before the suites
 
-Commit and date are those of the text that stated the figures. A part that is measured again replaces its page here.
+Commit and date are those of the text that stated the figures. A part that is measured again
+replaces its page here.
 """
 
 
 def index_of(folder: Path) -> str:
-    """The list of the pages in ``folder``; pages without figures as JSON are older than the suites, and stand apart."""
+    """The list of the pages in ``folder``; pages without figures as JSON are older than the suites,
+    and stand apart.
+    """
     pages = [path for path in sorted(folder.glob("*.md")) if path.name != "index.md"]
     fresh = [path for path in pages if path.with_suffix(".json").exists()]
     earlier = [path for path in pages if path not in fresh]
-    parts = [INDEX, *([listed(fresh)] if fresh else []), *([EARLIER, listed(earlier)] if earlier else [])]
+    parts = [
+        INDEX,
+        *([listed(fresh)] if fresh else []),
+        *([EARLIER, listed(earlier)] if earlier else []),
+    ]
     return "\n".join(parts)
 
 
@@ -125,7 +159,10 @@ def listed(pages: Iterable[Path]) -> str:
 def front(facts: Mapping[str, Any]) -> Iterator[str]:
     """The front matter of a page."""
     box = facts["machine"]
-    simd = f"{box['simd']} lanes" if box["simd"] else "no lanes"
+    if box["simd"]:
+        simd = f"{box['simd']} lanes"
+    else:
+        simd = "no lanes"
     yield "---"
     yield f"commit: {facts['commit']}"
     yield f"date: {facts['date']}"
@@ -147,7 +184,9 @@ def hardware() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """The commit that is measured, "-dirty" where code differs from it; "unknown" outside a repository."""
+    """The commit that is measured, "-dirty" where code differs from it; "unknown" outside a
+    repository.
+    """
     try:
         own = git("rev-parse", "--short=12", "HEAD")
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs")

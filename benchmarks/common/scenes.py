@@ -1,4 +1,6 @@
-"""The scenes that suites measure: volumes and lights of the shared data, or demos where those are not at hand."""
+"""The scenes that suites measure: volumes and lights of the shared data, or demos where those are
+not at hand.
+"""
 
 import os
 import tomllib
@@ -37,12 +39,16 @@ LIGHTS: Mapping[str, Mapping[str, str]] = {
 
 def shared_data() -> Path | None:
     """The folder of real volumes and probes (``$ISOGI_SHARED_DATA``), None where there is none."""
-    folder = Path(os.environ.get("ISOGI_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    folder = Path(
+        os.environ.get("ISOGI_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")
+    )
     return folder if folder.is_dir() else None
 
 
 def benchmark_scene(target: str | None, light: str = "probe", **overrides: Any) -> Scene:
-    """``target``, or the engine block at 70 under grace (``light`` "probe") or constant light; else the casting."""
+    """``target``, or the engine block at 70 under grace (``light`` "probe") or constant light; else
+    the casting.
+    """
     data = shared_data()
     if target is None and data is not None:
         lights = {"probe": {"type": "probe", "file": str(data / GRACE)}, "constant": CONSTANT}
@@ -62,9 +68,13 @@ def documented_scene(name: str, data: Path) -> Scene:
 
 
 def scene_file(folder: Path) -> str:
-    """The engine block at 70 under grace as a scene file, or the casting where the data are not at hand."""
-    data, scene = shared_data(), folder / "first.toml"
-    volume, light = 'volume = "demo:casting"', ""
+    """The engine block at 70 under grace as a scene file, or the casting where the data are not at
+    hand.
+    """
+    data = shared_data()
+    scene = folder / "first.toml"
+    volume = 'volume = "demo:casting"'
+    light = ""
     if data is not None:
         volume = f'volume = "{data / ENGINE}"\nisovalue = 70\nbounces = 4'
         light = f'[[lights]]\ntype = "probe"\nfile = "{data / GRACE}"\n'
@@ -103,9 +113,16 @@ def scene_of(subject: Subject, **more: Any) -> Scene:
     """
     data = shared_data()
     if data is None:
-        raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
+        raise click.ClickException(
+            "There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them."
+        )
     light = dict(LIGHTS[subject.light])
-    own = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "albedo": 0.7, "lights": [light]}
+    own = {
+        "volume": VOLUMES[subject.volume],
+        "isovalue": subject.isovalue,
+        "albedo": 0.7,
+        "lights": [light],
+    }
     return build_scene(SceneSource(subject.scene, {**own, **more}, data))
 
 
@@ -119,11 +136,15 @@ SIX = (
     *(*THREE, Subject("engine", 170, "uffizi"), Subject("carp", 110, "noon_grass")),
     Subject("chest CT", 60, "uffizi"),
 )
-"""As unlike each other as the shared volumes are: smooth, porous, thin, coarse and anisotropic ones."""
+"""As unlike each other as the shared volumes are: smooth, porous, thin, coarse and anisotropic
+ones.
+"""
 
 
 def three_scenes(target: str | None) -> Iterator[Scene]:
-    """The scene ``target``; without one the scenes of THREE, or two demos where the shared data are not at hand."""
+    """The scene ``target``; without one the scenes of THREE, or two demos where the shared data are
+    not at hand.
+    """
     if target is not None or shared_data() is None:
         for name in (target,) if target is not None else ("demo:casting", "demo:orbital"):
             yield load_scene(name)

@@ -1,4 +1,6 @@
-"""A server process of its own, as benchmarks need it: started on a free port, looked at from outside, and stopped."""
+"""A server process of its own, as benchmarks need it: started on a free port, looked at from
+outside, and stopped.
+"""
 
 import os
 import re
@@ -53,7 +55,8 @@ class Served:
 
     def footprint(self) -> dict[str, float]:
         """What the server and its workers take now: memory in MiB, open files, processes."""
-        own, workers = psutil.Process(self.process.pid), self.workers
+        own = psutil.Process(self.process.pid)
+        workers = self.workers
         return {
             "server, MiB": own.memory_info().rss / MIB,
             "workers, MiB": sum(worker.memory_info().rss for worker in workers) / MIB,
@@ -71,7 +74,9 @@ class Served:
         """A figure with labels in /metrics; 0 where nothing was counted yet."""
         told = ",".join(f'{label}="{value}"' for label, value in labels.items())
         lines = self.client.get("/metrics").text.splitlines()
-        return sum(float(line.split()[-1]) for line in lines if line.startswith(f"{name}{{{told}}} "))
+        return sum(
+            float(line.split()[-1]) for line in lines if line.startswith(f"{name}{{{told}}} ")
+        )
 
     def stop(self, seconds: float = 30.0) -> float:
         """Ask it to stop, and wait for that; the seconds it took."""
@@ -90,13 +95,25 @@ def serving(
     environment: Mapping[str, str] | None = None,
     errors: IO[bytes] | None = None,
 ) -> Iterator[Served]:
-    """A server process with a scene and a store, until the end of the block; its ``environment`` is added to ours.
+    """A server process with a scene and a store, until the end of the block; its ``environment`` is
+    added to ours.
 
     What it logs goes to the file ``errors``, where one is given.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "server", "serve", scene, "--port", str(port), "--store", store, *options]
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "serve",
+        scene,
+        "--port",
+        str(port),
+        "--store",
+        store,
+        *options,
+    ]
     begun = time.perf_counter()
     surroundings = {**os.environ, **(environment or {})}
     command += ["--workers", str(workers)]

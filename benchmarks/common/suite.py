@@ -1,4 +1,6 @@
-"""Suites and their parts as commands: a part returns what it measured; printing and writing are done here."""
+"""Suites and their parts as commands: a part returns what it measured; printing and writing are
+done here.
+"""
 
 import json
 import shlex
@@ -26,7 +28,8 @@ HIDDEN = ("as_json", "write")
 def part(**defaults: int) -> Callable[[Callable[..., Result]], click.Command]:
     """Decorator: a function that measures, as a part of the suite whose package it is in.
 
-    ``defaults`` may name ``size`` (pixels a side) and ``repeats`` (timed rounds), which the part then has as options.
+    ``defaults`` may name ``size`` (pixels a side) and ``repeats`` (timed rounds), which the part
+    then has as options.
     """
 
     def decorate(measure: Callable[..., Result]) -> click.Command:
@@ -35,7 +38,9 @@ def part(**defaults: int) -> Callable[[Callable[..., Result]], click.Command]:
             result = measure(**given)
             found = []
             for each in [result] if isinstance(result, Measurement) else result:
-                click.echo(json_of(each) if as_json else f"\n{each.title}\n{each.text or each.lines}")
+                click.echo(
+                    json_of(each) if as_json else f"\n{each.title}\n{each.text or each.lines}"
+                )
                 found.append(each)
             if write and found:
                 keep(measure, merged(found))
@@ -46,11 +51,19 @@ def part(**defaults: int) -> Callable[[Callable[..., Result]], click.Command]:
         made: Callable[..., Any] = run
         for name, default in defaults.items():
             add = click.option(
-                f"--{name}", type=click.IntRange(1), default=default, show_default=True, help=TEXTS[name]
+                f"--{name}",
+                type=click.IntRange(1),
+                default=default,
+                show_default=True,
+                help=TEXTS[name],
             )
             made = add(made)
-        made = click.option("--write", is_flag=True, help="Write the measurement to docs/measurements.")(made)
-        made = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")(made)
+        made = click.option(
+            "--write", is_flag=True, help="Write the measurement to docs/measurements."
+        )(made)
+        made = click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")(
+            made
+        )
         return click.command(name_of(measure))(made)
 
     return decorate
@@ -70,7 +83,9 @@ def keep(measure: Callable[..., Result], found: Measurement) -> Path:
     """Write a part's measurement under the name of its suite, its own and its variant's."""
     suite = measure.__module__.split(".")[1]
     own = name_of(measure)
-    command = shlex.join(["python", "-m", f"benchmarks.{suite}", own, *told(click.get_current_context())])
+    command = shlex.join(
+        ["python", "-m", f"benchmarks.{suite}", own, *told(click.get_current_context())]
+    )
     page = write_measurement("-".join(filter(None, (suite, own, found.variant))), found, command)
     click.echo(f"wrote {page.name} and {page.stem}.json in docs/measurements", err=True)
     return page
@@ -78,7 +93,9 @@ def keep(measure: Callable[..., Result], found: Measurement) -> Path:
 
 def told(context: click.Context) -> Iterator[str]:
     """What a person said on the command line, but for paths, which are that person's own."""
-    for parameter in sorted(context.command.params, key=lambda each: isinstance(each, click.Option)):
+    for parameter in sorted(
+        context.command.params, key=lambda each: isinstance(each, click.Option)
+    ):
         name = parameter.name or ""
         given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
         if not given or name in HIDDEN or isinstance(parameter.type, click.Path):
@@ -115,8 +132,12 @@ def suite(about: str, *parts: click.Command) -> Suite:
 
     @click.group(cls=Suite, invoke_without_command=True, help=about)
     @click.option("--list", "listing", is_flag=True, help="Name the parts, and run none.")
-    @click.option("--json", "as_json", is_flag=True, help="Of all parts: print the figures as JSON.")
-    @click.option("--write", is_flag=True, help="Of all parts: write the measurements to docs/measurements.")
+    @click.option(
+        "--json", "as_json", is_flag=True, help="Of all parts: print the figures as JSON."
+    )
+    @click.option(
+        "--write", is_flag=True, help="Of all parts: write the measurements to docs/measurements."
+    )
     @click.pass_context
     def main(context: click.Context, listing: bool, as_json: bool, write: bool) -> None:
         if listing:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 @dataclass
 class Seconds:
-    """Seconds that add up. Those of the processor hold where other work is on the machine, those of the wall do not."""
+    """Seconds that add up. Those of the processor hold where other work is on the machine, those of
+    the wall do not.
+    """
 
     wall: float = 0.0
     processor: float = 0.0
@@ -16,7 +18,8 @@ class Seconds:
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Add what the block takes."""
-        wall, processor = time.perf_counter(), time.process_time()
+        wall = time.perf_counter()
+        processor = time.process_time()
         yield
         self.wall += time.perf_counter() - wall
         self.processor += time.process_time() - processor

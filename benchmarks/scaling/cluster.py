@@ -1,9 +1,12 @@
-"""A cluster against bare copies of the bake: the same bytes however many bake, and how much of their speed is left.
+"""A cluster against bare copies of the bake: the same bytes however many bake, and how much of
+their speed is left.
 
-    python -m benchmarks.scaling cluster [TARGET] [--size 128] [--tasks 32] [--rounds 3] [--workers 1 --workers 2]
+    python -m benchmarks.scaling cluster [TARGET] [--size 128] [--tasks 32] [--rounds 3] [--workers
+    1 --workers 2]
 
-Pools and copies take turns at the same tasks. Ratios are medians over the rounds: "paths a second" of the wall, and of
-the processor, which holds where others use the machine. How far it is, is told on the way.
+Pools and copies take turns at the same tasks. Ratios are medians over the rounds: "paths a second"
+of the wall, and of the processor, which holds where others use the machine. How far it is, is told
+on the way.
 """
 
 import os
@@ -58,36 +61,51 @@ def view_of(scene: Scene, size: int) -> View:
 
 
 def tasks_of(scene: Scene, size: int, most: int, store: str) -> list[BakeTask]:
-    """A task for each of ``most`` chunks all over a view, that brings it to final light at once; large ones first."""
+    """A task for each of ``most`` chunks all over a view, that brings it to final light at once;
+    large ones first.
+    """
     spec = spec_for(PreparedScene(scene), "gi")
-    with tempfile.TemporaryDirectory() as empty, closing(EngineWithoutWorkers([scene], empty)) as engine:
+    with (
+        tempfile.TemporaryDirectory() as empty,
+        closing(EngineWithoutWorkers([scene], empty)) as engine,
+    ):
         engine.start()
         demands = engine.survey(scene.id, view_of(scene, size), scene.target_error).demands
-    some = sorted(demands[:: max(len(demands) // most, 1)][:most], key=lambda demand: -len(demand.offsets))
+    some = sorted(
+        demands[:: max(len(demands) // most, 1)][:most], key=lambda demand: -len(demand.offsets)
+    )
     what = scene.source, spec.plan, spec.digest, StoreUrl(store)
-    return [BakeTask(*what, d.index, d.offsets, d.footprints, MAX_SAMPLES, scene.target_error) for d in some]
+    return [
+        BakeTask(*what, d.index, d.offsets, d.footprints, MAX_SAMPLES, scene.target_error)
+        for d in some
+    ]
 
 
 def pooled(pool: WorkerPool, tasks: Sequence[BakeTask]) -> Speed:
     """What a pool does in a store without light, with as many tasks in flight as the baker has."""
-    room, ended, paths = threading.Semaphore(pool.room), threading.Semaphore(0), [0]
+    room = threading.Semaphore(pool.room)
+    ended = threading.Semaphore(0)
+    paths = [0]
     failures: list[BaseException | None] = []
 
     def done(result: BakeResult | None, error: BaseException | None) -> None:
-        paths[0] += result.cost.paths if result is not None else 0
+        if result is not None:
+            paths[0] += result.cost.paths
         failures.extend([] if result is not None else [error])
         room.release()
         ended.release()
 
     for light in tasks[0].store_url.folder.glob("*/c"):
         shutil.rmtree(light)
-    begun, before = perf_counter(), processor_seconds()
+    begun = perf_counter()
+    before = processor_seconds()
     for task in tasks:
         room.acquire(timeout=LONG)
         pool.submit(task, done)
     for _ in tasks:
         ended.acquire(timeout=LONG)
-    seconds, spent = perf_counter() - begun, processor_seconds() - before
+    seconds = perf_counter() - begun
+    spent = processor_seconds() - before
     assert not failures, failures[0]
     return Speed(paths[0] / seconds, paths[0] / spent)
 
@@ -106,14 +124,20 @@ def hired(kind: str, workers: int) -> Iterator[WorkerPool]:
 
 
 class Contest:
-    """All who bake ``tasks``, by kind and number: pools, and as many bare copies as there are ``workers`` of each."""
+    """All who bake ``tasks``, by kind and number: pools, and as many bare copies as there are
+    ``workers`` of each.
+    """
 
     def __init__(self, tasks: Sequence[BakeTask], workers: Sequence[int], stack: ExitStack) -> None:
         """Start all, and have each bake a little; they end with the ``stack``."""
         self._tasks = tasks
         self._copies = stack.enter_context(closing(Copies(tasks, max(workers))))
-        self._pools = {(kind, n): stack.enter_context(hired(kind, n)) for n in workers for kind in HIRED}
-        self.found: dict[Who, list[Speed]] = {(kind, n): [] for n in workers for kind in (BARE, *HIRED)}
+        self._pools = {
+            (kind, n): stack.enter_context(hired(kind, n)) for n in workers for kind in HIRED
+        }
+        self.found: dict[Who, list[Speed]] = {
+            (kind, n): [] for n in workers for kind in (BARE, *HIRED)
+        }
         for pool in self._pools.values():
             pooled(pool, tasks[: 2 * pool.room])
 
@@ -125,27 +149,45 @@ class Contest:
             tell(f"{named(*who)}: {speeds[-1].wall:,.0f} paths a second")
 
     def ratios(self) -> dict[str, float]:
-        """What each pool's speed is of that of as many copies, and how much more many do than few; medians."""
-        figures = {f"{named(*who)}: paths a second": usual(each.wall for each in s) for who, s in self.found.items()}
+        """What each pool's speed is of that of as many copies, and how much more many do than few;
+        medians.
+        """
+        figures = {
+            f"{named(*who)}: paths a second": usual(each.wall for each in s)
+            for who, s in self.found.items()
+        }
         for who in self._pools:
             ratios = self._over(who, (BARE, who[1]))
             figures[f"{named(*who)} / bare copies"] = usual(ratio.wall for ratio in ratios)
-            figures[f"{named(*who)} / bare copies, by processor seconds"] = usual(ratio.processor for ratio in ratios)
-        for (kind, few), (_, many) in ((a, b) for a, b in permutations(self.found, 2) if a[0] == b[0] and a[1] < b[1]):
+            figures[f"{named(*who)} / bare copies, by processor seconds"] = usual(
+                ratio.processor for ratio in ratios
+            )
+        for (kind, few), (_, many) in (
+            (a, b) for a, b in permutations(self.found, 2) if a[0] == b[0] and a[1] < b[1]
+        ):
             more = self._over((kind, many), (kind, few))
             figures[f"{named(kind, many)} / {few}"] = usual(ratio.wall for ratio in more)
         return figures
 
     def _over(self, who: Who, other: Who) -> list[Speed]:
         """How many times as fast as another one is, round by round."""
-        return [own.over(their) for own, their in zip(self.found[who], self.found[other], strict=True)]
+        return [
+            own.over(their) for own, their in zip(self.found[who], self.found[other], strict=True)
+        ]
 
     def memory(self) -> dict[str, float]:
         """The most that a process of each kind took."""
         workers = {named(*who): pool.pids() for who, pool in self._pools.items()}
         known = {*chain.from_iterable(workers.values()), *self._copies.pids}
-        others = [child.pid for child in psutil.Process().children(recursive=True) if child.pid not in known]
-        of = {**{f"a worker of {name}": pids for name, pids in workers.items()}, "a bare copy": self._copies.pids}
+        others = [
+            child.pid
+            for child in psutil.Process().children(recursive=True)
+            if child.pid not in known
+        ]
+        of = {
+            **{f"a worker of {name}": pids for name, pids in workers.items()},
+            "a bare copy": self._copies.pids,
+        }
         of |= {"a scheduler or nanny": others, "this process": [os.getpid()]}
         return {f"most memory of {name}, MiB": max(map(peak, pids)) for name, pids in of.items()}
 
@@ -165,7 +207,9 @@ def tell(text: str) -> None:
     click.echo(text, err=True)
 
 
-def speeds(scene: Scene, size: int, most: int, workers: Sequence[int], rounds: int) -> dict[str, Any]:
+def speeds(
+    scene: Scene, size: int, most: int, workers: Sequence[int], rounds: int
+) -> dict[str, Any]:
     """How fast pools and copies are, taking turns, and the memory that they take."""
     with ExitStack() as stack:
         store = stack.enter_context(tempfile.TemporaryDirectory())
@@ -218,16 +262,37 @@ def digests(numbers: Sequence[int]) -> Iterator[tuple[str, str]]:
 @click.option("--size", default=128, show_default=True, help="Pixels a side of the view for speed.")
 @click.option("--tasks", default=32, show_default=True, help="Chunks of it that are baked.")
 @click.option("--rounds", default=3, show_default=True, help="Turns of pools and copies.")
-@click.option("--workers", multiple=True, type=int, default=(1, 2), show_default=True, help="Numbers for speed.")
-@click.option("--same", multiple=True, type=int, default=(1, 2, 4), show_default=True, help="Numbers for sameness.")
+@click.option(
+    "--workers",
+    multiple=True,
+    type=int,
+    default=(1, 2),
+    show_default=True,
+    help="Numbers for speed.",
+)
+@click.option(
+    "--same",
+    multiple=True,
+    type=int,
+    default=(1, 2, 4),
+    show_default=True,
+    help="Numbers for sameness.",
+)
 def cluster(
     target: str, size: int, tasks: int, rounds: int, workers: tuple[int, ...], same: tuple[int, ...]
 ) -> Measurement:
-    """Workers beside bare copies of the bake: speed kept, and the same bytes. Fails where bytes differ."""
+    """Workers beside bare copies of the bake: speed kept, and the same bytes. Fails where bytes
+    differ.
+    """
     figures: dict[str, Any] = {}
     for name, found in digests(same):
         tell(f"{name}: SHA-256 of all chunks {found[:12]}…")
         figures[f"SHA-256 of all chunks, {name}"] = found
-    wrong = "The bytes differ from one number of workers to another." if len(set(figures.values())) > 1 else ""
+    if len(set(figures.values())) > 1:
+        wrong = "The bytes differ from one number of workers to another."
+    else:
+        wrong = ""
     figures |= speeds(load_scene(target), size, tasks, workers, rounds)
-    return Measurement(f"{Path(target).stem}: a cluster against bare copies of the bake", figures, wrong=wrong)
+    return Measurement(
+        f"{Path(target).stem}: a cluster against bare copies of the bake", figures, wrong=wrong
+    )

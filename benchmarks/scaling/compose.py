@@ -1,10 +1,12 @@
-"""The services of docker-compose.yml: from nothing to a picture, each of them killed, and more workers.
+"""The services of docker-compose.yml: from nothing to a picture, each of them killed, and more
+workers.
 
     python -m benchmarks.scaling compose [--json]
 
-The file's own commands run as processes of this machine, without containers, over a small S3 of the tests; what ends is
-started again, as the file says. One service after the other is killed while a view is baked; then there are four
-workers in place of one. Tells the seconds until all is well again: until a view is final that nobody has looked at.
+The file's own commands run as processes of this machine, without containers, over a small S3 of the
+tests; what ends is started again, as the file says. One service after the other is killed while a
+view is baked; then there are four workers in place of one. Tells the seconds until all is well
+again: until a view is final that nobody has looked at.
 """
 
 import tempfile
@@ -37,12 +39,17 @@ DEGREES = 67
 
 
 class Watch:
-    """Looks at one view after the other of what is ``running``; ``answers`` are counted by status, 0 for none."""
+    """Looks at one view after the other of what is ``running``; ``answers`` are counted by status,
+    0 for none.
+    """
 
     def __init__(self, running: Composed, client: httpx.Client, path: str) -> None:
         """Look at nothing yet."""
-        self.running, self.answers = running, Counter[int]()
-        self._client, self._path, self._views = client, path, 0
+        self.running = running
+        self.answers = Counter[int]()
+        self._client = client
+        self._path = path
+        self._views = 0
 
     def shown(self) -> bool:
         """Whether the newest view has a picture."""
@@ -51,7 +58,9 @@ class Watch:
     def final(self) -> bytes | None:
         """The picture of the newest view, once it is final."""
         answer = self._look(1000)
-        return answer.content if answer.headers.get("isogi-provisional") == "?0" else None
+        if answer.headers.get("isogi-provisional") == "?0":
+            return answer.content
+        return None
 
     def seconds(self, condition: Callable[[], object]) -> float:
         """Seconds until a condition holds; what has ended is started again meanwhile."""
@@ -117,7 +126,8 @@ def lose(s3: S3Server) -> None:
 def measured(running: Composed, s3: S3Server, path: str) -> Figures:
     """All of it, from nothing."""
     with running.client() as client:
-        watch, begun = Watch(running, client, path), time.perf_counter()
+        watch = Watch(running, client, path)
+        begun = time.perf_counter()
         running.start("scheduler")
         until(lambda: running.healthy("scheduler"))
         running.start("worker")

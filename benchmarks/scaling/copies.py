@@ -1,4 +1,6 @@
-"""Bare copies of the bake: processes without store, queue and scheduler, which a pool of workers is held against."""
+"""Bare copies of the bake: processes without store, queue and scheduler, which a pool of workers is
+held against.
+"""
 
 import multiprocessing
 import time
@@ -17,7 +19,9 @@ LONG = 600.0
 
 
 class Speed(NamedTuple):
-    """Paths a second of the wall, and a second of the processor: the latter holds where others use the machine."""
+    """Paths a second of the wall, and a second of the processor: the latter holds where others use
+    the machine.
+    """
 
     wall: float
     processor: float
@@ -37,7 +41,9 @@ def climb(task: BakeTask) -> int:
 
 
 def copy(tasks: Sequence[BakeTask], line: Connection) -> None:
-    """The life of one copy, as nice as a worker: bake those of the tasks that are named, until none are."""
+    """The life of one copy, as nice as a worker: bake those of the tasks that are named, until none
+    are.
+    """
     Nice(apart=True).setup(None)
     line.send(climb(tasks[0]))
     while share := line.recv():
@@ -47,7 +53,9 @@ def copy(tasks: Sequence[BakeTask], line: Connection) -> None:
 
 
 class Copies:
-    """So many processes that bake ``tasks``, ready when this is made, until it is closed; and their ``pids``."""
+    """So many processes that bake ``tasks``, ready when this is made, until it is closed; and their
+    ``pids``.
+    """
 
     def __init__(self, tasks: Sequence[BakeTask], most: int) -> None:
         """Start them, and wait until each has baked a task."""
@@ -65,13 +73,18 @@ class Copies:
             told(line)
 
     def bake(self, copies: int) -> Speed:
-        """All tasks in as many shares, at the same time: the sum of what each copy does while it works."""
+        """All tasks in as many shares, at the same time: the sum of what each copy does while it
+        works.
+        """
         before = processor_seconds()
         for number, line in enumerate(self._lines[:copies]):
             line.send(range(number, self._tasks, copies))
         found = [told(line) for line in self._lines[:copies]]
         spent = processor_seconds() - before
-        return Speed(sum(paths / seconds for paths, seconds in found), sum(paths for paths, _ in found) / spent)
+        return Speed(
+            sum(paths / seconds for paths, seconds in found),
+            sum(paths for paths, _ in found) / spent,
+        )
 
     def close(self) -> None:
         """Have them end."""
@@ -88,6 +101,8 @@ def told(line: Connection) -> Any:
 
 
 def processor_seconds() -> float:
-    """Seconds of the processor that this process and all that it has started, and that live, have taken."""
+    """Seconds of the processor that this process and all that it has started, and that live, have
+    taken.
+    """
     own = psutil.Process()
     return sum(sum(each.cpu_times()[:2]) for each in (own, *own.children(recursive=True)))

@@ -1,14 +1,18 @@
-"""Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever wrong.
+"""Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever
+wrong.
 
-    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--flips 10000] [--views 8] [--seed 0] [--json]
+    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--flips 10000] [--views 8]
+    [--seed 0] [--json]
 
-Views are baked. Then objects of their light are damaged, each in another way, while a server runs that has not read
-them yet, and all views are asked for until they are final again. Where the store has fewer objects than are to be
-damaged, that is done again with another server. Before that, single bits of single objects are flipped, each object is
-read as servers and workers read it, and has its bytes back.
+Views are baked. Then objects of their light are damaged, each in another way, while a server runs
+that has not read them yet, and all views are asked for until they are final again. Where the store
+has fewer objects than are to be damaged, that is done again with another server. Before that,
+single bits of single objects are flipped, each object is read as servers and workers read it, and
+has its bytes back.
 
-Each picture decides how many samples its texels take, by what it measures while they are baked; so another server may
-bake texels less far than the first. Of as many samples their light is the same to the bit.
+Each picture decides how many samples its texels take, by what it measures while they are baked; so
+another server may bake texels less far than the first. Of as many samples their light is the same
+to the bit.
 """
 
 import io
@@ -56,7 +60,9 @@ def flipped(path: Path, _: Path, chance: random.Random) -> None:
 
 
 DAMAGES: dict[str, Damage] = {
-    "cut in half": lambda path, _, __: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "cut in half": lambda path, _, __: path.write_bytes(
+        path.read_bytes()[: path.stat().st_size // 2]
+    ),
     "cut by a byte": lambda path, _, __: path.write_bytes(path.read_bytes()[:-1]),
     "empty": lambda path, _, __: path.write_bytes(b""),
     "three bytes": lambda path, _, __: path.write_bytes(path.read_bytes()[:3]),
@@ -73,15 +79,28 @@ DAMAGES: dict[str, Damage] = {
 def elsewhere(path: Path) -> Path:
     """The object of the same chunk in another layer; of the same, where there is no other."""
     layer = path.parents[4]
-    others = [each / path.relative_to(layer) for each in layer.parent.iterdir() if each not in (layer, path)]
-    return next((each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0")))
+    others = [
+        each / path.relative_to(layer)
+        for each in layer.parent.iterdir()
+        if each not in (layer, path)
+    ]
+    return next(
+        (each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0"))
+    )
 
 
 def missed(store: str, flips: int, chance: random.Random) -> int:
-    """Flip so many bits, one at a time, of one object each; how many of these a reader does not notice."""
-    root, unnoticed = Store(store, make=False), 0
+    """Flip so many bits, one at a time, of one object each; how many of these a reader does not
+    notice.
+    """
+    root = Store(store, make=False)
+    unnoticed = 0
     counts = census_of(root, texels=False).counts.values()
-    chunks = [(count, index, each.key) for count in counts for index, each in sorted(count.files.chunks.items())]
+    chunks = [
+        (count, index, each.key)
+        for count in counts
+        for index, each in sorted(count.files.chunks.items())
+    ]
     for _ in range(flips):
         count, index, key = chance.choice(chunks)
         whole = Path(store, key).read_bytes()
@@ -103,14 +122,23 @@ def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
 
 
 def look(server: Served, number: int, wait: float) -> tuple[int, np.ndarray | None, bool]:
-    """One look at a view: the status of the answer, the planes in it, (h, w, 9), and whether they are final."""
-    answer = server.client.get(f"{server.path}/frame", params=view(number) | {"wait_ms": int(1000 * wait)})
-    planes = np.load(io.BytesIO(answer.content)) if answer.status_code == 200 else None
+    """One look at a view: the status of the answer, the planes in it, (h, w, 9), and whether they
+    are final.
+    """
+    answer = server.client.get(
+        f"{server.path}/frame", params=view(number) | {"wait_ms": int(1000 * wait)}
+    )
+    if answer.status_code == 200:
+        planes = np.load(io.BytesIO(answer.content))
+    else:
+        planes = None
     return answer.status_code, planes, answer.headers.get("isogi-provisional") == "?0"
 
 
 class Seen(NamedTuple):
-    """The planes of a view by the light of its texels alone, ``lit``, and once its picture was checked, ``final``."""
+    """The planes of a view by the light of its texels alone, ``lit``, and once its picture was
+    checked, ``final``.
+    """
 
     lit: np.ndarray
     final: np.ndarray
@@ -122,8 +150,11 @@ def bake(server: Served, views: int) -> list[Seen]:
 
 
 def see(server: Served, number: int, seen: Counter[str], expected: Seen | None = None) -> Seen:
-    """Look at a view until it is final, and count the ``seen`` answers and pixels by whether they are right."""
-    wait, lit = 0.0, None
+    """Look at a view until it is final, and count the ``seen`` answers and pixels by whether they
+    are right.
+    """
+    wait = 0.0
+    lit = None
     while True:
         status, planes, final = look(server, number, wait)
         wait = 1.0
@@ -142,14 +173,19 @@ def see(server: Served, number: int, seen: Counter[str], expected: Seen | None =
 def compare(planes: np.ndarray, expected: Seen, seen: Counter[str]) -> None:
     """Count the final pixels of a picture, and those of them that are not as expected.
 
-    They are expected to be as before by texels alone, or as they are in the end: checks give some of them light of
-    their own. A texel that lost one of its layers has reached its error when that has caught up in part, and the pixel
-    may be final with fewer paths than before: another number, as good as it is told to be. What is told of the two is
-    the standard error of their difference, which every third exceeds; one that is SURELY times as far off is wrong.
+    They are expected to be as before by texels alone, or as they are in the end: checks give some
+    of them light of their own. A texel that lost one of its layers has reached its error when that
+    has caught up in part, and the pixel may be final with fewer paths than before: another number,
+    as good as it is told to be. What is told of the two is the standard error of their difference,
+    which every third exceeds; one that is SURELY times as far off is wrong.
     """
     sure = planes[..., 4] == 3
-    off = np.min([np.abs(planes[sure][:, :3] - each[sure][:, :3]).max(axis=1) for each in expected], axis=0)
-    told = np.hypot(planes[sure][:, 5], expected.final[sure][:, 5]) * expected.final[sure][:, :3].max(axis=1)
+    off = np.min(
+        [np.abs(planes[sure][:, :3] - each[sure][:, :3]).max(axis=1) for each in expected], axis=0
+    )
+    told = np.hypot(planes[sure][:, 5], expected.final[sure][:, 5]) * expected.final[sure][
+        :, :3
+    ].max(axis=1)
     seen["final pixels"] += int(sure.sum())
     seen["of fewer paths for a while"] += int((off > 0.0).sum())
     seen["of these beyond the error told"] += int((off > told).sum())
@@ -159,12 +195,19 @@ def compare(planes: np.ndarray, expected: Seen, seen: Counter[str]) -> None:
 def settle(server: Served) -> None:
     """Wait until nothing is baked any more."""
     deadline = time.monotonic() + SETTLED
-    while server.metric("isogi_queue_chunks") + server.metric("isogi_tasks_in_flight") and time.monotonic() < deadline:
+    while (
+        server.metric("isogi_queue_chunks") + server.metric("isogi_tasks_in_flight")
+        and time.monotonic() < deadline
+    ):
         time.sleep(0.1)
 
 
-def round_of(scene: str, store: str, damage: Callable[[str], Counter[str]], expected: Sequence[Seen]) -> Counter[str]:
-    """Damage objects of a store under a server, and look at all views until they are final again."""
+def round_of(
+    scene: str, store: str, damage: Callable[[str], Counter[str]], expected: Sequence[Seen]
+) -> Counter[str]:
+    """Damage objects of a store under a server, and look at all views until they are final
+    again.
+    """
     with serving(scene, store, WORKERS) as server:
         found: Counter[str] = Counter()
         kinds = damage(store)
@@ -172,7 +215,9 @@ def round_of(scene: str, store: str, damage: Callable[[str], Counter[str]], expe
             see(server, number, found, before)
         settle(server)
         found["damaged"] = kinds.total()
-        found["told as damaged"] = int(server.labelled("isogi_errors_total", kind="DamagedChunkError"))
+        found["told as damaged"] = int(
+            server.labelled("isogi_errors_total", kind="DamagedChunkError")
+        )
         found["not to be noticed: deleted"] = kinds["deleted"]
         found["healed by workers"] = int(server.metric("isogi_chunks_healed_total"))
         found["failed tasks"] = int(server.metric("isogi_tasks_failed_total"))
@@ -181,18 +226,31 @@ def round_of(scene: str, store: str, damage: Callable[[str], Counter[str]], expe
 
 def measure(scene: str, store: str, damaged: int, flips: int, views: int, seed: int) -> Figures:
     """Bake, damage and heal."""
-    chance, found = random.Random(seed), Counter[str]()
+    chance = random.Random(seed)
+    found = Counter[str]()
     with serving(scene, store, WORKERS) as server:
         expected = bake(server, views)
     whole = texels_of(store)
     objects = len({key for key, _ in whole})
-    unnoticed, differ = missed(store, flips, chance), 0
+    unnoticed = missed(store, flips, chance)
+    differ = 0
     while found["damaged"] < damaged:
         spoiled = partial(spoil, many=damaged - found["damaged"], chance=chance)
         found += round_of(scene, store, spoiled, expected)
         differ += altered(whole, texels_of(store))
-    names = ("damaged", "told as damaged", "not to be noticed: deleted", "healed by workers", "failed tasks")
-    pixels = ("final pixels", "of fewer paths for a while", "of these beyond the error told", "wrong pixels")
+    names = (
+        "damaged",
+        "told as damaged",
+        "not to be noticed: deleted",
+        "healed by workers",
+        "failed tasks",
+    )
+    pixels = (
+        "final pixels",
+        "of fewer paths for a while",
+        "of these beyond the error told",
+        "wrong pixels",
+    )
     seen = ("answers", "answers 5xx", *pixels)
     return {
         "objects": objects,
@@ -206,7 +264,12 @@ def measure(scene: str, store: str, damaged: int, flips: int, views: int, seed: 
 @part()
 @click.argument("target", required=False)
 @click.option("--damaged", default=200, show_default=True, help="Objects that are damaged.")
-@click.option("--flips", default=10_000, show_default=True, help="Bits that are flipped before, one at a time.")
+@click.option(
+    "--flips",
+    default=10_000,
+    show_default=True,
+    help="Bits that are flipped before, one at a time.",
+)
 @click.option("--views", default=8, show_default=True, help="Views that are looked at.")
 @click.option("--seed", default=0, show_default=True, help="Decides which, and how.")
 def damage(target: str | None, damaged: int, flips: int, views: int, seed: int) -> Measurement:

@@ -1,12 +1,15 @@
-"""Killing workers, servers, schedulers or prewarms while they bake: nothing kept is lost or torn, or other light.
+"""Killing workers, servers, schedulers or prewarms while they bake: nothing kept is lost or torn,
+or other light.
 
-    python -m benchmarks.scaling kills [SCENE.toml] [--victim worker|server|scheduler|prewarm] [--cycles 100] [--seed 0]
+    python -m benchmarks.scaling kills [SCENE.toml] [--victim worker|server|scheduler|prewarm]
+    [--cycles 100] [--seed 0]
 
-A visitor looks at one view after the other while a process is killed at a random time, again and again; somebody else
-reads every object of the store all the time. Then the same views are baked undisturbed, and all bytes are compared.
-That is done in rounds of at most ROUND kills, each with an empty store, so that there is always light to bake.
-A prewarm that was killed is gone on with by the next; where one came to its end, the next is of another isovalue.
-A scheduler is started again at its address, and so are its workers, which end when it is gone.
+A visitor looks at one view after the other while a process is killed at a random time, again and
+again; somebody else reads every object of the store all the time. Then the same views are baked
+undisturbed, and all bytes are compared. That is done in rounds of at most ROUND kills, each with an
+empty store, so that there is always light to bake. A prewarm that was killed is gone on with by the
+next; where one came to its end, the next is of another isovalue. A scheduler is started again at
+its address, and so are its workers, which end when it is gone.
 """
 
 import os
@@ -41,7 +44,9 @@ PATIENCE = 120.0
 """Seconds within which light comes, or a worker."""
 
 ROUND = 10
-"""Kills of a round: the small scene has light for 48 views, and two are baked from one kill of a server to the next."""
+"""Kills of a round: the small scene has light for 48 views, and two are baked from one kill of a
+server to the next.
+"""
 
 RESTART = "restart to an old frame, longest, s"
 MARK = "ISOGI_BENCHMARK_MARK"
@@ -56,7 +61,8 @@ class Killer:
 
     def __init__(self, scene: str, store: str, seed: int) -> None:
         """Kill nobody yet."""
-        self.scene, self.store = scene, store
+        self.scene = scene
+        self.store = store
         self.orphans = self.kills = self.orders = 0
         self.restarts: list[float] = []
         self._chance = random.Random(seed)
@@ -72,7 +78,9 @@ class Killer:
             self._wait(watcher, "worker", lambda: False)
             self._kill(self._chance.choice(workers_of(server)))
 
-    def servers(self, stack: ExitStack, server: Served, visitor: Visitor, watcher: Watcher, cycles: int) -> None:
+    def servers(
+        self, stack: ExitStack, server: Served, visitor: Visitor, watcher: Watcher, cycles: int
+    ) -> None:
         """Kill one server after the other, and start it again."""
         for _ in range(cycles):
             self._wait(watcher, "server", lambda: False)
@@ -85,7 +93,9 @@ class Killer:
             self.restarts.append(server.ready_after + time.perf_counter() - begun)
 
     def schedulers(self, joined: "Joined", watcher: Watcher, cycles: int) -> None:
-        """Kill one scheduler after the other, and start it again, and its workers once they have ended."""
+        """Kill one scheduler after the other, and start it again, and its workers once they have
+        ended.
+        """
         for _ in range(cycles):
             self._wait(watcher, "scheduler", lambda: False)
             self._kill(psutil.Process(joined.first.pid))
@@ -116,11 +126,16 @@ class Killer:
         return order(self.orders - 1)
 
     def _wait(self, watcher: Watcher, victim: str, over: Callable[[], bool]) -> None:
-        """Until light has come since the last kill, or the victim is ``over`` by itself, and some time more."""
-        before, deadline = watcher.progress, time.monotonic() + PATIENCE
+        """Until light has come since the last kill, or the victim is ``over`` by itself, and some
+        time more.
+        """
+        before = watcher.progress
+        deadline = time.monotonic() + PATIENCE
         while watcher.progress == before and not over():
             if time.monotonic() > deadline:
-                raise click.ClickException(f"No light came for {PATIENCE:g} s: take a scene that has more to bake.")
+                raise click.ClickException(
+                    f"No light came for {PATIENCE:g} s: take a scene that has more to bake."
+                )
             time.sleep(0.01)
         time.sleep(self._chance.uniform(0.0, LATEST[victim]))
 
@@ -168,27 +183,58 @@ def marked(mark: str) -> list[psutil.Process]:
 
 def order(number: int) -> tuple[str, ...]:
     """What one prewarm after the other bakes: several views at the isovalue of a visitor's view."""
-    return ("--isovalue", str(view(number)["isovalue"]), "--views", "6", "--width", "48", "--height", "48")
-
-
-def prewarming(scene: str, store: str, what: tuple[str, ...], mark: str = "") -> subprocess.Popen[bytes]:
-    """A prewarm that begins, whose processes can be told by a mark in their environment."""
-    command = [sys.executable, "-m", "server", "prewarm", scene, "--store", store, "--workers", str(WORKERS), *what]
-    return subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, MARK: mark}
+    return (
+        "--isovalue",
+        str(view(number)["isovalue"]),
+        "--views",
+        "6",
+        "--width",
+        "48",
+        "--height",
+        "48",
     )
 
 
-def disturbed(scene: str, store: str, victim: str, cycles: int, seed: int) -> tuple[Figures, Repeat]:
+def prewarming(
+    scene: str, store: str, what: tuple[str, ...], mark: str = ""
+) -> subprocess.Popen[bytes]:
+    """A prewarm that begins, whose processes can be told by a mark in their environment."""
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "prewarm",
+        scene,
+        "--store",
+        store,
+        "--workers",
+        str(WORKERS),
+        *what,
+    ]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, MARK: mark},
+    )
+
+
+def disturbed(
+    scene: str, store: str, victim: str, cycles: int, seed: int
+) -> tuple[Figures, Repeat]:
     """Bake while processes are killed."""
-    killer, begun = Killer(scene, store, seed), time.perf_counter()
+    killer = Killer(scene, store, seed)
+    begun = time.perf_counter()
     with Watcher(store) as watcher:
         if victim == "prewarm":
             more, repeat = prewarmed(killer, watcher, cycles)
         else:
             more, repeat = visited(killer, watcher, victim, cycles)
         watcher.spec()
-    restarts = {RESTART: max(killer.restarts)} if killer.restarts else {}
+    if killer.restarts:
+        restarts = {RESTART: max(killer.restarts)}
+    else:
+        restarts = {}
     return {
         f"{victim}s killed": killer.kills,
         "seconds": time.perf_counter() - begun,
@@ -208,7 +254,9 @@ def prewarmed(killer: Killer, watcher: Watcher, cycles: int) -> tuple[Figures, R
     killer.prewarms(watcher, cycles)
 
     def repeat(store: str) -> Figures:
-        codes = [prewarming(killer.scene, store, order(number)).wait() for number in range(killer.orders)]
+        codes = [
+            prewarming(killer.scene, store, order(number)).wait() for number in range(killer.orders)
+        ]
         return {"prewarms that fail undisturbed": sum(code != 0 for code in codes)}
 
     return {"prewarms begun": killer.orders}, repeat
@@ -220,7 +268,9 @@ def visited(killer: Killer, watcher: Watcher, victim: str, cycles: int) -> tuple
         joined = stack.enter_context(Joined())
         if victim == "scheduler":
             joined.begin()
-        server = stack.enter_context(killer.serving(*joined.options) if victim == "scheduler" else killer.serving())
+        server = stack.enter_context(
+            killer.serving(*joined.options) if victim == "scheduler" else killer.serving()
+        )
         visitor = stack.enter_context(Visitor(f"{server.url}{server.path}"))
         if victim == "scheduler":
             killer.schedulers(joined, watcher, cycles)
@@ -234,7 +284,11 @@ def visited(killer: Killer, watcher: Watcher, victim: str, cycles: int) -> tuple
         with serving(killer.scene, store, WORKERS) as again:
             other = Visitor(f"{again.url}{again.path}")
             finals = [other.see(number) for number in range(len(visitor.finals))]
-        return {"final pictures that differ": sum(a != b for a, b in zip(visitor.finals, finals, strict=True))}
+        return {
+            "final pictures that differ": sum(
+                a != b for a, b in zip(visitor.finals, finals, strict=True)
+            )
+        }
 
     return {"views that became final": len(visitor.finals), "answers 5xx": visitor.errors}, repeat
 
@@ -242,9 +296,12 @@ def visited(killer: Killer, watcher: Watcher, victim: str, cycles: int) -> tuple
 def compared(folder: str, repeat: Repeat) -> Figures:
     """Bake the same undisturbed, and compare."""
     differ = repeat(f"{folder}/undisturbed")
-    light, expected = light_in(f"{folder}/light"), light_in(f"{folder}/undisturbed")
+    light = light_in(f"{folder}/light")
+    expected = light_in(f"{folder}/undisturbed")
     return {
-        "objects with other bytes than undisturbed": sum(light.get(key) != value for key, value in expected.items()),
+        "objects with other bytes than undisturbed": sum(
+            light.get(key) != value for key, value in expected.items()
+        ),
         "objects that undisturbed are none": len(light.keys() - expected.keys()),
         **differ,
     }
@@ -260,7 +317,10 @@ def in_a_round(target: str | None, victim: str, cycles: int, seed: int) -> Figur
 
 def summed(rounds: Sequence[Figures]) -> Figures:
     """The figures of all rounds together: the longest of restarts, the sums of the others."""
-    return {name: (max if name == RESTART else sum)(found[name] for found in rounds) for name in rounds[0]}
+    return {
+        name: (max if name == RESTART else sum)(found[name] for found in rounds)
+        for name in rounds[0]
+    }
 
 
 @part()
@@ -269,7 +329,13 @@ def summed(rounds: Sequence[Figures]) -> Figures:
 @click.option("--cycles", type=click.IntRange(1), default=100, show_default=True, help="Kills.")
 @click.option("--seed", default=0, show_default=True, help="Decides when, and whom.")
 def kills(target: str | None, victim: str, cycles: int, seed: int) -> Measurement:
-    """Workers, servers, schedulers or prewarms killed while they bake: what is lost, torn, other than undisturbed."""
+    """Workers, servers, schedulers or prewarms killed while they bake: what is lost, torn, other
+    than undisturbed.
+    """
     counts = [min(ROUND, cycles - done) for done in range(0, cycles, ROUND)]
-    found = summed([in_a_round(target, victim, count, seed + number) for number, count in enumerate(counts)])
-    return Measurement(f"{Path(target or 'small').stem}, {cycles} kills of a {victim}", found, variant=victim)
+    found = summed(
+        [in_a_round(target, victim, count, seed + number) for number, count in enumerate(counts)]
+    )
+    return Measurement(
+        f"{Path(target or 'small').stem}, {cycles} kills of a {victim}", found, variant=victim
+    )

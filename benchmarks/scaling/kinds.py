@@ -1,11 +1,14 @@
-"""Files of each kind: seconds of one command from the file to a lit picture, and memory where the file is large.
+"""Files of each kind: seconds of one command from the file to a lit picture, and memory where the
+file is large.
 
-    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 128] [--seconds 90] [--folder DIR]
+    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 128] [--seconds 90]
+    [--folder DIR]
 
-One field is written as each kind by the library that its field keeps. `isogi render` draws each, with caches of its
-own, so that the copy of a large one is made and its light is baked anew. The field repeats a block of 128 voxels:
-`--large 1024` makes a NIfTI of 2 GiB (int16) and a TIFF of 1 GiB (uint8). Memory is the most that the command's own
-process, and its worker, had at once: its own and pages of files together.
+One field is written as each kind by the library that its field keeps. `isogi render` draws each,
+with caches of its own, so that the copy of a large one is made and its light is baked anew. The
+field repeats a block of 128 voxels: `--large 1024` makes a NIfTI of 2 GiB (int16) and a TIFF of 1
+GiB (uint8). Memory is the most that the command's own process, and its worker, had at once: its own
+and pages of files together.
 """
 
 import json
@@ -85,7 +88,8 @@ def write_itk(path: Path, array: np.ndarray) -> None:
 
 def write_vti(path: Path, array: np.ndarray) -> None:
     """VTK's image data, raw at the file's end."""
-    vtk, numpy_to_vtk = import_module("vtk"), import_module("vtk.util.numpy_support").numpy_to_vtk
+    vtk = import_module("vtk")
+    numpy_to_vtk = import_module("vtk.util.numpy_support").numpy_to_vtk
 
     image = vtk.vtkImageData()
     image.SetDimensions(array.shape[::-1])
@@ -125,9 +129,19 @@ WRITERS: dict[str, Writer] = {
 
 
 def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[str, float]:
-    """Seconds of `isogi render`, how much of its picture is lit, and memory; its caches are in ``folder``."""
+    """Seconds of `isogi render`, how much of its picture is lit, and memory; its caches are in
+    ``folder``.
+    """
     places = {"ISOGI_VOLUME_CACHE": str(folder / "copies"), **environment}
-    given = ["-o", str(folder / "picture.png"), "--store", str(folder / "store"), "--workers", "1", "--json"]
+    given = [
+        "-o",
+        str(folder / "picture.png"),
+        "--store",
+        str(folder / "store"),
+        "--workers",
+        "1",
+        "--json",
+    ]
     size = ["--width", "128", "--height", "128", "--isovalue", "60", "--target-error", ERROR]
     begun = time.monotonic()
     told = [sys.executable, "-m", "server", "render", str(volume), *given, *size, *more]
@@ -136,20 +150,48 @@ def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[s
     output, _ = process.communicate()
     residents.stop()
     if process.returncode:
-        raise click.ClickException(f"isogi render of {volume.name} ended with {process.returncode}.")
-    facts, seconds = json.loads(output), time.monotonic() - begun
+        raise click.ClickException(
+            f"isogi render of {volume.name} ended with {process.returncode}."
+        )
+    facts = json.loads(output)
+    seconds = time.monotonic() - begun
     lit = facts["coverage"]["final"] + facts["coverage"]["converging"]
-    held = {f"{role}: memory at most, MiB": residents.most[f"{role}: both, MiB"] for role in ("main", "worker")}
+    held = {
+        f"{role}: memory at most, MiB": residents.most[f"{role}: both, MiB"]
+        for role in ("main", "worker")
+    }
     return {"seconds": seconds, "final share": facts["final"], "lit share": lit, **held}
 
 
 @part()
-@click.option("--size", type=click.IntRange(32, 512), default=96, show_default=True, help="Voxels a side.")
-@click.option("--large", type=click.IntRange(128, 2048), help="Voxels a side of a large NIfTI and a large TIFF.")
-@click.option("--volume-mb", type=click.IntRange(1), default=128, show_default=True, help="ISOGI_VOLUME_MB of these.")
-@click.option("--seconds", type=click.IntRange(1), default=90, show_default=True, help="To light each of these.")
-@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Where large files go.")
-def kinds(size: int, large: int | None, volume_mb: int, seconds: int, folder: Path | None) -> Iterator[Measurement]:
+@click.option(
+    "--size", type=click.IntRange(32, 512), default=96, show_default=True, help="Voxels a side."
+)
+@click.option(
+    "--large",
+    type=click.IntRange(128, 2048),
+    help="Voxels a side of a large NIfTI and a large TIFF.",
+)
+@click.option(
+    "--volume-mb",
+    type=click.IntRange(1),
+    default=128,
+    show_default=True,
+    help="ISOGI_VOLUME_MB of these.",
+)
+@click.option(
+    "--seconds",
+    type=click.IntRange(1),
+    default=90,
+    show_default=True,
+    help="To light each of these.",
+)
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False), help="Where large files go."
+)
+def kinds(
+    size: int, large: int | None, volume_mb: int, seconds: int, folder: Path | None
+) -> Iterator[Measurement]:
     """Files of each kind: seconds from a file to a lit picture, and memory where it is large."""
     if large is None:
         yield Measurement(f"A lit picture from files of {size}³ voxels, int16", all_kinds(size))
@@ -160,7 +202,9 @@ def kinds(size: int, large: int | None, volume_mb: int, seconds: int, folder: Pa
 
 
 def all_kinds(size: int) -> dict[str, float]:
-    """The figures of files of each kind; where the library that writes a kind is missing, it is named and left out."""
+    """The figures of files of each kind; where the library that writes a kind is missing, it is
+    named and left out.
+    """
     figures: dict[str, float] = {}
     array = field(size, np.int16)
     for name, write in WRITERS.items():
@@ -171,12 +215,16 @@ def all_kinds(size: int) -> dict[str, float]:
             except ModuleNotFoundError as error:
                 click.echo(f"{name} is left out: {error.name} is not installed.", err=True)
                 continue
-            figures |= {f"{name}: {what}": value for what, value in render(folder / name, folder).items()}
+            figures |= {
+                f"{name}: {what}": value for what, value in render(folder / name, folder).items()
+            }
     return figures
 
 
 def large_files(folder: Path, size: int, volume_mb: int, seconds: int) -> dict[str, float]:
-    """The figures of two large files, lit for some ``seconds``, in a lattice with about a texel a pixel."""
+    """The figures of two large files, lit for some ``seconds``, in a lattice with about a texel a
+    pixel.
+    """
     figures: dict[str, float] = {}
     files: dict[str, type[np.generic]] = {"f.nii": np.int16, "f.tif": np.uint8}
     for name, dtype in files.items():
@@ -185,6 +233,8 @@ def large_files(folder: Path, size: int, volume_mb: int, seconds: int) -> dict[s
         WRITERS[name](place / name, field(size, dtype))
         (place / "s.toml").write_text(f'volume = "{name}"\nlattice = 0.125\nrotating = false\n')
         figures[f"{name}: file, MiB"] = (place / name).stat().st_size / 2**20
-        found = render(place / "s.toml", place, "--time", f"{seconds}s", ISOGI_VOLUME_MB=str(volume_mb))
+        found = render(
+            place / "s.toml", place, "--time", f"{seconds}s", ISOGI_VOLUME_MB=str(volume_mb)
+        )
         figures |= {f"{name}: {what}": value for what, value in found.items()}
     return figures

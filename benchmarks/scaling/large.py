@@ -1,8 +1,10 @@
-"""Volumes larger than memory: what it takes to build one, to render it and to serve it, in time, memory and disk.
+"""Volumes larger than memory: what it takes to build one, to render it and to serve it, in time,
+memory and disk.
 
-A volume is made by a formula, chunk by chunk, as a Zarr array of uint16: a gyroid in a ball, with bumps. Then
-`isogi render` bakes and draws it with global illumination, and `isogi serve` shows it with one worker, each in
-processes of their own with a cache of their own. Memory is that of the process that has most at once.
+A volume is made by a formula, chunk by chunk, as a Zarr array of uint16: a gyroid in a ball, with
+bumps. Then `isogi render` bakes and draws it with global illumination, and `isogi serve` shows it
+with one worker, each in processes of their own with a cache of their own. Memory is that of the
+process that has most at once.
 """
 
 import json
@@ -39,7 +41,9 @@ CHUNK = (64, 128, 128)
 def make_volume(folder: Path, size: int) -> Path:
     """Write the volume; no more than a layer of chunks is in memory."""
     path = folder / f"gyroid-{size}.zarr"
-    array = zarr.create_array(path, shape=(size,) * 3, chunks=tuple(min(n, size) for n in CHUNK), dtype=np.uint16)
+    array = zarr.create_array(
+        path, shape=(size,) * 3, chunks=tuple(min(n, size) for n in CHUNK), dtype=np.uint16
+    )
     for z in range(0, size, CHUNK[0]):
         array[z : z + CHUNK[0]] = gyroid(size, z, min(z + CHUNK[0], size))
     return path
@@ -48,9 +52,15 @@ def make_volume(folder: Path, size: int) -> Path:
 def gyroid(size: int, first: int, last: int) -> np.ndarray:
     """Layers of the volume: 30,000 on the skin of a gyroid with bumps, cut by a ball; uint16."""
     axis = np.linspace(0.0, 1.0, size, dtype=np.float32)
-    z, y, x = axis[first:last, None, None], axis[None, :, None], axis[None, None, :]
+    z = axis[first:last, None, None]
+    y = axis[None, :, None]
+    x = axis[None, None, :]
     k, b = np.float32(2.0 * np.pi * PERIODS), np.float32(2.0 * np.pi * BUMPS)
-    skin = np.sin(k * x) * np.cos(k * y) + np.sin(k * y) * np.cos(k * z) + np.sin(k * z) * np.cos(k * x)
+    skin = (
+        np.sin(k * x) * np.cos(k * y)
+        + np.sin(k * y) * np.cos(k * z)
+        + np.sin(k * z) * np.cos(k * x)
+    )
     bumps = np.sin(b * x) * np.sin(b * y) * np.sin(b * z)
     ball = 0.47 - np.sqrt((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.5) ** 2)
     value = np.minimum(skin / 3.0 + 0.05 * bumps, 12.0 * ball)
@@ -60,13 +70,24 @@ def gyroid(size: int, first: int, last: int) -> np.ndarray:
 def scene_file(volume: Path, lattice: float) -> Path:
     """A scene with the volume, seen at its skin in the light of a sky."""
     path = volume.with_suffix(".toml")
-    path.write_text(f'volume = "{volume.name}"\nisovalue = 30000\nrotating = false\nlattice = {lattice}\n')
+    path.write_text(
+        f'volume = "{volume.name}"\nisovalue = 30000\nrotating = false\nlattice = {lattice}\n'
+    )
     return path
 
 
 def command(folder: Path, *arguments: str) -> list[str]:
     """The command line of isogi with a store in ``folder``."""
-    return [sys.executable, "-m", "server", *arguments, "--store", str(folder / "store"), "--workers", "1"]
+    return [
+        sys.executable,
+        "-m",
+        "server",
+        *arguments,
+        "--store",
+        str(folder / "store"),
+        "--workers",
+        "1",
+    ]
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -74,20 +95,25 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "ISOGI_VOLUME_CACHE": str(folder / "copies")}
 
 
-def render(scene: Path, folder: Path, pixels: int, seconds: int, limit: int | None, picture: Path) -> dict[str, Any]:
+def render(
+    scene: Path, folder: Path, pixels: int, seconds: int, limit: int | None, picture: Path
+) -> dict[str, Any]:
     """What `isogi render` takes, with the copy yet to be made."""
     size = ("--width", str(pixels), "--height", str(pixels), "--azimuth", "30", "--elevation", "25")
     work = ("-o", str(picture), "--time", f"{seconds}s", "--target-error", "0.2", "--json")
     begun = time.monotonic()
     with limited(limit) as within:
         told = command(folder, "render", str(scene), *size, *work)
-        process = subprocess.Popen([*within, *told], env=environment(folder), stdout=subprocess.PIPE)
+        process = subprocess.Popen(
+            [*within, *told], env=environment(folder), stdout=subprocess.PIPE
+        )
         residents = Residents(process.pid)
         output, _ = process.communicate()
         residents.stop()
     if process.returncode:
         raise click.ClickException(f"isogi render ended with {process.returncode}.")
-    facts, baking = json.loads(output), residents.most.get("worker: processor, s", 0.0)
+    facts = json.loads(output)
+    baking = residents.most.get("worker: processor, s", 0.0)
     return {
         "seconds": time.monotonic() - begun,
         "final share": facts["final"],
@@ -98,14 +124,20 @@ def render(scene: Path, folder: Path, pixels: int, seconds: int, limit: int | No
     }
 
 
-def serve(scene: Path, folder: Path, pixels: int, seconds: int, limit: int | None) -> dict[str, Any]:
-    """What `isogi serve` takes until its first frame, with the copy there, and while it bakes another view."""
+def serve(
+    scene: Path, folder: Path, pixels: int, seconds: int, limit: int | None
+) -> dict[str, Any]:
+    """What `isogi serve` takes until its first frame, with the copy there, and while it bakes
+    another view.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     begun = time.monotonic()
     with limited(limit) as within:
         told = command(folder, "serve", str(scene), "--port", str(port))
-        process = subprocess.Popen([*within, *told], env=environment(folder), stdout=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [*within, *told], env=environment(folder), stdout=subprocess.DEVNULL
+        )
         residents = Residents(process.pid)
         try:
             figures = visit(process, f"http://127.0.0.1:{port}", begun, pixels, seconds)
@@ -116,8 +148,12 @@ def serve(scene: Path, folder: Path, pixels: int, seconds: int, limit: int | Non
     return {**figures, **residents.most}
 
 
-def visit(process: subprocess.Popen[bytes], url: str, begun: float, pixels: int, seconds: int) -> dict[str, Any]:
-    """Look at the only scene of a server: the first frame, all facts, and more of the light for some time."""
+def visit(
+    process: subprocess.Popen[bytes], url: str, begun: float, pixels: int, seconds: int
+) -> dict[str, Any]:
+    """Look at the only scene of a server: the first frame, all facts, and more of the light for
+    some time.
+    """
     with httpx.Client(base_url=url, timeout=600.0) as client:
         while not ready(client):
             if process.poll() is not None:
@@ -132,7 +168,10 @@ def visit(process: subprocess.Popen[bytes], url: str, begun: float, pixels: int,
         client.get(path).raise_for_status()
         facts_took = time.monotonic() - begun_facts
         last = first
-        while time.monotonic() < begun_facts + seconds and "provisional=0.00" not in last.headers["isogi-coverage"]:
+        while (
+            time.monotonic() < begun_facts + seconds
+            and "provisional=0.00" not in last.headers["isogi-coverage"]
+        ):
             last = client.get(f"{path}/frame", params={**view, "wait_ms": 5000}).raise_for_status()
     return {
         "ready after, s": ready_after,
@@ -144,18 +183,46 @@ def visit(process: subprocess.Popen[bytes], url: str, begun: float, pixels: int,
 
 def disk(folder: Path) -> float:
     """MiB of the files in a folder, each counted once."""
-    files = {(state := path.stat()).st_ino: state.st_size for path in folder.rglob("*") if path.is_file()}
+    files = {
+        (state := path.stat()).st_ino: state.st_size for path in folder.rglob("*") if path.is_file()
+    }
     return sum(files.values()) / MIB
 
 
 @part()
-@click.option("--size", "sizes", type=click.IntRange(64, 2048), multiple=True, default=[1024], help="Voxels a side.")
-@click.option("--pixels", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels a side.")
-@click.option("--seconds", type=click.IntRange(1), default=120, show_default=True, help="Time to bake, twice.")
-@click.option("--lattice", type=click.FloatRange(0.125, 4), default=0.25, show_default=True, help="Texels per voxel.")
-@click.option("--limit-mb", "limit", type=click.IntRange(256), help="Memory of all processes, by a control group.")
-@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Where files go and stay.")
-def large(sizes: tuple[int, ...], lattice: float, folder: Path | None, **given: Any) -> Iterator[Measurement]:
+@click.option(
+    "--size",
+    "sizes",
+    type=click.IntRange(64, 2048),
+    multiple=True,
+    default=[1024],
+    help="Voxels a side.",
+)
+@click.option(
+    "--pixels", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels a side."
+)
+@click.option(
+    "--seconds", type=click.IntRange(1), default=120, show_default=True, help="Time to bake, twice."
+)
+@click.option(
+    "--lattice",
+    type=click.FloatRange(0.125, 4),
+    default=0.25,
+    show_default=True,
+    help="Texels per voxel.",
+)
+@click.option(
+    "--limit-mb",
+    "limit",
+    type=click.IntRange(256),
+    help="Memory of all processes, by a control group.",
+)
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False), help="Where files go and stay."
+)
+def large(
+    sizes: tuple[int, ...], lattice: float, folder: Path | None, **given: Any
+) -> Iterator[Measurement]:
     """Volumes larger than memory: what it takes to build, render and serve one."""
     for size in sizes:
         with tempfile.TemporaryDirectory() as temporary:
@@ -164,13 +231,16 @@ def large(sizes: tuple[int, ...], lattice: float, folder: Path | None, **given: 
             yield Measurement(f"a gyroid of {size}³ voxels", measure(place, size, lattice, **given))
 
 
-def measure(folder: Path, size: int, lattice: float, pixels: int, seconds: int, limit: int | None) -> dict[str, Any]:
+def measure(
+    folder: Path, size: int, lattice: float, pixels: int, seconds: int, limit: int | None
+) -> dict[str, Any]:
     """All figures of one size."""
     begun = time.monotonic()
     volume = folder / f"gyroid-{size}.zarr"
     if not volume.is_dir():
         make_volume(folder, size)
-    built, scene = time.monotonic() - begun, scene_file(volume, lattice)
+    built = time.monotonic() - begun
+    scene = scene_file(volume, lattice)
     drawn = render(scene, folder, pixels, seconds, limit, folder / f"gyroid-{size}.png")
     served = serve(scene, folder, pixels, seconds, limit)
     disks = {name: disk(folder / name) for name in (volume.name, "copies", "store")}

@@ -1,11 +1,12 @@
 """Whether a dry run tells what a prewarm then takes, and what that comes to.
 
-    python -m benchmarks.scaling prewarm [--size 128] [--views 4] [--error 0.05] [--only engine] [--json]
+    python -m benchmarks.scaling prewarm [--size 128] [--views 4] [--error 0.05] [--only engine]
+    [--json]
 
-Each scene has a store of its own, empty at first, and each command is a process of its own, as a person's is: a dry
-run, then the prewarm. "took over told" compares the seconds of all of it by the clock; "processor, …" those that the
-workers spent, which what else the machine does changes less. "cores it had" tells how much of the machine that was: on
-a busy one, less than there are workers.
+Each scene has a store of its own, empty at first, and each command is a process of its own, as a
+person's is: a dry run, then the prewarm. "took over told" compares the seconds of all of it by the
+clock; "processor, …" those that the workers spent, which what else the machine does changes less.
+"cores it had" tells how much of the machine that was: on a busy one, less than there are workers.
 """
 
 import json
@@ -31,7 +32,10 @@ def scenes(folder: Path) -> Iterator[tuple[str, str, str]]:
     yield "casting", "demo:casting", "128"
     data = shared_data()
     if data is not None:
-        for name, file, isovalue in (("engine", VOLUMES["engine"], "70"), ("brain", VOLUMES["MNI brain"], "90")):
+        for name, file, isovalue in (
+            ("engine", VOLUMES["engine"], "70"),
+            ("brain", VOLUMES["MNI brain"], "90"),
+        ):
             scene = folder / f"{name}.toml"
             told = f'volume = "{data / file}"\nisovalue = {isovalue}\nalbedo = 0.7\nbounces = 4\n'
             scene.write_text(told + LIT.format(probe=data / GRACE), encoding="utf-8")
@@ -39,8 +43,20 @@ def scenes(folder: Path) -> Iterator[tuple[str, str, str]]:
 
 
 def prewarmed(target: str, store: Path, *more: str) -> dict[str, Any]:
-    """The summary that ``isogi prewarm`` prints, and the processor seconds of all its processes (``cpu``)."""
-    command = [sys.executable, "-m", "server", "prewarm", target, "--store", str(store), "--json", *more]
+    """The summary that ``isogi prewarm`` prints, and the processor seconds of all its processes
+    (``cpu``).
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "prewarm",
+        target,
+        "--store",
+        str(store),
+        "--json",
+        *more,
+    ]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -76,14 +92,21 @@ def measured(target: str, options: list[str]) -> dict[str, float]:
 @click.option("--error", default=0.05, show_default=True, help="Target error.")
 @click.option("--workers", default=2, show_default=True, help="Baking processes.")
 @click.option("--only", multiple=True, help="These scenes alone.")
-def prewarm(size: int, views: int, error: float, workers: int, only: tuple[str, ...]) -> Measurement:
+def prewarm(
+    size: int, views: int, error: float, workers: int, only: tuple[str, ...]
+) -> Measurement:
     """What a dry run tells of a prewarm, beside what that then takes."""
     figures: dict[str, float] = {}
     side = [f"--{name}={size}" for name in ("width", "height")]
     with tempfile.TemporaryDirectory() as folder:
         for name, target, isovalue in scenes(Path(folder)):
             if not only or name in only:
-                options = [*side, f"--views={views}", f"--target-error={error}", f"--workers={workers}"]
+                options = [
+                    *side,
+                    f"--views={views}",
+                    f"--target-error={error}",
+                    f"--workers={workers}",
+                ]
                 found = measured(target, [*options, f"--isovalue={isovalue}"])
                 figures |= {f"{name}: {fact}": value for fact, value in found.items()}
     return Measurement(f"prewarms of {views} views, {size} × {size}, to {error:g}", figures)

@@ -2,8 +2,8 @@
 
     python -m benchmarks.scaling public --list FILE --folder PICTURES [--seconds 60]
 
-The list has a line for each volume: a word that says where it comes from, and its path beside the list, with what is
-chosen in it after a #. The files are no part of this repository.
+The list has a line for each volume: a word that says where it comes from, and its path beside the
+list, with what is chosen in it after a #. The files are no part of this repository.
 """
 
 import json
@@ -28,7 +28,8 @@ HEAD = ("from", "file", "read as", "voxels", "isovalue", "error, %")
 
 @dataclass(frozen=True)
 class Lit:
-    """A volume that was drawn: where it is ``taken`` from, what it was read as, and its picture's ``error``.
+    """A volume that was drawn: where it is ``taken`` from, what it was read as, and its picture's
+    ``error``.
 
     ``error`` is None where it was refused, and ``read_as`` says why then.
     """
@@ -46,13 +47,29 @@ class Lit:
         if self.error is None:
             return self.taken, self.file, self.read_as, "", "", "refused"
         size = " × ".join(map(str, self.shape[::-1]))
-        return self.taken, self.file, self.read_as, size, f"{self.isovalue:.5g}", f"{100.0 * self.error:.1f}"
+        return (
+            self.taken,
+            self.file,
+            self.read_as,
+            size,
+            f"{self.isovalue:.5g}",
+            f"{100.0 * self.error:.1f}",
+        )
 
 
 def draw(taken: str, path: str, picture: Path, seconds: int) -> Lit:
     """Draw the volume at ``path`` by one command, with a store for it alone."""
     with tempfile.TemporaryDirectory() as store:
-        size = ["--width", "256", "--height", "192", "--target-error", str(ERROR), "--time", f"{seconds}s"]
+        size = [
+            "--width",
+            "256",
+            "--height",
+            "192",
+            "--target-error",
+            str(ERROR),
+            "--time",
+            f"{seconds}s",
+        ]
         given = ["-o", str(picture), "--store", store, "--json", *size]
         command = [sys.executable, "-m", "server", "render", path, *given]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -61,7 +78,14 @@ def draw(taken: str, path: str, picture: Path, seconds: int) -> Lit:
         return Lit(taken, name, (done.stderr.strip().splitlines() or [""])[-1].replace(path, name))
     scene = load_scene(path)
     read_as = scene.volume.orientation.read_as
-    return Lit(taken, name, read_as, scene.volume.shape, float(scene.isovalue), json.loads(done.stdout)["error"])
+    return Lit(
+        taken,
+        name,
+        read_as,
+        scene.volume.shape,
+        float(scene.isovalue),
+        json.loads(done.stdout)["error"],
+    )
 
 
 def lines_of(listed: Path) -> Iterator[tuple[str, str]]:
@@ -73,9 +97,22 @@ def lines_of(listed: Path) -> Iterator[tuple[str, str]]:
 
 
 @part()
-@click.option("--list", "listed", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=True)
-@click.option("--seconds", type=click.IntRange(1), default=60, show_default=True, help="Most seconds to light each.")
-@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), required=True, help="Where pictures go.")
+@click.option(
+    "--list", "listed", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=True
+)
+@click.option(
+    "--seconds",
+    type=click.IntRange(1),
+    default=60,
+    show_default=True,
+    help="Most seconds to light each.",
+)
+@click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    help="Where pictures go.",
+)
 def public(listed: Path, seconds: int, folder: Path) -> Measurement:
     """Public files of many kinds: what each is read as, and the error of its picture."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,7 +121,13 @@ def public(listed: Path, seconds: int, folder: Path) -> Measurement:
         found.append(draw(taken, path, folder / f"{number:02}.png", seconds))
         click.echo(" | ".join(found[-1].row), err=True)
     lit = [each.error for each in found if each.error is not None]
-    figures = {"volumes": len(found), "lit": len(lit), "within 10 %": sum(error <= ERROR for error in lit)}
+    figures = {
+        "volumes": len(found),
+        "lit": len(lit),
+        "within 10 %": sum(error <= ERROR for error in lit),
+    }
     refused = ", ".join(each.file for each in found if each.error is None)
     table = markdown(HEAD, [each.row for each in found], left=3)
-    return Measurement(f"{len(found)} public volumes", figures, table, wrong=refused and f"Not lit: {refused}.")
+    return Measurement(
+        f"{len(found)} public volumes", figures, table, wrong=refused and f"Not lit: {refused}."
+    )

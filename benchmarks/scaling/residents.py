@@ -1,4 +1,6 @@
-"""Residents: the memory and the time that a process and its children took, looked at from outside, and a limit."""
+"""Residents: the memory and the time that a process and its children took, looked at from outside,
+and a limit.
+"""
 
 import os
 import threading
@@ -15,13 +17,17 @@ PERIOD = 0.05
 """Seconds between two looks."""
 
 KINDS = ("RssAnon", "RssFile")
-"""What is looked at: memory of a process's own, and pages of files, which other processes may share."""
+"""What is looked at: memory of a process's own, and pages of files, which other processes may
+share.
+"""
 
 
 class Residents:
-    """Looks at a process and its children on a thread; ``most`` has MiB by role, one figure for each of KINDS and both.
+    """Looks at a process and its children on a thread; ``most`` has MiB by role, one figure for
+    each of KINDS and both.
 
-    The roles are "main" and "worker", of which the largest counts; of each there are the processor's seconds too.
+    The roles are "main" and "worker", of which the largest counts; of each there are the
+    processor's seconds too.
     """
 
     def __init__(self, pid: int) -> None:
@@ -47,8 +53,11 @@ class Residents:
                             self._look(child, "worker")
 
     def _look(self, process: psutil.Process, role: str) -> None:
-        held, taken = held_by(process.pid), process.cpu_times()
-        found = {f"{name}, MiB": size for name, size in {**held, "both": sum(held.values())}.items()}
+        held = held_by(process.pid)
+        taken = process.cpu_times()
+        found = {
+            f"{name}, MiB": size for name, size in {**held, "both": sum(held.values())}.items()
+        }
         for name, figure in {**found, "processor, s": taken.user + taken.system}.items():
             self.most[f"{role}: {name}"] = max(self.most.get(f"{role}: {name}", 0.0), figure)
 
@@ -65,9 +74,11 @@ def held_by(pid: int) -> dict[str, float]:
 
 @contextmanager
 def limited(mib: int | None) -> Iterator[list[str]]:
-    """The beginning of a command whose processes may hold ``mib`` in all, page cache included; none for no limit.
+    """The beginning of a command whose processes may hold ``mib`` in all, page cache included; none
+    for no limit.
 
-    By a control group of this process's own, of version 1 or 2. Raises OSError where this user may make none.
+    By a control group of this process's own, of version 1 or 2. Raises OSError where this user may
+    make none.
     """
     if mib is None:
         yield []

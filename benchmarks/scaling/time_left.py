@@ -1,9 +1,10 @@
 """Whether the time left was told rightly while views were baked.
 
-    python -m benchmarks.scaling time-left [SCENE.toml] [--size 128] [--views 3] [--error 0.03] [--json]
+    python -m benchmarks.scaling time-left [SCENE.toml] [--size 128] [--views 3] [--error 0.03]
+    [--json]
 
-Tasks are done one after the other in this process, and time is its processor seconds: what else the machine does
-changes nothing. Views follow each other over one store.
+Tasks are done one after the other in this process, and time is its processor seconds: what else the
+machine does changes nothing. Views follow each other over one store.
 """
 
 import tempfile
@@ -34,9 +35,14 @@ TURN = 100.0
 
 
 class OneByOne:
-    """A pool of one worker, which works when it is told to. ``seconds`` are the processor's, spent on tasks."""
+    """A pool of one worker, which works when it is told to. ``seconds`` are the processor's, spent
+    on tasks.
+    """
 
-    room, together, workers, trouble = 2, 1, 1, ""
+    room = 2
+    together = 1
+    workers = 1
+    trouble = ""
 
     def __init__(self) -> None:
         self.tasks: list[tuple[BakeTask, Done]] = []
@@ -64,13 +70,20 @@ class OneByOne:
 @click.argument("target", required=False)
 @click.option("--views", default=3, show_default=True, help="Views, one after the other.")
 @click.option("--error", default=0.03, show_default=True, help="Target error of each pixel.")
-@click.option("--every", default=0.5, show_default=True, help="Processor seconds between two predictions.")
+@click.option(
+    "--every", default=0.5, show_default=True, help="Processor seconds between two predictions."
+)
 def time_left(target: str | None, size: int, views: int, error: float, every: float) -> Measurement:
     """Whether the time left was told rightly while views were baked."""
     load_kernels(PLAIN_LAYER_KINDS)
-    scene, pool, figures = benchmark_scene(target), OneByOne(), dict[str, float]()
+    scene = benchmark_scene(target)
+    pool = OneByOne()
+    figures = dict[str, float]()
     baker = Baker(lambda: pool.seconds)
-    with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, baker=baker)) as engine:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        closing(RenderEngine([scene], folder, baker=baker)) as engine,
+    ):
         engine.start(hire=False)
         baker.employ(pool)  # type: ignore[arg-type]
         for number in range(views):
@@ -80,9 +93,12 @@ def time_left(target: str | None, size: int, views: int, error: float, every: fl
     return Measurement(f"{scene.name}, {size} × {size}, to {error:g}", figures)
 
 
-def watch(engine: RenderEngine, pool: OneByOne, view: View, error: float, every: float) -> list[Told]:
+def watch(
+    engine: RenderEngine, pool: OneByOne, view: View, error: float, every: float
+) -> list[Told]:
     """What was told of a view, and when, until it was final."""
-    (scene,), told = engine.scenes, []
+    (scene,) = engine.scenes
+    told = []
     while True:
         frame = engine.frame(scene, view, max_error=error)
         told.append((pool.seconds, frame, engine.time_left(scene, frame, error)))
@@ -92,7 +108,9 @@ def watch(engine: RenderEngine, pool: OneByOne, view: View, error: float, every:
 
 
 def judged(told: list[Told]) -> dict[str, float]:
-    """Seconds that a view took, and how what was told compares: taken over told, and the share within the range."""
+    """Seconds that a view took, and how what was told compares: taken over told, and the share
+    within the range.
+    """
     end = told[-1][0]
     lefts = [(end - at, left) for at, _, left in told if left is not None and left.likely > 0.0]
     ratios = [actual / left.likely for actual, left in lefts]
@@ -104,5 +122,7 @@ def judged(told: list[Told]) -> dict[str, float]:
         "first, taken over told": ratios[0] if ratios else 0.0,
         "median, taken over told": float(np.median(ratios)) if ratios else 0.0,
         "within the range": float(np.mean(within)) if within else 0.0,
-        "range, high over low": float(np.median([left.high / left.low for _, left in lefts])) if lefts else 0.0,
+        "range, high over low": float(np.median([left.high / left.low for _, left in lefts]))
+        if lefts
+        else 0.0,
     }

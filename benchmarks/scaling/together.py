@@ -1,9 +1,11 @@
-"""Several servers and a prewarm over one store, all at the same views at the same time: how much is done twice.
+"""Several servers and a prewarm over one store, all at the same views at the same time: how much is
+done twice.
 
-    python -m benchmarks.scaling together [SCENE.toml] [--servers 2] [--workers 1] [--views 6] [--no-prewarm]
+    python -m benchmarks.scaling together [SCENE.toml] [--servers 2] [--workers 1] [--views 6]
+    [--no-prewarm]
 
-What was done is counted by the paths that each tells; what was needed are those that the light in the store is of.
-Afterwards the same is baked by one after the other, and all bytes are compared.
+What was done is counted by the paths that each tells; what was needed are those that the light in
+the store is of. Afterwards the same is baked by one after the other, and all bytes are compared.
 """
 
 import json
@@ -29,9 +31,31 @@ from isogi_core.storage.store import Store
 
 def warmed(scene: str, store: str) -> dict[str, Any]:
     """What ``isogi prewarm`` tells of views at the isovalue of the first view."""
-    command = [sys.executable, "-m", "server", "prewarm", scene, "--store", store, "--json", "--workers", "1"]
-    looks = ["--isovalue", str(view(0)["isovalue"]), "--views", "4", "--width", "48", "--height", "48"]
-    done = subprocess.run([*command, *looks], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "prewarm",
+        scene,
+        "--store",
+        store,
+        "--json",
+        "--workers",
+        "1",
+    ]
+    looks = [
+        "--isovalue",
+        str(view(0)["isovalue"]),
+        "--views",
+        "4",
+        "--width",
+        "48",
+        "--height",
+        "48",
+    ]
+    done = subprocess.run(
+        [*command, *looks], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True
+    )
     facts: dict[str, Any] = json.loads(done.stdout)
     return facts
 
@@ -56,12 +80,17 @@ def baked_together(
         watcher = stack.enter_context(Watcher(store))
         served = [stack.enter_context(serving(scene, store, workers)) for _ in range(servers)]
         begun = time.perf_counter()
-        warming = pool.submit(warmed, scene, store) if prewarm else None
+        if prewarm:
+            warming = pool.submit(warmed, scene, store)
+        else:
+            warming = None
         visits = [pool.submit(visited, server, views) for server in served]
         pictures = [visit.result() for visit in visits]
         told = [server.metric("isogi_paths_total") for server in served]
-        told += [warming.result()["paths"]] if warming else []
-        seconds, twice = time.perf_counter() - begun, sum(s.metric("isogi_tasks_duplicate_total") for s in served)
+        if warming:
+            told += [warming.result()["paths"]]
+        seconds = time.perf_counter() - begun
+        twice = sum(s.metric("isogi_tasks_duplicate_total") for s in served)
         tasks = sum(server.metric("isogi_tasks_done_total") for server in served)
     return {
         "bakers": len(told),
@@ -90,16 +119,21 @@ def alone(scene: str, store: str, workers: int, views: int, prewarm: bool) -> li
 @click.option("--workers", default=1, show_default=True, help="Workers of each.")
 @click.option("--views", default=6, show_default=True, help="Views that all of them show.")
 @click.option("--prewarm/--no-prewarm", default=True, help="Have a prewarm beside them.")
-def together(target: str | None, servers: int, workers: int, views: int, prewarm: bool) -> Measurement:
+def together(
+    target: str | None, servers: int, workers: int, views: int, prewarm: bool
+) -> Measurement:
     """Several servers and a prewarm over one store: how much is done twice."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or small_scene(Path(folder))
         found, pictures = baked_together(scene, f"{folder}/light", servers, workers, views, prewarm)
         expected = alone(scene, f"{folder}/alone", workers, views, prewarm)
-        light, whole = light_in(f"{folder}/light"), light_in(f"{folder}/alone")
+        light = light_in(f"{folder}/light")
+        whole = light_in(f"{folder}/alone")
         found = {
             **found,
-            "objects with other bytes than of one": sum(light.get(key) != value for key, value in whole.items()),
+            "objects with other bytes than of one": sum(
+                light.get(key) != value for key, value in whole.items()
+            ),
             "objects": len(light),
             "pictures that differ": sum(
                 one != own for shown in pictures for one, own in zip(shown, expected, strict=True)

@@ -1,4 +1,6 @@
-"""A visitor who looks at one view after the other until each is final, whatever becomes of the server."""
+"""A visitor who looks at one view after the other until each is final, whatever becomes of the
+server.
+"""
 
 import hashlib
 import threading
@@ -23,13 +25,20 @@ def small_scene(folder: Path) -> str:
 def view(number: int) -> dict[str, Any]:
     """The knobs of one view after the other: of other isosurfaces, from other sides."""
     isovalue = 0.02 + 0.0007 * (number * 19 % 48)
-    return {"isovalue": isovalue, "azimuth": 67 * number % 360, "width": 48, "height": 48, "f": "npy"}
+    return {
+        "isovalue": isovalue,
+        "azimuth": 67 * number % 360,
+        "width": 48,
+        "height": 48,
+        "f": "npy",
+    }
 
 
 class Visitor:
     """Asks the server at ``url`` in a thread of its own, until it is told that it is ``enough``.
 
-    ``finals`` are the SHA-256 of the final pictures, in the order of the views; ``answers`` counts them all by status.
+    ``finals`` are the SHA-256 of the final pictures, in the order of the views; ``answers`` counts
+    them all by status.
     """
 
     def __init__(self, url: str) -> None:
@@ -61,7 +70,9 @@ class Visitor:
         """Look at a view until it is final; its SHA-256."""
         while True:
             try:
-                answer = httpx.get(f"{self.url}/frame", params=view(number) | {"wait_ms": 2000}, timeout=60.0)
+                answer = httpx.get(
+                    f"{self.url}/frame", params=view(number) | {"wait_ms": 2000}, timeout=60.0
+                )
             except httpx.TransportError:
                 time.sleep(0.05)
                 continue

@@ -1,4 +1,6 @@
-"""Watching a store from outside while it is written: every object is read again and again, and must be whole."""
+"""Watching a store from outside while it is written: every object is read again and again, and must
+be whole.
+"""
 
 import hashlib
 import threading
@@ -12,10 +14,12 @@ from isogi_core.storage.store import SENTINEL_KEY, Store
 
 
 class Watcher:
-    """Reads all objects of the store at ``root`` over and over in a thread of its own, from ``start`` to ``stop``.
+    """Reads all objects of the store at ``root`` over and over in a thread of its own, from
+    ``start`` to ``stop``.
 
-    ``reads`` were made so far; ``torn`` are the keys of those that did not find a whole object, and ``lost`` those of
-    objects that were there before, or held more samples. What the store held is known to be acknowledged.
+    ``reads`` were made so far; ``torn`` are the keys of those that did not find a whole object, and
+    ``lost`` those of objects that were there before, or held more samples. What the store held is
+    known to be acknowledged.
     """
 
     def __init__(self, root: str) -> None:
@@ -52,7 +56,11 @@ class Watcher:
             return
         root = Store(self.root, make=False)
         counts = census_of(root, texels=False).counts
-        found = {each.key: (count, index) for count in counts.values() for index, each in count.files.chunks.items()}
+        found = {
+            each.key: (count, index)
+            for count in counts.values()
+            for index, each in count.files.chunks.items()
+        }
         for key, (count, index) in found.items():
             samples = samples_in(root, count, index)
             self.reads += 1
@@ -74,22 +82,36 @@ class Watcher:
 def light_in(root: str) -> dict[str, str]:
     """SHA-256 of the objects of all chunks, by their keys."""
     paths = Path(root).glob("*/c/*/*/*/0")
-    return {path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    return {
+        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in paths
+    }
 
 
 Light = dict[tuple[str, int], tuple[int, bytes]]
-"""Samples of texels, and the bytes of their light, by the key of their chunk and their offset in it."""
+"""Samples of texels, and the bytes of their light, by the key of their chunk and their offset in
+it.
+"""
 
 
 def texels_of(root: str) -> Light:
     """The light of all texels in a store. A damaged chunk has none."""
-    store, light = Store(root, make=False), Light()
+    store = Store(root, make=False)
+    light = Light()
     for count in census_of(store, texels=False).counts.values():
         for index, each in count.files.chunks.items():
             if (found := texels_in(store, count, index)) is not None:
                 offsets, part = found
-                named = zip(offsets.tolist(), part.samples.tolist(), np.asarray(part.coefficients), strict=True)
-                light |= {(each.key, offset): (samples, numbers.tobytes()) for offset, samples, numbers in named}
+                named = zip(
+                    offsets.tolist(),
+                    part.samples.tolist(),
+                    np.asarray(part.coefficients),
+                    strict=True,
+                )
+                light |= {
+                    (each.key, offset): (samples, numbers.tobytes())
+                    for offset, samples, numbers in named
+                }
     return light
 
 

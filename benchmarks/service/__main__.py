@@ -15,7 +15,19 @@ from benchmarks.service.widget import widget
 
 main = suite(
     "One server, as its clients see it.",
-    *(drag, visitors, load, malformed, memory, fuzz, warm_view, page, widget, first_look, first_start),
+    *(
+        drag,
+        visitors,
+        load,
+        malformed,
+        memory,
+        fuzz,
+        warm_view,
+        page,
+        widget,
+        first_look,
+        first_start,
+    ),
 )
 
 if __name__ == "__main__":

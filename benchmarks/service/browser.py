@@ -1,6 +1,7 @@
 """Chromium that drags over the page: what each page sent, what came, and when it was shown.
 
-A picture counts as shown at the end of the frame that paints it, an input from when the browser had it.
+A picture counts as shown at the end of the frame that paints it, an input from when the browser had
+it.
 """
 
 import asyncio
@@ -33,7 +34,8 @@ window.record = {inputs: [], sent: [], came: [], shown: []};
 addEventListener("pointermove", (event) => record.inputs.push(event.timeStamp), true);
 const painted = new MessageChannel();
 const drawn = [];
-painted.port1.onmessage = () => drawn.splice(0).forEach((id) => record.shown.push([performance.now(), id]));
+painted.port1.onmessage = () =>
+  drawn.splice(0).forEach((id) => record.shown.push([performance.now(), id]));
 window.WebSocket = class extends WebSocket {
   constructor(...given) {
     super(...given);
@@ -50,17 +52,22 @@ window.WebSocket = class extends WebSocket {
   }
 };
 """
-"""Notes on each page when the pointer moved, views went out, pictures came, and when they were painted."""
+"""Notes on each page when the pointer moved, views went out, pictures came, and when they were
+painted.
+"""
 
-SHAPE = "(stage, size) => Object.assign(stage.style, {width: `${size}px`, height: `${size}px`, minHeight: 0})"
+SHAPE = (
+    "(stage, size) => Object.assign(stage.style, {width: `${size}px`, height: `${size}px`, "
+    "minHeight: 0})"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
     """What one page saw, in milliseconds of its own clock, all in the order of time.
 
-    When there was input; when which views were sent; when pictures came, with what the stream told of them; and when
-    which of these were painted.
+    When there was input; when which views were sent; when pictures came, with what the stream told
+    of them; and when which of these were painted.
     """
 
     inputs: np.ndarray
@@ -73,11 +80,16 @@ class Track:
 
     @property
     def legs(self) -> dict[str, np.ndarray]:
-        """How long each input took to the picture that answers it, one of a view sent since; and the legs of that."""
+        """How long each input took to the picture that answers it, one of a view sent since; and
+        the legs of that.
+        """
         first = np.searchsorted(self.sent, self.inputs)
-        inputs, first = self.inputs[first < len(self.sent)], first[first < len(self.sent)]
+        inputs = self.inputs[first < len(self.sent)]
+        first = first[first < len(self.sent)]
         drafts = np.array([told["id"] for told in self.told if told["draft"]])
-        came = np.array([at for at, told in zip(self.came, self.told, strict=True) if told["draft"]])
+        came = np.array(
+            [at for at, told in zip(self.came, self.told, strict=True) if told["draft"]]
+        )
         return {
             "input to shown": self._shown(self.sent_ids[first]) - inputs,
             "input to sent": self.sent[first] - inputs,
@@ -100,14 +112,17 @@ def track(record: dict[str, list[Any]]) -> Track:
     inputs, sent, came, shown = (record[name] for name in ("inputs", "sent", "came", "shown"))
     times = [np.array([each[0] for each in part]) for part in (sent, came, shown)]
     ids = [np.array([each[1] for each in part]) for part in (sent, shown)]
-    return Track(np.array(inputs), times[0], ids[0], times[1], [told for _, told in came], times[2], ids[1])
+    return Track(
+        np.array(inputs), times[0], ids[0], times[1], [told for _, told in came], times[2], ids[1]
+    )
 
 
 class Tab:
     """A page whose stage is a square of ``size`` CSS pixels, and the pointer over it."""
 
     def __init__(self, page: Page, size: int) -> None:
-        self._page, self._size = page, size
+        self._page = page
+        self._size = size
 
     async def open(self, url: str) -> None:
         """Open the page and wait until it shows its first pictures of that size."""
@@ -119,8 +134,11 @@ class Tab:
         await asyncio.sleep(SETTLED)
 
     async def drag(self, seconds: float, turn: str) -> Track:
-        """Drag to and fro over the stage, let go, and tell what there was until the view had rested."""
-        mouse, button = self._page.mouse, BUTTONS[turn]
+        """Drag to and fro over the stage, let go, and tell what there was until the view had
+        rested.
+        """
+        mouse = self._page.mouse
+        button = BUTTONS[turn]
         box = await self._page.locator("#stage").bounding_box()
         assert box is not None
         await mouse.move(*self._place(box, 0.0))
@@ -137,22 +155,34 @@ class Tab:
     def _place(self, box: FloatRect, passed: float) -> tuple[float, float]:
         """Where the pointer is after so many seconds."""
         turn = 2.0 * math.pi * passed / SWING
-        across, down = 0.5 + 0.35 * math.sin(turn), 0.5 + 0.1 * math.cos(turn)
+        across = 0.5 + 0.35 * math.sin(turn)
+        down = 0.5 + 0.1 * math.cos(turn)
         return box["x"] + self._size * across, box["y"] + self._size * down
 
 
-async def drags(url: str, size: int, seconds: float, pages: int, turn: str) -> tuple[list[Track], dict[str, float]]:
-    """What so many pages at once saw, and how many cores each kind of process under this one took meanwhile."""
+async def drags(
+    url: str, size: int, seconds: float, pages: int, turn: str
+) -> tuple[list[Track], dict[str, float]]:
+    """What so many pages at once saw, and how many cores each kind of process under this one took
+    meanwhile.
+    """
     async with async_playwright() as playwright:
         chromium = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         viewport = ViewportSize(width=size + 48, height=size + 240)
-        tabs = [Tab(await (await chromium.new_context(viewport=viewport)).new_page(), size) for _ in range(pages)]
+        tabs = [
+            Tab(await (await chromium.new_context(viewport=viewport)).new_page(), size)
+            for _ in range(pages)
+        ]
         for tab in tabs:
             await tab.open(url)
-        before, begun = processor_seconds(), time.perf_counter()
+        before = processor_seconds()
+        begun = time.perf_counter()
         tracks = await asyncio.gather(*(tab.drag(seconds, turn) for tab in tabs))
         passed = time.perf_counter() - begun
-        cores = {kind: (taken - before[kind]) / passed for kind, taken in sorted(processor_seconds().items())}
+        cores = {
+            kind: (taken - before[kind]) / passed
+            for kind, taken in sorted(processor_seconds().items())
+        }
         await chromium.close()
     return tracks, cores
 
@@ -167,10 +197,14 @@ def processor_seconds() -> defaultdict[str, float]:
 
 
 def kind_of(process: psutil.Process) -> str:
-    """What a process under this one is: Chromium's, the server, a worker, or what drives the browser."""
+    """What a process under this one is: Chromium's, the server, a worker, or what drives the
+    browser.
+    """
     if "chrom" in process.name():
         return "chromium"
     command = process.cmdline()
     if "serve" in command:
         return "server"
-    return "workers" if any("multiprocessing" in part for part in command) else "driver"
+    if any("multiprocessing" in part for part in command):
+        return "workers"
+    return "driver"

@@ -1,4 +1,6 @@
-"""A crowd: clients of all kinds at once on one server, each with views of its own, and what they were answered."""
+"""A crowd: clients of all kinds at once on one server, each with views of its own, and what they
+were answered.
+"""
 
 import asyncio
 import json
@@ -29,8 +31,9 @@ PAUSE = 0.2
 
 @dataclass
 class Answers:
-    """What a crowd was answered: how often which status came; and of streams whose views move, each one's pictures a
-    second (``rates``), and the ``ages`` of pictures: seconds from when a view was sent until its picture came."""
+    """What a crowd was answered: how often which status came; and of streams whose views move, each
+    one's pictures a second (``rates``), and the ``ages`` of pictures: seconds from when a view was
+    sent until its picture came."""
 
     counts: Counter[str] = field(default_factory=Counter)
     rates: list[float] = field(default_factory=list)
@@ -38,15 +41,31 @@ class Answers:
 
 
 class Client:
-    """One of the crowd. It does one kind of thing until told to end, and counts what comes of it."""
+    """One of the crowd. It does one kind of thing until told to end, and counts what comes of
+    it.
+    """
 
-    def __init__(self, number: int, url: str, path: str, isovalues: tuple[float, ...], answers: Answers) -> None:
+    def __init__(
+        self, number: int, url: str, path: str, isovalues: tuple[float, ...], answers: Answers
+    ) -> None:
         self._random = random.Random(number)
-        self._url, self._path, self._answers, self._counts = url, path, answers, answers.counts
+        self._url = url
+        self._path = path
+        self._answers = answers
+        self._counts = answers.counts
         self._views = [self._view(isovalues) for _ in range(VIEWS)]
         self._tags: dict[int, str] = {}
         kinds: tuple[Callable[[httpx.AsyncClient], Awaitable[None]], ...]
-        kinds = (self.spec, self.drag, self.cover, self.wait, self.spec, self.listen, self.drag, self.abort)
+        kinds = (
+            self.spec,
+            self.drag,
+            self.cover,
+            self.wait,
+            self.spec,
+            self.listen,
+            self.drag,
+            self.abort,
+        )
         self._heard = 0
         self._do = kinds[number % len(kinds)]
 
@@ -63,7 +82,10 @@ class Client:
     async def spec(self, http: httpx.AsyncClient) -> None:
         """A frame, as it is; where it was seen before, only if it has changed."""
         number = self._random.randrange(VIEWS)
-        known = {"If-None-Match": self._tags[number]} if number in self._tags else {}
+        if number in self._tags:
+            known = {"If-None-Match": self._tags[number]}
+        else:
+            known = {}
         answer = await http.get(f"{self._path}/frame", params=self._views[number], headers=known)
         self._counts[str(answer.status_code)] += 1
         if "etag" in answer.headers:
@@ -76,7 +98,9 @@ class Client:
 
     async def cover(self, http: httpx.AsyncClient) -> None:
         """How far a view is baked."""
-        self._counts[str((await http.get(f"{self._path}/coverage", params=self._any())).status_code)] += 1
+        self._counts[
+            str((await http.get(f"{self._path}/coverage", params=self._any())).status_code)
+        ] += 1
 
     async def listen(self, http: httpx.AsyncClient) -> None:
         """What becomes of a view, for a while."""
@@ -91,18 +115,25 @@ class Client:
         params = self._any() | {"wait_ms": 10_000, "max_error": 0.0001}
         with suppress(TimeoutError):
             async with asyncio.timeout(self._random.uniform(0.01, 0.5)):
-                self._counts[str((await http.get(f"{self._path}/frame", params=params)).status_code)] += 1
+                self._counts[
+                    str((await http.get(f"{self._path}/frame", params=params)).status_code)
+                ] += 1
 
     async def drag(self, _: httpx.AsyncClient) -> None:
         """A stream: a hand that drags, rests, and leaves, sometimes without a word."""
         try:
-            async with connect(f"{self._url.replace('http', 'ws', 1)}{self._path}/stream", max_size=None) as socket:
-                view, sent = self._any(), list[float]()
+            async with connect(
+                f"{self._url.replace('http', 'ws', 1)}{self._path}/stream", max_size=None
+            ) as socket:
+                view = self._any()
+                sent = list[float]()
                 hearing = asyncio.create_task(self._hear(socket, sent))
                 for step in range(steps := self._random.randrange(60, 150)):
                     sent.append(time.monotonic())
                     moved = view | {"azimuth": (view["azimuth"] + step) % 360}
-                    await socket.send(json.dumps({"id": step, "view": moved, "moving": step + 1 < steps}))
+                    await socket.send(
+                        json.dumps({"id": step, "view": moved, "moving": step + 1 < steps})
+                    )
                     await asyncio.sleep(1.0 / 30.0)
                 self._answers.rates.append(self._heard / (time.monotonic() - sent[0]))
                 await asyncio.sleep(self._random.uniform(0.0, 2.0))
@@ -115,8 +146,11 @@ class Client:
             self._counts[f"stream closed with {closed.rcvd or 'nothing'}"] += 1
 
     async def _hear(self, socket: Any, sent: list[float]) -> None:
-        """Take what a stream tells of views that were ``sent`` then; each picture counts as an answer."""
-        newest, self._heard = -1, 0
+        """Take what a stream tells of views that were ``sent`` then; each picture counts as an
+        answer.
+        """
+        newest = -1
+        self._heard = 0
         with suppress(ConnectionClosed):
             while True:
                 told = json.loads(await socket.recv())
@@ -135,9 +169,16 @@ class Client:
         return dict(self._random.choice(self._views))
 
     def _view(self, isovalues: tuple[float, ...]) -> dict[str, Any]:
-        shading = self._random.choice(("gi", "gi", "gi", *(each for each in VIEW_SHADINGS if each != "path_traced")))
+        shading = self._random.choice(
+            ("gi", "gi", "gi", *(each for each in VIEW_SHADINGS if each != "path_traced"))
+        )
         side = self._random.choice(SIDES)
-        view = {"isovalue": self._random.choice(isovalues), "shading": shading, "width": side, "height": side}
+        view = {
+            "isovalue": self._random.choice(isovalues),
+            "shading": shading,
+            "width": side,
+            "height": side,
+        }
         return view | {
             "azimuth": self._random.randrange(0, 270),
             "elevation": self._random.randrange(-60, 60),
@@ -145,8 +186,12 @@ class Client:
         }
 
 
-async def crowd(url: str, path: str, isovalues: tuple[float, ...], clients: int, end: asyncio.Event) -> Answers:
+async def crowd(
+    url: str, path: str, isovalues: tuple[float, ...], clients: int, end: asyncio.Event
+) -> Answers:
     """So many clients until the ``end``, and what they were answered."""
     answers = Answers()
-    await asyncio.gather(*(Client(number, url, path, isovalues, answers).run(end) for number in range(clients)))
+    await asyncio.gather(
+        *(Client(number, url, path, isovalues, answers).run(end) for number in range(clients))
+    )
     return answers

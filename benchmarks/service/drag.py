@@ -1,10 +1,13 @@
-"""Dragging over a stream while the workers bake: how long from an input to the picture that answers it.
+"""Dragging over a stream while the workers bake: how long from an input to the picture that answers
+it.
 
-    python -m benchmarks.service drag [SCENE.toml] [--size 512] [--seconds 10] [--pages 1] [--turn light] [--browser]
+    python -m benchmarks.service drag [SCENE.toml] [--size 512] [--seconds 10] [--pages 1] [--turn
+    light] [--browser]
 
-Starts `isogi serve` on an empty store. Each page sends 60 views a second, as a hand does that drags; an input is
-answered by the first picture of its view or of a later one. Then the view rests until its full picture is there.
-With ``--browser`` pages are those of headless Chromium, and a picture counts from when it is painted.
+Starts `isogi serve` on an empty store. Each page sends 60 views a second, as a hand does that
+drags; an input is answered by the first picture of its view or of a later one. Then the view rests
+until its full picture is there. With ``--browser`` pages are those of headless Chromium, and a
+picture counts from when it is painted.
 """
 
 import asyncio
@@ -38,7 +41,9 @@ class Hand:
     """One page: what it sent, and what came when."""
 
     def __init__(self, socket: ClientConnection, size: int, turn: str, first: float) -> None:
-        self._socket, self._turn, self._first = socket, turn, first
+        self._socket = socket
+        self._turn = turn
+        self._first = first
         self._view = {**START, "azimuth": 40.0 + first, "width": size, "height": size}
         self.sent: list[float] = []
         self.came: list[tuple[float, dict[str, Any]]] = []
@@ -102,7 +107,8 @@ def figures(hands: list[Hand], seconds: float) -> dict[str, float | int | str]:
     full = [1000.0 * list(hand.waits)[-1] for hand in hands]
     stages = sorted({stage for facts in drafts for stage in facts["timing"]})
     medians = {
-        f"{stage}, median": float(np.median([facts["timing"].get(stage, 0.0) for facts in drafts])) for stage in stages
+        f"{stage}, median": float(np.median([facts["timing"].get(stage, 0.0) for facts in drafts]))
+        for stage in stages
     }
     return {
         "input to picture, median": float(np.median(waits)),
@@ -129,16 +135,25 @@ def in_browser(server: Served, size: int, seconds: float, pages: int, turn: str)
     return browser_figures(tracks, cores, seconds)
 
 
-def browser_figures(tracks: list[Track], cores: dict[str, float], seconds: float) -> dict[str, float | int | str]:
+def browser_figures(
+    tracks: list[Track], cores: dict[str, float], seconds: float
+) -> dict[str, float | int | str]:
     """What pages in a browser saw, in milliseconds, and how many cores what took."""
     legs = {leg: np.concatenate([track.legs[leg] for track in tracks]) for leg in tracks[0].legs}
     drafts = [told for track in tracks for told in track.drafts]
     stages = sorted({stage for told in drafts for stage in told["timing"]})
     return {
-        **{f"{leg}, {name}": float(np.percentile(legs[leg], q)) for leg in legs for name, q in PARTS.items()},
+        **{
+            f"{leg}, {name}": float(np.percentile(legs[leg], q))
+            for leg in legs
+            for name, q in PARTS.items()
+        },
         "drafts a second and page": len(drafts) / seconds / len(tracks),
         "pixels along a draft, median": float(np.median([told["width"] for told in drafts])),
-        **{f"{s}, median": float(np.median([told["timing"].get(s, 0.0) for told in drafts])) for s in stages},
+        **{
+            f"{s}, median": float(np.median([told["timing"].get(s, 0.0) for told in drafts]))
+            for s in stages
+        },
         **{f"cores, {kind}": cores[kind] for kind in cores},
     }
 
@@ -147,7 +162,13 @@ def browser_figures(tracks: list[Track], cores: dict[str, float], seconds: float
 @click.argument("target", required=False)
 @click.option("--seconds", default=10.0, show_default=True, help="Seconds to drag for.")
 @click.option("--pages", default=1, show_default=True, help="Pages that drag at once.")
-@click.option("--turn", type=click.Choice(list(STEPS)), default="camera", show_default=True, help="What is turned.")
+@click.option(
+    "--turn",
+    type=click.Choice(list(STEPS)),
+    default="camera",
+    show_default=True,
+    help="What is turned.",
+)
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
 @click.option("--browser", is_flag=True, help="Drag in headless Chromium.")
 def drag(
@@ -164,5 +185,7 @@ def drag(
         scene = target or scene_file(Path(folder))
         with serving(scene, f"{folder}/light", workers) as server:
             found = (in_browser if browser else over_sockets)(server, size, seconds, pages, turn)
-    title = f"{Path(scene).stem}, {size} × {size}, {pages} page(s), {turn} turned, {workers} workers"
+    title = (
+        f"{Path(scene).stem}, {size} × {size}, {pages} page(s), {turn} turned, {workers} workers"
+    )
     return Measurement(title, found, variant="-".join([turn, *(["browser"] if browser else [])]))

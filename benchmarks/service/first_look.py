@@ -1,9 +1,11 @@
-"""What a person sees of a new scene: the page from its first moment on, in pictures, words, and the time left it told.
+"""What a person sees of a new scene: the page from its first moment on, in pictures, words, and the
+time left it told.
 
-    python -m benchmarks.service first-look SCENE [SCENE …] [--window 1280x800] [--ratio 1] [--until 60] [-o FOLDER]
+    python -m benchmarks.service first-look SCENE [SCENE …] [--window 1280x800] [--ratio 1] [--until
+    60] [-o FOLDER]
 
-Each scene has a server and an empty store of its own. A time left counts as held where the picture was done between
-half of it and twice it; what was not done by the end is told as that.
+Each scene has a server and an empty store of its own. A time left counts as held where the picture
+was done between half of it and twice it; what was not done by the end is told as that.
 """
 
 import math
@@ -35,7 +37,9 @@ SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 @dataclass(frozen=True)
 class Told:
-    """What the page said, so many ``seconds`` after it was asked for: its ``state`` and ``words``."""
+    """What the page said, so many ``seconds`` after it was asked for: its ``state`` and
+    ``words``.
+    """
 
     seconds: float
     state: str
@@ -45,15 +49,36 @@ class Told:
     def left(self) -> float | None:
         """Seconds that it said are left; None where it said nothing of that."""
         found = LEFT.search(self.words)
-        return None if found is None else float(found[1]) * SECONDS[found[2]]
+        if found is None:
+            return None
+        return float(found[1]) * SECONDS[found[2]]
 
 
 @part()
 @click.argument("scenes", nargs=-1, required=True)
-@click.option("--window", default="1280x800", show_default=True, help="Width and height, in CSS pixels.")
-@click.option("--ratio", type=click.FloatRange(0.5, 4), default=1.0, show_default=True, help="Device pixels of each.")
-@click.option("--until", type=click.FloatRange(min=1), default=60.0, show_default=True, help="Seconds to look.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="A folder for the pictures.")
+@click.option(
+    "--window", default="1280x800", show_default=True, help="Width and height, in CSS pixels."
+)
+@click.option(
+    "--ratio",
+    type=click.FloatRange(0.5, 4),
+    default=1.0,
+    show_default=True,
+    help="Device pixels of each.",
+)
+@click.option(
+    "--until",
+    type=click.FloatRange(min=1),
+    default=60.0,
+    show_default=True,
+    help="Seconds to look.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="A folder for the pictures.",
+)
 def first_look(
     scenes: tuple[str, ...], window: str, ratio: float, until: float, output: Path | None
 ) -> Iterator[Measurement]:
@@ -62,7 +87,10 @@ def first_look(
     for scene in scenes:
         name = Path(scene).stem
         with tempfile.TemporaryDirectory() as store, serving(scene, store, cores()) as served:
-            folder = None if output is None else output / f"{name}-{window}-{ratio:g}"
+            if output is None:
+                folder = None
+            else:
+                folder = output / f"{name}-{window}-{ratio:g}"
             told = looked_at(served.url, (width, height), ratio, until, folder)
             yield Measurement(
                 f"{name}, {window} at {ratio:g} device pixels",
@@ -70,13 +98,19 @@ def first_look(
             )
 
 
-def looked_at(url: str, size: tuple[int, int], ratio: float, until: float, folder: Path | None) -> list[Told]:
-    """All that the page says, as it changes, until it is done or the time is over; MOMENTS become pictures."""
+def looked_at(
+    url: str, size: tuple[int, int], ratio: float, until: float, folder: Path | None
+) -> list[Told]:
+    """All that the page says, as it changes, until it is done or the time is over; MOMENTS become
+    pictures.
+    """
     width, height = size
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
         page = browser.new_page(
-            viewport={"width": width, "height": height}, device_scale_factor=ratio, has_touch=width < 600
+            viewport={"width": width, "height": height},
+            device_scale_factor=ratio,
+            has_touch=width < 600,
         )
         begun = time.monotonic()
         page.goto(url, wait_until="commit")
@@ -87,7 +121,8 @@ def looked_at(url: str, size: tuple[int, int], ratio: float, until: float, folde
 
 def watched(page: Page, begun: float, until: float, folder: Path | None) -> Iterator[Told]:
     """What the page says whenever that changes, and at each of the MOMENTS."""
-    moments, before = list(MOMENTS), ("", "")
+    moments = list(MOMENTS)
+    before = ("", "")
     while (passed := time.monotonic() - begun) < until:
         found = page.locator("#stage"), page.locator("#status-line")
         said = (found[0].get_attribute("data-state") or "", found[1].text_content() or "")
@@ -111,7 +146,9 @@ def first(told: list[Told], holds: Callable[[Told], bool]) -> float:
 
 
 def figures(told: list[Told], until: float) -> dict[str, float | str | bool]:
-    """When the first picture came, what was said at each moment, when it was done, and whether the time left held."""
+    """When the first picture came, what was said at each moment, when it was done, and whether the
+    time left held.
+    """
     found: dict[str, float | str | bool] = {}
     end = first(told, lambda each: each.state == "final")
     for name, seconds in (
@@ -119,7 +156,10 @@ def figures(told: list[Told], until: float) -> dict[str, float | str | bool]:
         ("with light", first(told, lambda each: each.words.startswith(("Refining", "Done")))),
         ("done", end),
     ):
-        found[f"{name} after, s"] = seconds if math.isfinite(seconds) else f"not within {until:g}"
+        if math.isfinite(seconds):
+            found[f"{name} after, s"] = seconds
+        else:
+            found[f"{name} after, s"] = f"not within {until:g}"
     for moment in MOMENTS:
         at = next((each for each in told if each.seconds >= moment), told[-1])
         found[f"at {moment:g} s"] = at.words or at.state

@@ -1,10 +1,12 @@
-"""The first start on a machine: kernels compile, while pictures come without light and then with light.
+"""The first start on a machine: kernels compile, while pictures come without light and then with
+light.
 
     python -m benchmarks.service first-start [SCENE …] [--size 512] [--again] [--json]
 
-Scenes come one after the other, and share a folder of compiled kernels that is empty before the first: each compiles
-what those before it did not call. Each has an empty store. A picture counts as lit once half of its surface has light
-that was baked. ``--again`` starts each scene a second time, when all is compiled.
+Scenes come one after the other, and share a folder of compiled kernels that is empty before the
+first: each compiles what those before it did not call. Each has an empty store. A picture counts as
+lit once half of its surface has light that was baked. ``--again`` starts each scene a second time,
+when all is compiled.
 """
 
 import tempfile
@@ -37,7 +39,9 @@ LONGEST = 900.0
 @click.argument("scenes", nargs=-1)
 @click.option("--again", is_flag=True, help="Start each scene once more, with all compiled.")
 def first_start(scenes: tuple[str, ...], size: int, again: bool) -> Iterator[Measurement]:
-    """A server's first start: seconds to ready, to a first picture and to light, and whether the time left was true."""
+    """A server's first start: seconds to ready, to a first picture and to light, and whether the
+    time left was true.
+    """
     with tempfile.TemporaryDirectory() as kernels:
         for scene in scenes or ("demo:casting",):
             for warm in (False, True) if again else (False,):
@@ -48,7 +52,10 @@ def first_start(scenes: tuple[str, ...], size: int, again: bool) -> Iterator[Mea
 def started(scene: str, size: int, kernels: str) -> dict[str, float]:
     """Seconds from a server's start to what comes of it, with a folder for compiled ``kernels``."""
     surroundings = {"ISOGI_KERNEL_CACHE": kernels}
-    with tempfile.TemporaryDirectory() as store, serving(scene, store, cores(), environment=surroundings) as served:
+    with (
+        tempfile.TemporaryDirectory() as store,
+        serving(scene, store, cores(), environment=surroundings) as served,
+    ):
         found = {"ready after, s": served.ready_after}
         begun = time.perf_counter() - served.ready_after
         while (picture := look(served, size)) is None or lit_share(picture) < LIT:
@@ -65,8 +72,12 @@ def started(scene: str, size: int, kernels: str) -> dict[str, float]:
 
 def look(served: Served, size: int) -> httpx.Response | None:
     """The picture of the scene as it starts; None where there is none yet."""
-    answer = served.client.get(f"{served.path}/frame", params={"width": size, "height": size, "f": "jpeg"})
-    return answer if answer.status_code == httpx.codes.OK else None
+    answer = served.client.get(
+        f"{served.path}/frame", params={"width": size, "height": size, "f": "jpeg"}
+    )
+    if answer.status_code == httpx.codes.OK:
+        return answer
+    return None
 
 
 def lit_share(picture: httpx.Response) -> float:
@@ -76,7 +87,9 @@ def lit_share(picture: httpx.Response) -> float:
 
 
 def note_compiling(served: Served, found: dict[str, float], now: float) -> None:
-    """Note in ``found`` when the last kernel was compiled, and what was promised of that after PROMISED seconds."""
+    """Note in ``found`` when the last kernel was compiled, and what was promised of that after
+    PROMISED seconds.
+    """
     compiling = served.client.get("/readyz").json().get("compiling")
     if compiling is None:
         if "kernels" in found:

@@ -2,8 +2,8 @@
 
     python -m benchmarks.service fuzz [--messages 10000] [--seed 1] [--json]
 
-Messages are good ones, changed: other types, numbers and names, cut, doubled, with characters that are none, or bytes.
-A stream that the server closes is opened anew.
+Messages are good ones, changed: other types, numbers and names, cut, doubled, with characters that
+are none, or bytes. A stream that the server closes is opened anew.
 """
 
 import itertools
@@ -36,7 +36,22 @@ NAMES = (
     "albedo",
 )
 ODD: tuple[Any, ...] = (
-    *(None, True, -1, 0, 1e308, -1e308, 2**70, float("nan"), float("inf"), "", "nan", "\ud800", "x" * 5000, "1,2,3"),
+    *(
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        -1e308,
+        2**70,
+        float("nan"),
+        float("inf"),
+        "",
+        "nan",
+        "\ud800",
+        "x" * 5000,
+        "1,2,3",
+    ),
     *([], {}, [[]], {"a": {}}, "gi", "png", 70, 0.5, "0.5", "../..", "<script>", "\x00"),
 )
 GAP = 1 / 400
@@ -46,18 +61,33 @@ GAP = 1 / 400
 def message(chance: random.Random) -> str | bytes:
     """One message."""
     view = {chance.choice(NAMES): chance.choice(ODD) for _ in range(chance.randrange(4))}
-    small = {"width": 16, "height": 16} if chance.random() < 0.5 else {}
-    good: dict[str, Any] = {"id": chance.randrange(1000), "view": {**small, **view}, "moving": chance.random() < 0.5}
+    if chance.random() < 0.5:
+        small = {"width": 16, "height": 16}
+    else:
+        small = {}
+    good: dict[str, Any] = {
+        "id": chance.randrange(1000),
+        "view": {**small, **view},
+        "moving": chance.random() < 0.5,
+    }
     kind = chance.randrange(8)
     if kind == 0:
         good[chance.choice(("id", "view", "moving", "shown", "took", "more"))] = chance.choice(ODD)
     text = json.dumps({"shown": good["id"]} if kind == 1 else good)
     if kind == 2:
         place = chance.randrange(len(text))
-        return text[:place] + chance.choice(("", "{", "\\ud800", "\u0000", "9" * 400, text)) + text[place + 1 :]
+        return (
+            text[:place]
+            + chance.choice(("", "{", "\\ud800", "\u0000", "9" * 400, text))
+            + text[place + 1 :]
+        )
     if kind == 3:
-        return chance.choice((b"\xff\xfe", b"", text.encode(), bytes(chance.randrange(256) for _ in range(40))))
-    return "[" * 3000 if kind == 4 and chance.random() < 0.1 else text
+        return chance.choice(
+            (b"\xff\xfe", b"", text.encode(), bytes(chance.randrange(256) for _ in range(40)))
+        )
+    if kind == 4 and chance.random() < 0.1:
+        return "[" * 3000
+    return text
 
 
 def drained(stream: ClientConnection, told: Counter[str]) -> None:
@@ -65,14 +95,21 @@ def drained(stream: ClientConnection, told: Counter[str]) -> None:
     try:
         while True:
             came = stream.recv(GAP)
-            told["pictures" if isinstance(came, bytes) else "problems" if '"problem"' in came else "facts"] += 1
+            told[
+                "pictures"
+                if isinstance(came, bytes)
+                else "problems"
+                if '"problem"' in came
+                else "facts"
+            ] += 1
     except TimeoutError:
         pass
 
 
 def fuzzed(served: Served, messages: int, seed: int) -> Counter[str]:
     """What came of so many messages, to one stream after another."""
-    chance, told = random.Random(seed), Counter[str]()
+    chance = random.Random(seed)
+    told = Counter[str]()
     address = served.stream
     texts = (message(chance) for _ in range(messages))
     while (first := next(texts, None)) is not None:
@@ -96,7 +133,10 @@ def fuzz(target: str, messages: int, seed: int) -> Measurement:
     """Messages of all kinds to streams, and whether the server stands."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder, "log")
-        with log.open("wb") as errors, serving(target, f"{folder}/light", 1, errors=errors) as served:
+        with (
+            log.open("wb") as errors,
+            serving(target, f"{folder}/light", 1, errors=errors) as served,
+        ):
             told = fuzzed(served, messages, seed)
             alive = served.client.get("/livez").status_code == 200
         tracebacks = log.read_text(encoding="utf-8", errors="replace").count("Traceback")

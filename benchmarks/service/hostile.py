@@ -1,4 +1,6 @@
-"""Requests that no person sends: generated from the API's own document by Schemathesis, and a list that means harm."""
+"""Requests that no person sends: generated from the API's own document by Schemathesis, and a list
+that means harm.
+"""
 
 import re
 import shutil
@@ -21,29 +23,60 @@ CONFIG = """
 "query.samples" = 1
 "query.wait_ms" = 0
 """
-"""What is not generated: a scene that there is, and parameters that would have a machine render for hours."""
+"""What is not generated: a scene that there is, and parameters that would have a machine render for
+hours.
+"""
 
 LEFT_OUT = "/events$|^/v1/volumes$"
-"""Answers that do not end by themselves, and uploads, each of which has a process of its own read it: the part
-``malformed`` sends those."""
+"""Answers that do not end by themselves, and uploads, each of which has a process of its own read
+it: the part ``malformed`` sends those."""
 
 
 def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int], str]:
-    """What some ``requests`` made by Schemathesis were answered, and where it is not installed, that nothing was sent.
+    """What some ``requests`` made by Schemathesis were answered, and where it is not installed,
+    that nothing was sent.
 
-    It has as many for each operation, and some of its own that look for edges: more come than are asked for.
+    It has as many for each operation, and some of its own that look for edges: more come than are
+    asked for.
     """
     program = shutil.which(PROGRAM)
     if program is None:
         return Counter(), f"{PROGRAM} is not installed"
-    (folder / "schemathesis.toml").write_text(CONFIG.format(scene=served.path.rpartition("/")[2]), encoding="utf-8")
+    (folder / "schemathesis.toml").write_text(
+        CONFIG.format(scene=served.path.rpartition("/")[2]), encoding="utf-8"
+    )
     document = served.client.get("/openapi.json").json()
-    operations = sum(len(methods) for path, methods in document["paths"].items() if not re.search(LEFT_OUT, path))
-    command = [program, "run", f"{served.url}/openapi.json", "--max-examples", str(-(-requests // operations))]
-    command += ["--checks", "not_a_server_error", "--phases", "coverage,fuzzing", "--exclude-path-regex", LEFT_OUT]
-    command += ["--suppress-health-check", "all", "--request-timeout", "30", "--seed", "1", "--no-shrink"]
+    operations = sum(
+        len(methods) for path, methods in document["paths"].items() if not re.search(LEFT_OUT, path)
+    )
+    command = [
+        program,
+        "run",
+        f"{served.url}/openapi.json",
+        "--max-examples",
+        str(-(-requests // operations)),
+    ]
+    command += [
+        "--checks",
+        "not_a_server_error",
+        "--phases",
+        "coverage,fuzzing",
+        "--exclude-path-regex",
+        LEFT_OUT,
+    ]
+    command += [
+        "--suppress-health-check",
+        "all",
+        "--request-timeout",
+        "30",
+        "--seed",
+        "1",
+        "--no-shrink",
+    ]
     before = answered(served)
-    subprocess.run([*command, "--continue-on-failure"], cwd=folder, stdout=subprocess.DEVNULL, check=False)
+    subprocess.run(
+        [*command, "--continue-on-failure"], cwd=folder, stdout=subprocess.DEVNULL, check=False
+    )
     return answered(served) - before, ""
 
 
@@ -57,12 +90,19 @@ def answered(served: Served) -> Counter[int]:
 
 
 def hostile(served: Served, folder: Path) -> Counter[int]:
-    """What was answered to numbers that are none, to ways out of the folder of files, and to other hosts' names."""
-    secret, counts = folder / "secret.txt", Counter[int]()
+    """What was answered to numbers that are none, to ways out of the folder of files, and to other
+    hosts' names.
+    """
+    secret = folder / "secret.txt"
+    counts = Counter[int]()
     for name in FrameParams.model_fields:
         for number in () if name in WORDS else NUMBERS:
-            counts[served.client.get(f"{served.path}/frame", params={name: number}).status_code] += 1
-            counts[served.client.get(f"{served.path}/coverage", params={name: number}).status_code] += 1
+            counts[
+                served.client.get(f"{served.path}/frame", params={name: number}).status_code
+            ] += 1
+            counts[
+                served.client.get(f"{served.path}/coverage", params={name: number}).status_code
+            ] += 1
     for path in paths(secret):
         counts[status(said(served.url, f"GET {path} HTTP/1.1", "Host: localhost"))] += 1
     for host in HOSTS:

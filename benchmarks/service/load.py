@@ -1,12 +1,13 @@
 """Load on one server: many clients with mixed views, for a while.
 
-    python -m benchmarks.service load [SCENE.toml] [--clients 64] [--before 0] [--seconds 20] [--memory-mb 128]
+    python -m benchmarks.service load [SCENE.toml] [--clients 64] [--before 0] [--seconds 20]
+    [--memory-mb 128]
 
-Starts `isogi serve` on an empty store. Clients look (with the tags of what they know), wait for light, ask for
-coverage, listen to events, drag on streams, and leave early. Tells how many pictures streams had while views moved and
-how old these were, how often which status came (200, 304 and 429 are as they should be), how long `/livez` took
-meanwhile, and what the server took: memory, open files, processes.
-What they ask `before` is not counted, but its light is baked.
+Starts `isogi serve` on an empty store. Clients look (with the tags of what they know), wait for
+light, ask for coverage, listen to events, drag on streams, and leave early. Tells how many pictures
+streams had while views moved and how old these were, how often which status came (200, 304 and 429
+are as they should be), how long `/livez` took meanwhile, and what the server took: memory, open
+files, processes. What they ask `before` is not counted, but its light is baked.
 """
 
 import asyncio
@@ -28,7 +29,9 @@ from benchmarks.common.suite import part
 from benchmarks.service.crowd import Answers, crowd
 
 LOOKS = (30.0, 60.0, 120.0, 300.0)
-"""Seconds after which it is looked at what the server takes, besides half of the time and the end."""
+"""Seconds after which it is looked at what the server takes, besides half of the time and the
+end.
+"""
 
 EVERY = 0.05
 """Seconds between two probes."""
@@ -38,7 +41,9 @@ AFTER = 3.0
 
 
 class Probe(threading.Thread):
-    """Asks `/livez` again and again on a connection of its own; ``seconds`` are how long each answer took."""
+    """Asks `/livez` again and again on a connection of its own; ``seconds`` are how long each
+    answer took.
+    """
 
     def __init__(self, url: str) -> None:
         super().__init__(daemon=True)
@@ -50,7 +55,8 @@ class Probe(threading.Thread):
     def run(self) -> None:
         """Ask until it is to end."""
         while not self._ended.wait(EVERY):
-            begun, connection = time.perf_counter(), http.client.HTTPConnection(self._place, timeout=30)
+            begun = time.perf_counter()
+            connection = http.client.HTTPConnection(self._place, timeout=30)
             connection.request("GET", "/livez")
             self.statuses[connection.getresponse().status] += 1
             connection.close()
@@ -68,7 +74,8 @@ Footprints = dict[float, dict[str, float]]
 
 async def loaded(server: Served, clients: int, seconds: float) -> tuple[Answers, Footprints]:
     """What clients were answered, and what the server took meanwhile."""
-    end, footprints = asyncio.Event(), Footprints()
+    end = asyncio.Event()
+    footprints = Footprints()
     scene = server.client.get(server.path).json()
     low, high = scene["ranges"]["isovalue"]["min"], scene["ranges"]["isovalue"]["max"]
     isovalues = tuple(low + share * (high - low) for share in (0.25, 0.3, 0.4, 0.5))
@@ -76,7 +83,8 @@ async def loaded(server: Served, clients: int, seconds: float) -> tuple[Answers,
     before = 0.0
     for spec in sorted({seconds / 2.0, seconds, *(each for each in LOOKS if each < seconds)}):
         await asyncio.sleep(spec - before)
-        footprints[spec], before = server.footprint(), spec
+        footprints[spec] = server.footprint()
+        before = spec
     end.set()
     return await going, footprints
 
@@ -84,7 +92,8 @@ async def loaded(server: Served, clients: int, seconds: float) -> tuple[Answers,
 def figures(answers: Answers, probe: Probe, footprints: Footprints) -> Figures:
     """All that was found."""
     waits = 1000.0 * np.array(probe.seconds)
-    rates, ages = np.array(answers.rates or [0.0]), np.array(answers.ages or [np.inf])
+    rates = np.array(answers.rates or [0.0])
+    ages = np.array(answers.ages or [np.inf])
     return {
         "pictures a second, worst stream": float(rates.min()),
         "pictures a second, 5 % of streams": float(np.percentile(rates, 5)),
@@ -99,7 +108,9 @@ def figures(answers: Answers, probe: Probe, footprints: Footprints) -> Figures:
         "livez, 99 %, ms": float(np.percentile(waits, 99)),
         "livez, longest, ms": float(waits.max()),
         **{
-            f"{what}, {at:g} s": taken[what] for what in footprints[max(footprints)] for at, taken in footprints.items()
+            f"{what}, {at:g} s": taken[what]
+            for what in footprints[max(footprints)]
+            for at, taken in footprints.items()
         },
     }
 
@@ -107,11 +118,17 @@ def figures(answers: Answers, probe: Probe, footprints: Footprints) -> Figures:
 @part()
 @click.argument("target", required=False)
 @click.option("--clients", default=64, show_default=True, help="Clients at once.")
-@click.option("--before", default=0.0, show_default=True, help="Seconds for which they ask before it counts.")
+@click.option(
+    "--before", default=0.0, show_default=True, help="Seconds for which they ask before it counts."
+)
 @click.option("--seconds", default=20.0, show_default=True, help="How long they ask.")
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
-@click.option("--memory-mb", default=128, show_default=True, help="Megabytes that the scene keeps in memory.")
-def load(target: str | None, clients: int, before: float, seconds: float, workers: int, memory_mb: int) -> Measurement:
+@click.option(
+    "--memory-mb", default=128, show_default=True, help="Megabytes that the scene keeps in memory."
+)
+def load(
+    target: str | None, clients: int, before: float, seconds: float, workers: int, memory_mb: int
+) -> Measurement:
     """Many clients with mixed views: what they were answered, and what the server took."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or scene_file(Path(folder))
@@ -124,7 +141,8 @@ def load(target: str | None, clients: int, before: float, seconds: float, worker
             probe.stop()
             time.sleep(AFTER)
             left = {
-                "requests in progress, afterwards": server.metric("isogi_requests_in_progress") - 1.0,
+                "requests in progress, afterwards": server.metric("isogi_requests_in_progress")
+                - 1.0,
                 "chunks wanted, afterwards": server.metric("isogi_queue_chunks"),
                 "open files, afterwards": server.footprint()["open files"],
             }

@@ -34,9 +34,13 @@ COLOURS = 255
 
 @part()
 @click.argument("scene", default="demo:casting")
-@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), default=Path("docs/page"))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), default=Path("docs/page")
+)
 def page(scene: str, output: Path) -> Measurement:
-    """Pictures of the page, written into a folder, and the seconds to its first and its final ones."""
+    """Pictures of the page, written into a folder, and the seconds to its first and its final
+    ones.
+    """
     output.mkdir(parents=True, exist_ok=True)
     figures: dict[str, float] = {}
     with (
@@ -44,7 +48,9 @@ def page(scene: str, output: Path) -> Measurement:
         serving(scene, store, cores()) as served,
         sync_playwright() as playwright,
     ):
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+        )
         address = served.url
         begun = time.monotonic()
         shown = opened(browser, f"{address}/?{VIEW}")
@@ -68,7 +74,9 @@ def page(scene: str, output: Path) -> Measurement:
 def opened(browser: Browser, address: str) -> Page:
     """A page with its first picture."""
     width, height = WINDOW
-    page = browser.new_context(viewport={"width": width, "height": height}, color_scheme="light").new_page()
+    page = browser.new_context(
+        viewport={"width": width, "height": height}, color_scheme="light"
+    ).new_page()
     page.goto(address)
     page.wait_for_selector("#stage[data-state]:not([data-state=loading])", timeout=FINAL_MS)
     return page

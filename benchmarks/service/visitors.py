@@ -1,10 +1,12 @@
-"""What visitors who turn the object take of the server: those whose cards draw, beside those who get drafts.
+"""What visitors who turn the object take of the server: those whose cards draw, beside those who
+get drafts.
 
     python -m benchmarks.service visitors [SCENE.toml] [--visitors 50] [--seconds 20] [--views 12]
 
-Starts `isogi serve`, has it bake the views all around, and then turns as many visitors as are asked for, once by the
-light that their cards lack, as the page asks for it, and once by drafts over streams. Counts seconds of the processor
-that the server process takes, and bytes; a busy machine changes neither.
+Starts `isogi serve`, has it bake the views all around, and then turns as many visitors as are asked
+for, once by the light that their cards lack, as the page asks for it, and once by drafts over
+streams. Counts seconds of the processor that the server process takes, and bytes; a busy machine
+changes neither.
 """
 
 import asyncio
@@ -29,7 +31,8 @@ STEP = 1.2 * RATE
 LIST = 1.0
 """Seconds between two lists of chunks of a view that moves: LIST_MS in web/live/live.js."""
 
-FIRST, TOGETHER = 16, 64
+FIRST = 16
+TOGETHER = 64
 """Chunks of a visitor's first request, and of others: those of web/live/feed.js."""
 
 NEAR = 15.0
@@ -44,8 +47,8 @@ UNLIT = "0" * 16
 
 @dataclass
 class Visitor:
-    """A page whose card draws: the chunks that it ``knows``, the views of whose final light it knows the ``lists``, the
-    requests it has ``asked``, the ``bytes`` that came.
+    """A page whose card draws: the chunks that it ``knows``, the views of whose final light it
+    knows the ``lists``, the requests it has ``asked``, the ``bytes`` that came.
     """
 
     client: httpx.AsyncClient
@@ -67,7 +70,9 @@ class Visitor:
 
     async def look(self, azimuth: float) -> None:
         """Ask for what a view reads, and bring it."""
-        listed = (await self.ask("card/chunks", {**START, **LOOK, "azimuth": azimuth})).json()["chunks"]
+        listed = (await self.ask("card/chunks", {**START, **LOOK, "azimuth": azimuth})).json()[
+            "chunks"
+        ]
         names = [f"{each['at']}-{each['version']}" for each in listed if each["version"] != UNLIT]
         if all(each["final"] for each in listed):
             self.lists.add(azimuth)
@@ -85,7 +90,8 @@ class Visitor:
         """What the server answers; the bytes are those of the wire."""
         answer = await self.client.get(f"{self.path}/{what}", params=query)
         answer.raise_for_status()
-        self.asked, self.bytes = self.asked + 1, self.bytes + answer.num_bytes_downloaded
+        self.asked = self.asked + 1
+        self.bytes = self.bytes + answer.num_bytes_downloaded
         return answer
 
 
@@ -108,7 +114,8 @@ def figures(server: Served, count: int, seconds: float, size: int) -> Figures:
     """What both kinds of visitors take."""
     before = processor(server)
     visitors = asyncio.run(turned(server, count, seconds))
-    by_cards, before = processor(server) - before, processor(server)
+    by_cards = processor(server) - before
+    before = processor(server)
     hands = asyncio.run(drags(server.stream, size, seconds, count, "camera"))
     by_drafts = processor(server) - before
     drafts = sum(facts["draft"] for hand in hands for _, facts in hand.came)
@@ -125,9 +132,13 @@ def figures(server: Served, count: int, seconds: float, size: int) -> Figures:
 
 @part(size=512)
 @click.argument("target", default="demo:casting")
-@click.option("--visitors", "count", type=click.IntRange(1), default=50, show_default=True, help="At once.")
+@click.option(
+    "--visitors", "count", type=click.IntRange(1), default=50, show_default=True, help="At once."
+)
 @click.option("--seconds", default=20.0, show_default=True, help="For which they turn.")
-@click.option("--views", default=12, show_default=True, help="Views all around that are baked before.")
+@click.option(
+    "--views", default=12, show_default=True, help="Views all around that are baked before."
+)
 def visitors(target: str, count: int, seconds: float, views: int, size: int) -> Measurement:
     """What visitors who turn the object take of the server: cards beside drafts."""
     with tempfile.TemporaryDirectory() as store, serving(target, store, 2) as server:

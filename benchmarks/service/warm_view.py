@@ -1,11 +1,14 @@
-"""A warm view, brought from the store into an empty page pool, beside plain reads of the same objects.
+"""A warm view, brought from the store into an empty page pool, beside plain reads of the same
+objects.
 
-    python -m benchmarks.service warm-view [SCENE] [--size 512] [--samples 16] [--repeats 9] [--json]
+    python -m benchmarks.service warm-view [SCENE] [--size 512] [--samples 16] [--repeats 9]
+    [--json]
 
-From a folder whose files the system has in memory, from one whose files it was told to forget before each reading,
-and, where obstore is installed, from a small S3 on this machine, in a process of its own, as many objects at once as
-isogi asks for. What decoding takes is counted apart, and of that what any reader of the Zarr arrays pays: the
-checksums and Zstandard, object by object on one thread. Each round begins with nothing in isogi's memory.
+From a folder whose files the system has in memory, from one whose files it was told to forget
+before each reading, and, where obstore is installed, from a small S3 on this machine, in a process
+of its own, as many objects at once as isogi asks for. What decoding takes is counted apart, and of
+that what any reader of the Zarr arrays pays: the checksums and Zstandard, object by object on one
+thread. Each round begins with nothing in isogi's memory.
 """
 
 import importlib.util
@@ -49,9 +52,11 @@ def warm_view(target: str | None, size: int, samples: int, repeats: int) -> Meas
     """A baked view brought from the store into an empty page pool, beside plain reads."""
     scene = benchmark_scene(target)
     with tempfile.TemporaryDirectory() as folder:
-        renderer, view = make_renderer(scene, folder), view_of(scene, size)
+        renderer = make_renderer(scene, folder)
+        view = view_of(scene, size)
         bake_view(renderer, view, samples)
-        spec, chunks = renderer.caches.spec("gi"), renderer.texels(view, renderer.gbuffer(view)).chunks
+        spec = renderer.caches.spec("gi")
+        chunks = renderer.texels(view, renderer.gbuffer(view)).chunks
         measure = Timer(spec, chunks, repeats)
         figures: dict[str, Any] = {"chunks": len(chunks), **measure("folder", StoreUrl(folder))}
         figures |= measure("disk", StoreUrl(folder), forget=True)
@@ -65,7 +70,9 @@ def warm_view(target: str | None, size: int, samples: int, repeats: int) -> Meas
 
 @contextmanager
 def bucket(light: Store) -> Iterator[StoreUrl]:
-    """A place in an S3 that runs meanwhile, with all objects of ``light``; this process has its keys."""
+    """A place in an S3 that runs meanwhile, with all objects of ``light``; this process has its
+    keys.
+    """
     command = [sys.executable, "-m", "tests.s3", "--port", "0"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as server:
         try:
@@ -94,30 +101,41 @@ class Timer:
 
     def __init__(self, spec: BakeSpec, chunks: Sequence[Index], repeats: int) -> None:
         """Time nothing yet."""
-        self.spec, self.chunks, self.repeats = spec, chunks, repeats
+        self.spec = spec
+        self.chunks = chunks
+        self.repeats = repeats
 
     def __call__(self, name: str, place: StoreUrl, forget: bool = False) -> dict[str, float]:
-        """Figures of a view from a place beside plain reads, each the median of its rounds, and their ratios."""
+        """Figures of a view from a place beside plain reads, each the median of its rounds, and
+        their ratios.
+        """
         rounds = [self.round(place, forget) for _ in range(self.repeats + 1)][1:]
         found = {key: median(each[key] for each in rounds) for key in rounds[0]}
-        plain, view = found["plain reads, ms"], found["view, ms"]
+        plain = found["plain reads, ms"]
+        view = found["view, ms"]
         ratios = {
             "view / plain reads": view / plain,
             "view / plain reads and unwrapping": view / (plain + found["unwrapping, ms"]),
-            "view / plain reads, processor": found["view, processor ms"] / found["plain reads, processor ms"],
+            "view / plain reads, processor": found["view, processor ms"]
+            / found["plain reads, processor ms"],
             "reads / plain reads": found["reads, ms"] / plain,
             "bytes / plain bytes": found["bytes"] / found["plain bytes"],
         }
         return {f"{name}: {key}": value for key, value in {**found, **ratios}.items()}
 
     def round(self, place: StoreUrl, forget: bool) -> dict[str, float]:
-        """Open the store, bring a view, read the same objects again and plainly, and decode what is here by then."""
+        """Open the store, bring a view, read the same objects again and plainly, and decode what is
+        here by then.
+        """
         store = ChunkStore(Store(place), self.spec)
         opening, _ = milliseconds(store.open)
-        seen, loader = Seen(store.store), Loader(store, PagePool(self.spec, MEMORY))
+        seen = Seen(store.store)
+        loader = Loader(store, PagePool(self.spec, MEMORY))
         let_go(place, forget)
         view, worked = milliseconds(lambda: loader.ensure(self.chunks))
-        keys, plain, anew = list(seen.objects), Plain(place), Store(place)
+        keys = list(seen.objects)
+        plain = Plain(place)
+        anew = Store(place)
         anew.open()
         let_go(place, forget)
         reads, _ = milliseconds(lambda: read(place, anew.view, keys))
@@ -140,7 +158,9 @@ class Timer:
 
 
 def let_go(place: StoreUrl, forget: bool) -> None:
-    """Have the system forget what files hold, if it should, so that it reads them from the disk again."""
+    """Have the system forget what files hold, if it should, so that it reads them from the disk
+    again.
+    """
     for path in place.folder.rglob("*") if forget else ():
         if path.is_file():
             with path.open("rb") as file:
@@ -152,7 +172,8 @@ def unwrapped(objects: Iterable[bytes]) -> None:
     """Check and decompress objects one by one, as any reader of the arrays must."""
     codec = Zstd()
     for data in objects:
-        body, checksum = data[:-CRC_BYTES], data[-CRC_BYTES:]
+        body = data[:-CRC_BYTES]
+        checksum = data[-CRC_BYTES:]
         assert google_crc32c.value(body) == int.from_bytes(checksum, "little")
         codec.decode(body)
 
@@ -168,7 +189,10 @@ class Seen:
         store.view = self._seen  # type: ignore[method-assign]
 
     def _seen(self, key: str) -> bytes | None:
-        data = self.objects.get(key) if self.held else self._view(key)
+        if self.held:
+            data = self.objects.get(key)
+        else:
+            data = self._view(key)
         if data is not None:
             self.objects[key] = data
         return data
@@ -185,7 +209,10 @@ class Plain:
 
     def get(self, key: str) -> bytes:
         """An object that is there."""
-        found = self._shelf.get(key) if self._shelf else None
+        if self._shelf:
+            found = self._shelf.get(key)
+        else:
+            found = None
         data = found.data if found else self._file(key)
         self.bytes += len(data)
         return data
@@ -207,6 +234,7 @@ def read(place: StoreUrl, get: Callable[[str], object], keys: Sequence[str]) -> 
 
 def milliseconds(work: Callable[[], object]) -> tuple[float, float]:
     """What some work takes, and what it takes of the processor, by all threads of this process."""
-    begun, spent = time.perf_counter(), time.process_time()
+    begun = time.perf_counter()
+    spent = time.process_time()
     work()
     return 1000.0 * (time.perf_counter() - begun), 1000.0 * (time.process_time() - spent)

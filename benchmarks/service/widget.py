@@ -1,9 +1,10 @@
-"""The widget in a real JupyterLab in Chromium: a picture comes, follows the pointer, and the kernel knows of it.
+"""The widget in a real JupyterLab in Chromium: a picture comes, follows the pointer, and the kernel
+knows of it.
 
     python -m benchmarks.service widget [--width 480] [--height 360]
 
-Starts `isogi serve` with the built-in demo and JupyterLab beside it, opens a notebook that shows a ``Viewer``, runs its
-cell, waits for the picture, drags it, and asks the kernel for the azimuth.
+Starts `isogi serve` with the built-in demo and JupyterLab beside it, opens a notebook that shows a
+``Viewer``, runs its cell, waits for the picture, drags it, and asks the kernel for the azimuth.
 """
 
 import json
@@ -43,22 +44,42 @@ CELLS = (
 
 def notebook(folder: Path, **given: Any) -> str:
     """The name of a notebook with the CELLS, of which the first shows a viewer."""
-    cell: dict[str, Any] = {"cell_type": "code", "metadata": {}, "outputs": [], "execution_count": None}
-    cells = [{**cell, "id": f"cell-{n}", "source": text.format(**given)} for n, text in enumerate(CELLS)]
+    cell: dict[str, Any] = {
+        "cell_type": "code",
+        "metadata": {},
+        "outputs": [],
+        "execution_count": None,
+    }
+    cells = [
+        {**cell, "id": f"cell-{n}", "source": text.format(**given)} for n, text in enumerate(CELLS)
+    ]
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
-    document = {"cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+    document = {
+        "cells": cells,
+        "metadata": {"kernelspec": kernel},
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
     (folder / "viewer.ipynb").write_text(json.dumps(document), encoding="utf-8")
     return "viewer.ipynb"
 
 
 @contextmanager
 def laboratory(folder: Path) -> Iterator[str]:
-    """The address of a JupyterLab that shows a folder. Raises ClickException where it does not start."""
+    """The address of a JupyterLab that shows a folder. Raises ClickException where it does not
+    start.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    given = ["--no-browser", "--allow-root", f"--ServerApp.port={port}", f"--ServerApp.root_dir={folder}"]
+    given = [
+        "--no-browser",
+        "--allow-root",
+        f"--ServerApp.port={port}",
+        f"--ServerApp.root_dir={folder}",
+    ]
     given += ["--IdentityProvider.token=", "--LabApp.news_url=None"]
-    command, quiet = [sys.executable, "-m", "jupyterlab", *given], subprocess.DEVNULL
+    command = [sys.executable, "-m", "jupyterlab", *given]
+    quiet = subprocess.DEVNULL
     process = subprocess.Popen(command, stdout=quiet, stderr=quiet)
     try:
         await_answer(f"http://127.0.0.1:{port}/api", process)
@@ -89,18 +110,23 @@ def visit(page: Page, address: str) -> tuple[dict[str, Any], bytes]:
     page.wait_for_function(SHOWN, timeout=1000 * PATIENCE)
     figures: dict[str, Any] = {"picture after, s": time.monotonic() - begun}
     size = page.eval_on_selector(PICTURE, "image => [image.naturalWidth, image.naturalHeight]")
-    source, box = page.get_attribute(PICTURE, "src"), page.locator(PICTURE).bounding_box()
+    source = page.get_attribute(PICTURE, "src")
+    box = page.locator(PICTURE).bounding_box()
     assert box is not None, "the picture is on the page"
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.down()
     page.mouse.move(box["x"] + box["width"] / 2 - DRAG, box["y"] + box["height"] / 2, steps=5)
     page.mouse.up()
     dragged = time.monotonic()
-    page.wait_for_function(f"document.querySelector('{PICTURE}').src !== '{source}'", timeout=1000 * PATIENCE)
+    page.wait_for_function(
+        f"document.querySelector('{PICTURE}').src !== '{source}'", timeout=1000 * PATIENCE
+    )
     figures |= {"another picture after a drag, s": time.monotonic() - dragged}
     page.locator(".jp-CodeCell .cm-content").nth(1).click()
     page.keyboard.press("Shift+Enter")
-    told = page.locator(".jp-OutputArea-output pre", has_text="azimuth is").inner_text(timeout=1000 * PATIENCE)
+    told = page.locator(".jp-OutputArea-output pre", has_text="azimuth is").inner_text(
+        timeout=1000 * PATIENCE
+    )
     page.wait_for_timeout(3000)
     return figures | {
         "picture": " × ".join(map(str, size)),
@@ -113,12 +139,17 @@ def visit(page: Page, address: str) -> tuple[dict[str, Any], bytes]:
 @click.option("--height", default=360, show_default=True, help="Pixels of the picture.")
 def widget(width: int, height: int) -> Measurement:
     """The widget in a real JupyterLab: a picture, a drag, and what the kernel knows of it."""
-    with tempfile.TemporaryDirectory() as name, serving("demo:casting", f"{name}/light", workers=1) as server:
+    with (
+        tempfile.TemporaryDirectory() as name,
+        serving("demo:casting", f"{name}/light", workers=1) as server,
+    ):
         folder = Path(name, "notebooks")
         folder.mkdir()
         file = notebook(folder, url=server.url, width=width, height=height)
         with laboratory(folder) as url, sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+            browser = playwright.chromium.launch(
+                executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+            )
             page = browser.new_page(viewport={"width": 1100, "height": 800})
             figures, shot = visit(page, f"{url}/lab/tree/{file}")
             browser.close()

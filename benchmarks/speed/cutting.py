@@ -1,9 +1,11 @@
-"""A cut beside the first bake of its view: until no part is provisional, and until the picture is final.
+"""A cut beside the first bake of its view: until no part is provisional, and until the picture is
+final.
 
     python -m benchmarks.speed cutting [--size 96] [--workers 2]
 
-The engine, or the casting where there are no shared volumes. Each cut takes a tenth of the volume away, in a store that
-has the light of the whole alone; cuts come one after the other. Kept texels have the whole's light, to the bit.
+The engine, or the casting where there are no shared volumes. Each cut takes a tenth of the volume
+away, in a store that has the light of the whole alone; cuts come one after the other. Kept texels
+have the whole's light, to the bit.
 """
 
 import asyncio
@@ -27,7 +29,9 @@ from server.render.engine import RenderEngine
 from server.render.scene_variant import Change
 from server.render.variants import Variants
 
-SHARE, PATIENCE, STEP = 0.1, 200.0, 0.1
+SHARE = 0.1
+PATIENCE = 200.0
+STEP = 0.1
 """What a cut takes away, seconds that a picture may take, and those between two looks at it."""
 
 HEAD = (
@@ -38,8 +42,8 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Bake:
-    """Seconds until no part of a picture is provisional (``shown``), and until it is ``final``; texels ``kept`` of
-    those that it reads, and ``paths`` baked.
+    """Seconds until no part of a picture is provisional (``shown``), and until it is ``final``;
+    texels ``kept`` of those that it reads, and ``paths`` baked.
     """
 
     shown: float
@@ -51,14 +55,20 @@ class Bake:
 @part(size=96)
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
 def cutting(size: int, workers: int) -> Measurement:
-    """How long cuts take, beside the first bake of the view, and how many texels keep their light."""
+    """How long cuts take, beside the first bake of the view, and how many texels keep their
+    light.
+    """
     scene = benchmark_scene(None)
     view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
-    with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, workers=workers)) as engine:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        closing(RenderEngine([scene], folder, workers=workers)) as engine,
+    ):
         engine.start()
         while engine.workforce.preparing or not engine.baker.tally().workers:
             time.sleep(STEP)
-        variants, first = Variants(engine, str), baked(engine, scene.id, view, scene.target_error, time.monotonic())
+        variants = Variants(engine, str)
+        first = baked(engine, scene.id, view, scene.target_error, time.monotonic())
         found = {"none": first}
         for cut in cuts_of(scene):
             begun = time.monotonic()
@@ -68,10 +78,13 @@ def cutting(size: int, workers: int) -> Measurement:
     cuts = [each for name, each in found.items() if name != "none"]
     figures = {
         "texels kept, least": min(each.kept for each in cuts),
-        "no part provisional over the first bake, most": max(each.shown for each in cuts) / first.final,
+        "no part provisional over the first bake, most": max(each.shown for each in cuts)
+        / first.final,
         "final over the first bake, most": max(each.final for each in cuts) / first.final,
     }
-    return Measurement(f"{scene.name}, {size} × {size}, {workers} workers", figures, table_of(found, first))
+    return Measurement(
+        f"{scene.name}, {size} × {size}, {workers} workers", figures, table_of(found, first)
+    )
 
 
 def table_of(found: dict[str, Bake], first: Bake) -> str:
@@ -94,7 +107,8 @@ def cuts_of(scene: Scene) -> Iterator[str]:
 
 def baked(engine: RenderEngine, scene: str, view: View, target: float, begun: float) -> Bake:
     """Watch the picture of a view from when it was ``begun`` until it is final."""
-    before, shown = engine.baker.tally(), None
+    before = engine.baker.tally()
+    shown = None
     while True:
         frame = engine.frame(scene, view, max_error=target, wait=STEP)
         passed = time.monotonic() - begun
@@ -103,6 +117,12 @@ def baked(engine: RenderEngine, scene: str, view: View, target: float, begun: fl
         coming = frame.checkable or engine.lacking(scene, frame)[1].demands
         if frame.final or not coming or passed > PATIENCE:
             break
-    after, renderer = engine.baker.tally(), engine.renderer(scene)
+    after = engine.baker.tally()
+    renderer = engine.renderer(scene)
     texels = len(renderer.texels(view, renderer.gbuffer(view)).places)
-    return Bake(shown or passed, passed, (after.kept - before.kept) / max(texels, 1), after.paths - before.paths)
+    return Bake(
+        shown or passed,
+        passed,
+        (after.kept - before.kept) / max(texels, 1),
+        after.paths - before.paths,
+    )

@@ -1,9 +1,11 @@
-"""Smooth edges: what they cost at rest, and how much nearer than plain pixels they are to 256 samples a pixel.
+"""Smooth edges: what they cost at rest, and how much nearer than plain pixels they are to 256
+samples a pixel.
 
     python -m benchmarks.speed edges [TARGET] [--size 512] [--repeats 9] [--json]
 
-Every camera is new to the renderer, light is final, and both end with a picture of eight bits. The error is the root
-mean square over pixels that the surface covers in part, in linear light as the screen shows it.
+Every camera is new to the renderer, light is final, and both end with a picture of eight bits. The
+error is the root mean square over pixels that the surface covers in part, in linear light as the
+screen shows it.
 """
 
 import tempfile
@@ -24,7 +26,15 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.edges import find_contrasts
 from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
-from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import (
+    LOOSEST_TARGET,
+    Candidate,
+    bake_view,
+    make_renderer,
+    medians,
+    seconds,
+    view_of,
+)
 
 TRUE = 256
 """Samples of a pixel that counts as true."""
@@ -43,8 +53,14 @@ def edges(target: str | None, size: int, repeats: int) -> Measurement:
         plain = view_of(scene, size)
         bake_view(renderer, plain, MIN_SAMPLES)
         smooth = replace(plain, smooth=True)
-        took = medians({"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats)
-        errors = errors_of(renderer.render(plain, LOOSEST_TARGET), renderer.render(smooth, LOOSEST_TARGET), renderer)
+        took = medians(
+            {"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats
+        )
+        errors = errors_of(
+            renderer.render(plain, LOOSEST_TARGET),
+            renderer.render(smooth, LOOSEST_TARGET),
+            renderer,
+        )
     figures = {**milliseconds(took), "smooth / plain": took["smooth"] / took["plain"], **errors}
     return Measurement(f"{scene.name} at {scene.isovalue:g}, {size} × {size}", figures)
 
@@ -54,17 +70,23 @@ def pictured(renderer: Renderer, view: View) -> Candidate:
 
     def work(_: int) -> float:
         renderer.forget_views()
-        return seconds(lambda: develop(renderer.render(view, LOOSEST_TARGET), renderer.prepared.scene.default_exposure))
+        return seconds(
+            lambda: develop(
+                renderer.render(view, LOOSEST_TARGET), renderer.prepared.scene.default_exposure
+            )
+        )
 
     return work
 
 
 def errors_of(plain: Frame, smooth: Frame, renderer: Renderer) -> dict[str, float]:
     """The errors of both along silhouettes, and their ratio."""
-    exposure, found = renderer.prepared.scene.default_exposure, np.empty(plain.state.shape, np.uint8)
+    exposure = renderer.prepared.scene.default_exposure
+    found = np.empty(plain.state.shape, np.uint8)
     find_contrasts(develop(plain, exposure), plain.state, found)
     silhouettes = np.flatnonzero(found == film.SILHOUETTE).astype(np.uint32)
-    partly, true = [], []
+    partly = []
+    true = []
     for some in np.split(silhouettes, range(PIECE, len(silhouettes), PIECE)):
         with patch.object(film, "find_edges", lambda *_, some=some: (some, TRUE)):
             samples = film.sample_edges(plain, exposure, renderer.tiles)
@@ -72,13 +94,23 @@ def errors_of(plain: Frame, smooth: Frame, renderer: Renderer) -> dict[str, floa
             cut = (samples.covered[:, 3] > 0.0) & (samples.covered[:, 3] < 1.0)
             partly.append(some[cut])
             true.append(linear_table()[averaged(samples, exposure, BACKGROUND, clear=False)][cut])
-    pixels, wanted = np.concatenate(partly), np.concatenate(true)
+    pixels = np.concatenate(partly)
+    wanted = np.concatenate(true)
     stairs, soft = (
-        float(np.sqrt(np.mean((linear_table()[develop(each, exposure).reshape(-1, 3)[pixels]] - wanted) ** 2)))
+        float(
+            np.sqrt(
+                np.mean(
+                    (linear_table()[develop(each, exposure).reshape(-1, 3)[pixels]] - wanted) ** 2
+                )
+            )
+        )
         for each in (plain, smooth)
     )
     samples = smooth.edges
-    share = 0.0 if samples is None else samples.on.size / smooth.state.size
+    if samples is None:
+        share = 0.0
+    else:
+        share = samples.on.size / smooth.state.size
     return {
         "RMSE, plain": stairs,
         "RMSE, smooth": soft,

@@ -1,9 +1,12 @@
-"""The first view of a scene, from the start of the server to final light, and again after a restart.
+"""The first view of a scene, from the start of the server to final light, and again after a
+restart.
 
-    python -m benchmarks.speed first-view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--warm]
+    python -m benchmarks.speed first-view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02]
+    [--warm]
 
-Starts `isogi serve` on an empty store, looks at one view over a stream, as the page does, until its estimated error is
-reached and until it is final, stops the server, starts it again and compares the picture byte for byte.
+Starts `isogi serve` on an empty store, looks at one view over a stream, as the page does, until its
+estimated error is reached and until it is final, stops the server, starts it again and compares the
+picture byte for byte.
 """
 
 import hashlib
@@ -31,10 +34,21 @@ EARLY = 0.05
 @part(size=512)
 @click.argument("target", required=False)
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
-@click.option("--error", default=0.02, show_default=True, help="Estimated error of the frame to wait for.")
-@click.option("--most", default=900.0, show_default=True, help="Seconds after which it stops waiting for final light.")
-@click.option("--warm", is_flag=True, help="Have the workers bake a small view from elsewhere before.")
-def first_view(target: str | None, size: int, workers: int, error: float, most: float, warm: bool) -> Measurement:
+@click.option(
+    "--error", default=0.02, show_default=True, help="Estimated error of the frame to wait for."
+)
+@click.option(
+    "--most",
+    default=900.0,
+    show_default=True,
+    help="Seconds after which it stops waiting for final light.",
+)
+@click.option(
+    "--warm", is_flag=True, help="Have the workers bake a small view from elsewhere before."
+)
+def first_view(
+    target: str | None, size: int, workers: int, error: float, most: float, warm: bool
+) -> Measurement:
     """From the start of a server to the final light of a view, and after a restart."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or scene_file(Path(folder))
@@ -45,7 +59,10 @@ def first_view(target: str | None, size: int, workers: int, error: float, most: 
             figures = {"ready after, s": server.ready_after, **watch(server, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with serving(scene, f"{folder}/light", workers) as server:
-            figures |= {"restart: ready after, s": server.ready_after, **again(server, knobs, figures)}
+            figures |= {
+                "restart: ready after, s": server.ready_after,
+                **again(server, knobs, figures),
+            }
     title = f"{Path(scene).stem}, {size} × {size}, {workers} workers"
     return Measurement(title, figures, variant="warm" if warm else "")
 
@@ -62,13 +79,15 @@ def watch(server: Served, knobs: dict[str, Any], error: float, most: float) -> d
     with connect(server.stream, max_size=None) as socket:
         begun = time.perf_counter()
         socket.send(json.dumps({"id": 1, "view": knobs}))
-        final, passed = False, 0.0
+        final = False
+        passed = 0.0
         while not final and passed < most:
             answer = json.loads(socket.recv())
             if "problem" in answer:
                 raise click.ClickException(answer["problem"]["detail"])
             socket.recv()
-            passed, final = time.perf_counter() - begun, answer["final"]
+            passed = time.perf_counter() - begun
+            final = answer["final"]
             socket.send(json.dumps({"shown": 1}))
             facts = answer["facts"]
             figures.setdefault("first picture, s", passed)

@@ -2,10 +2,11 @@
 
     python -m benchmarks.speed frames [TARGET] [--size 512] [--repeats 15] [--json]
 
-Every camera is new to the renderer, so that each frame casts its primary rays; frames by "gi" are those of a hand that
-turns it on by a degree. Light is final, but where it is said to converge, and is filtered. Shadings are interleaved,
-and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert and 0.75 × with shadow). Without a TARGET the same view
-is then measured under probes whose lights have other numbers of lobes.
+Every camera is new to the renderer, so that each frame casts its primary rays; frames by "gi" are
+those of a hand that turns it on by a degree. Light is final, but where it is said to converge, and
+is filtered. Shadings are interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 ×
+Lambert and 0.75 × with shadow). Without a TARGET the same view is then measured under probes whose
+lights have other numbers of lobes.
 """
 
 import math
@@ -39,7 +40,12 @@ from isogi_report.speed import (
     view_of,
 )
 
-PROBES = ("uffizi_256x128", "noon_grass_1024x512", "sepulchral_chapel_rotunda_1024x512", "grace_256x128")
+PROBES = (
+    "uffizi_256x128",
+    "noon_grass_1024x512",
+    "sepulchral_chapel_rotunda_1024x512",
+    "grace_256x128",
+)
 """Shared probes whose lights have no lobe, one, two and four."""
 
 STEP = 1.2
@@ -55,31 +61,40 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
         texels = sum(
-            len(demand.offsets) for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands
+            len(demand.offsets)
+            for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands
         )
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
     data = None if target else shared_data()
     for probe in PROBES if data else ():
-        figures |= under_light({"type": "probe", "file": f"{data}/probe_{probe}.hdr"}, size, repeats)
+        figures |= under_light(
+            {"type": "probe", "file": f"{data}/probe_{probe}.hdr"}, size, repeats
+        )
     title = f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {renderer.tiles.threads} threads"
     return Measurement(title, figures)
 
 
 @contextmanager
 def lit(scene: Scene, size: int) -> Iterator[tuple[Renderer, View]]:
-    """A renderer of a scene, and its view that is measured, with all light that this and the next camera's read."""
+    """A renderer of a scene, and its view that is measured, with all light that this and the next
+    camera's read.
+    """
     with tempfile.TemporaryDirectory() as store:
-        renderer, view = make_renderer(scene, store), view_of(scene, size)
+        renderer = make_renderer(scene, store)
+        view = view_of(scene, size)
         for each in (view, on_from(renderer, view)):
             bake_view(renderer, each, MIN_SAMPLES)
         yield renderer, view
 
 
 def under_light(light: Mapping[str, str], size: int, repeats: int) -> Figures:
-    """A moved camera and a turned light of the engine, over Lambert's frames, by the lobes that its ``light`` has."""
+    """A moved camera and a turned light of the engine, over Lambert's frames, by the lobes that its
+    ``light`` has.
+    """
     with lit(benchmark_scene(None, lights=[light]), size) as (renderer, view):
-        moving, lobes = replace(view, moving=True), renderer.prepared.scene.plan.lobes
+        moving = replace(view, moving=True)
+        lobes = renderer.prepared.scene.plan.lobes
         some = {
             "lambert": new_camera(renderer, replace(view, shading="lambert")),
             "gi": next_camera(renderer, view),
@@ -88,12 +103,16 @@ def under_light(light: Mapping[str, str], size: int, repeats: int) -> Figures:
             "relight, moving": relight(renderer, moving),
         }
         median = medians(some, repeats)
-    return {f"{name} / lambert, {lobes} lobes": median[name] / median["lambert"] for name in some if name != "lambert"}
+    return {
+        f"{name} / lambert, {lobes} lobes": median[name] / median["lambert"]
+        for name in some
+        if name != "lambert"
+    }
 
 
 def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
-    """A frame by each shading, of light that converges, and through a "window" whose plane has moved; "relight", the
-    light turned alone, and "develop", the tone curve.
+    """A frame by each shading, of light that converges, and through a "window" whose plane has
+    moved; "relight", the light turned alone, and "develop", the tone curve.
     """
     exposure = renderer.prepared.scene.default_exposure
 
@@ -114,7 +133,9 @@ def on_from(renderer: Renderer, view: View) -> View:
 
 
 def next_camera(renderer: Renderer, view: View) -> Candidate:
-    """A frame whose camera is turned on a little from the one before, under a light that is no other frame's."""
+    """A frame whose camera is turned on a little from the one before, under a light that is no
+    other frame's.
+    """
 
     def render(turn: int) -> float:
         renderer.forget_views()
@@ -127,7 +148,9 @@ def next_camera(renderer: Renderer, view: View) -> Candidate:
 
 
 def new_plane(renderer: Renderer, view: View) -> Candidate:
-    """A frame through a window whose one plane has moved: half of the object is taken away, more or less."""
+    """A frame through a window whose one plane has moved: half of the object is taken away, more or
+    less.
+    """
     volume = renderer.prepared.scene.volume
 
     def render(turn: int) -> float:

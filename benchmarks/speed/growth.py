@@ -1,11 +1,13 @@
-"""How frame time grows with the volume, the picture and the threads, and what a second thread is worth.
+"""How frame time grows with the volume, the picture and the threads, and what a second thread is
+worth.
 
     python -m benchmarks.speed growth [TARGET] [--largest 512] [--size 512] [--repeats 7] [--json]
 
-Volumes: one shape, resampled to 64³, 128³, … voxels, seen from the same place; light is baked at one texel
-per voxel. Pictures: 256², 512², … pixels of TARGET. Threads: frames and diffuse rays on one thread and on two,
-and on two processes of one thread each that start at the same time and know nothing of each other; "two
-threads / two processes" compares their rates. `gi` and `lambert` cast their primary rays anew in every frame.
+Volumes: one shape, resampled to 64³, 128³, … voxels, seen from the same place; light is baked at
+one texel per voxel. Pictures: 256², 512², … pixels of TARGET. Threads: frames and diffuse rays on
+one thread and on two, and on two processes of one thread each that start at the same time and know
+nothing of each other; "two threads / two processes" compares their rates. `gi` and `lambert` cast
+their primary rays anew in every frame.
 """
 
 import multiprocessing
@@ -45,15 +47,17 @@ SHADINGS = ("gi", "lambert")
 KINDS = (*SHADINGS, "rays")
 SMALLEST = 64
 TURNS = 4
-"""Times that work is done in a row. The first finds caches full of other work, and the last of two processes may be
-alone: those between count, of threads and of processes alike."""
+"""Times that work is done in a row. The first finds caches full of other work, and the last of two
+processes may be alone: those between count, of threads and of processes alike."""
 
 PIECE = 8192
 """Rays that a thread casts before it takes the next."""
 
 
 def resample(volume: Volume, side: int) -> Volume:
-    """The volume at ``side``³ voxels between the same outermost voxels, by trilinear interpolation."""
+    """The volume at ``side``³ voxels between the same outermost voxels, by trilinear
+    interpolation.
+    """
     voxels = volume.voxels
     for axis, n in enumerate(volume.shape):
         place = np.linspace(0.0, n - 1.0, side)
@@ -61,7 +65,9 @@ def resample(volume: Volume, side: int) -> Volume:
         part = np.expand_dims(np.float32(place - low), tuple({0, 1, 2} - {axis}))
         voxels = voxels.take(low, axis) * (1 - part) + voxels.take(low + 1, axis) * part
     x, y, z = (length / (side - 1) for length in volume.extent)
-    return make_volume(voxels * np.float32(volume.scale) + np.float32(volume.offset), (x, y, z), volume.solid)
+    return make_volume(
+        voxels * np.float32(volume.scale) + np.float32(volume.offset), (x, y, z), volume.solid
+    )
 
 
 def baked(scene: Scene, store: str, sizes: Iterable[int], threads: int | None = None) -> Renderer:
@@ -80,7 +86,9 @@ def by_volume(scene: Scene, sides: list[int], size: int, repeats: int) -> dict[s
             store = stack.enter_context(tempfile.TemporaryDirectory())
             renderer = baked(replace(scene, volume=resample(scene.volume, side)), store, [size])
             view = view_of(scene, size)
-            works |= {f"{side}³: {s}": new_camera(renderer, replace(view, shading=s)) for s in SHADINGS}
+            works |= {
+                f"{side}³: {s}": new_camera(renderer, replace(view, shading=s)) for s in SHADINGS
+            }
         taken = medians(works, repeats)
     ratios = {f"{sides[-1]}³ / {sides[0]}³: {s}": grown(taken, sides, "³", s) for s in SHADINGS}
     return {**milliseconds(taken), **ratios}
@@ -89,7 +97,11 @@ def by_volume(scene: Scene, sides: list[int], size: int, repeats: int) -> dict[s
 def by_picture(renderer: Renderer, sizes: list[int], repeats: int) -> dict[str, float]:
     """Frame times of one scene at different picture sizes."""
     scene = renderer.prepared.scene
-    works = {f"{size}²: {s}": new_camera(renderer, view_of(scene, size, shading=s)) for size in sizes for s in SHADINGS}
+    works = {
+        f"{size}²: {s}": new_camera(renderer, view_of(scene, size, shading=s))
+        for size in sizes
+        for s in SHADINGS
+    }
     taken = medians(works, repeats)
     ratios = {f"{sizes[-1]}² / {sizes[0]}²: {s}": grown(taken, sizes, "²", s) for s in SHADINGS}
     return {**milliseconds(taken), **ratios}
@@ -101,7 +113,9 @@ def grown(taken: dict[str, float], steps: list[int], sign: str, shading: str) ->
 
 
 def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
-    """A frame of each shading, and diffuse rays in pieces of PIECE, in the middle of a row of them."""
+    """A frame of each shading, and diffuse rays in pieces of PIECE, in the middle of a row of
+    them.
+    """
     prepared = renderer.prepared
     rays = bounce(prepared, primary_rays(prepared, size), np.random.default_rng(1))
     parts = [rays.part(slice(first, first + PIECE)) for first in range(0, len(rays), PIECE)]
@@ -136,7 +150,9 @@ class Pair:
         context = multiprocessing.get_context("spawn")
         pipes = [context.Pipe() for _ in range(2)]
         self.pipes = [mine for mine, _ in pipes]
-        self.processes = [context.Process(target=serve, args=(its, target, store, size)) for _, its in pipes]
+        self.processes = [
+            context.Process(target=serve, args=(its, target, store, size)) for _, its in pipes
+        ]
         for process in self.processes:
             process.start()
         assert all(pipe.recv() == "ready" for pipe in self.pipes)
@@ -171,7 +187,9 @@ def by_threads(target: str | None, store: str, size: int, repeats: int) -> dict[
         taken = medians(works, repeats)
     figures = milliseconds(taken)
     for kind in KINDS:
-        single, threads, processes = (taken[f"{n}: {kind}"] for n in ("one thread", "two threads", "two processes"))
+        single, threads, processes = (
+            taken[f"{n}: {kind}"] for n in ("one thread", "two threads", "two processes")
+        )
         figures[f"two threads / one: {kind}"] = single / threads
         figures[f"two processes / one: {kind}"] = 2.0 * single / processes
         figures[f"two threads / two processes: {kind}"] = processes / (2.0 * threads)
@@ -188,11 +206,19 @@ def doubling(first: int, last: int) -> list[int]:
 
 @part(size=512, repeats=7)
 @click.argument("target", required=False)
-@click.option("--largest", type=click.IntRange(2), default=512, show_default=True, help="Voxels a side of the largest.")
+@click.option(
+    "--largest",
+    type=click.IntRange(2),
+    default=512,
+    show_default=True,
+    help="Voxels a side of the largest.",
+)
 def growth(target: str | None, largest: int, size: int, repeats: int) -> Measurement:
     """How frame time grows with the volume, the picture (--size the middle one) and the threads."""
     shape = benchmark_scene("demo:casting", lights=[{"type": "sky"}])
-    figures: dict[str, Any] = by_volume(shape, doubling(min(SMALLEST, largest), largest), size, repeats)
+    figures: dict[str, Any] = by_volume(
+        shape, doubling(min(SMALLEST, largest), largest), size, repeats
+    )
     scene = benchmark_scene(target)
     with tempfile.TemporaryDirectory() as store:
         sizes = [max(size // 2, 1), size, 2 * size]

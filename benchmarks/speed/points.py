@@ -2,14 +2,15 @@
 
     python -m benchmarks.speed points [TARGET] [--size 64] [--samples 1024] [--json]
 
-The engine block at 70 under grace, the CT head at 110 under uffizi and the MNI brain at 90 under constant light, or
-demos where the shared data are not at hand; as they are lit by their plans. Texels of a view are baked, and its pixels
-traced, with 16, 64, 256 … samples each, in the same kernels: of few sequences many points, as isogi does, or of as
-many sequences as samples the first point alone, which is uniform and independent of all others. Errors are relative
-RMSE of the luminance against many more samples, whose own noise is taken off. Seconds are of the processor, all
-threads, from one run after compiling; the error of random points is interpolated to the time of the others. As many
-sequences have as many sums, which a sampler made for random points would not keep apart: where that takes time, with
-many harmonics, the ratio at equal samples is the fair one.
+The engine block at 70 under grace, the CT head at 110 under uffizi and the MNI brain at 90 under
+constant light, or demos where the shared data are not at hand; as they are lit by their plans.
+Texels of a view are baked, and its pixels traced, with 16, 64, 256 … samples each, in the same
+kernels: of few sequences many points, as isogi does, or of as many sequences as samples the first
+point alone, which is uniform and independent of all others. Errors are relative RMSE of the
+luminance against many more samples, whose own noise is taken off. Seconds are of the processor, all
+threads, from one run after compiling; the error of random points is interpolated to the time of the
+others. As many sequences have as many sums, which a sampler made for random points would not keep
+apart: where that takes time, with many harmonics, the ratio at equal samples is the fair one.
 """
 
 import math
@@ -44,7 +45,8 @@ MANY = 16
 TOGETHER = 64
 """Sequences of plain random points that are drawn from together."""
 
-TEXELS, PIECE = 1024, 128
+TEXELS = 1024
+PIECE = 128
 """Texels that are baked, and those of a piece of work."""
 
 HEAD = ("samples", "error", "s", "error, random", "s, random", "ratio", "ratio at equal time")
@@ -54,7 +56,9 @@ class Surfels(Protocol):
     """Places that are lit: texels or pixels."""
 
     def light(self, stream: int, sequences: int, points: int) -> np.ndarray:
-        """Luminance (m, sequences) by so many points of each sequence, numbered from ``stream`` on."""
+        """Luminance (m, sequences) by so many points of each sequence, numbered from ``stream``
+        on.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +83,9 @@ class Texels:
     tiles: Tiles
 
     def light(self, stream: int, sequences: int, points: int) -> np.ndarray:
-        """See ``Surfels``: a texel has two sequences, and as many under each name of a texel far away."""
+        """See ``Surfels``: a texel has two sequences, and as many under each name of a texel far
+        away.
+        """
         found = np.empty((len(self.texels), sequences))
 
         def bake(a: int, b: int) -> None:
@@ -87,26 +93,40 @@ class Texels:
             names = np.arange(stream // 2, (stream + sequences) // 2) * self.prepared.shape[0]
             far = self.texels[a:b, None] + names[:, None] * np.array([1, 0, 0])
             copies = (len(names),) * (b - a)
-            place = (far.reshape(-1, 3).astype(np.int32), *(np.repeat(v, copies, axis=-1) for v in (p, n, isovalues)))
-            found[a:b] = self._halves(place, np.repeat(void, copies), points).reshape(b - a, sequences)
+            place = (
+                far.reshape(-1, 3).astype(np.int32),
+                *(np.repeat(v, copies, axis=-1) for v in (p, n, isovalues)),
+            )
+            found[a:b] = self._halves(place, np.repeat(void, copies), points).reshape(
+                b - a, sequences
+            )
 
         self.tiles.run(bake, len(self.texels), PIECE)
         return found
 
     def _halves(self, place: Place, void: np.ndarray, points: int) -> np.ndarray:
         spec = spec_for(self.prepared, "gi")
-        layers, light = spec.plan.layers, np.zeros((len(void), 2))
-        sample = sample_irradiance if layers[0].kind == "irradiance" else sample_transfer
-        for layer, (sums, _) in zip(layers, sample(layers, place, void, spec, 0, 2 * points), strict=True):
+        layers = spec.plan.layers
+        light = np.zeros((len(void), 2))
+        if layers[0].kind == "irradiance":
+            sample = sample_irradiance
+        else:
+            sample = sample_transfer
+        for layer, (sums, _) in zip(
+            layers, sample(layers, place, void, spec, 0, 2 * points), strict=True
+        ):
             weights = spec.luminance_light[:, : layer.order**2]
-            weights = weights if layer.channels == len(weights) else weights.sum(axis=0, keepdims=True)
+            if layer.channels != len(weights):
+                weights = weights.sum(axis=0, keepdims=True)
             light += np.einsum("mhcn,cn->mh", sums[..., : weights.shape[1]], weights) / points
         return light
 
 
 @dataclass(frozen=True)
 class Point:
-    """What so many ``samples`` give: relative errors of both kinds of points, and the processor's seconds."""
+    """What so many ``samples`` give: relative errors of both kinds of points, and the processor's
+    seconds.
+    """
 
     samples: int
     error: float
@@ -117,12 +137,15 @@ class Point:
 
 def surfels(renderer: Renderer, size: int) -> dict[str, Surfels]:
     """Texels and pixels of the view."""
-    prepared, view = renderer.prepared, view_of(renderer.prepared.scene, size)
+    prepared = renderer.prepared
+    view = view_of(renderer.prepared.scene, size)
     texels = np.concatenate(view_texels(prepared.scene, size))
     chosen = np.random.default_rng(1).choice(texels, min(TEXELS, len(texels)), replace=False)
     (*_, isovalues), void = locate(chosen, prepared)
     chosen = chosen[~void][isovalues[~void].argsort()]
-    paths = Paths(RotatedLight(renderer.caches.spec("gi"), view), renderer.gbuffer(view), renderer.tiles)
+    paths = Paths(
+        RotatedLight(renderer.caches.spec("gi"), view), renderer.gbuffer(view), renderer.tiles
+    )
     return {"texels": Texels(prepared, chosen, renderer.tiles), "pixels": Pixels(paths)}
 
 
@@ -136,7 +159,10 @@ def measure(what: Surfels, most: int) -> list[Point]:
 
 def both(what: Surfels, samples: int, true: np.ndarray) -> Point:
     """Errors and seconds of both kinds of points."""
-    replicas = replicas_for(samples) if isinstance(what, Pixels) else 2
+    if isinstance(what, Pixels):
+        replicas = replicas_for(samples)
+    else:
+        replicas = 2
     light, seconds = timed(lambda: what.light(0, replicas, samples // replicas).mean(axis=1))
     other, random_seconds = timed(lambda: random(what, samples))
     return Point(samples, error(light, true), seconds, error(other, true), random_seconds)
@@ -144,8 +170,12 @@ def both(what: Surfels, samples: int, true: np.ndarray) -> Point:
 
 def random(what: Surfels, samples: int) -> np.ndarray:
     """The mean over the first points of as many sequences."""
-    blocks = range(2 * streams.REFERENCE_STREAM, 2 * streams.REFERENCE_STREAM + samples, min(TOGETHER, samples))
-    return np.asarray(np.mean([what.light(b, min(TOGETHER, samples), 1).mean(axis=1) for b in blocks], axis=0))
+    blocks = range(
+        2 * streams.REFERENCE_STREAM, 2 * streams.REFERENCE_STREAM + samples, min(TOGETHER, samples)
+    )
+    return np.asarray(
+        np.mean([what.light(b, min(TOGETHER, samples), 1).mean(axis=1) for b in blocks], axis=0)
+    )
 
 
 def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
@@ -156,15 +186,21 @@ def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
 
 
 def error(light: np.ndarray, true: np.ndarray) -> float:
-    """Relative RMSE of luminances (m,) against the mean of ``true`` (m, sequences), whose noise is taken off."""
+    """Relative RMSE of luminances (m,) against the mean of ``true`` (m, sequences), whose noise is
+    taken off.
+    """
     noise = true.var(axis=1, ddof=1).mean() / true.shape[1]
     wrong = ((light - true.mean(axis=1)) ** 2).mean() - noise
     return float(np.sqrt(max(wrong, 0.0)) / true.mean())
 
 
 def ratios(found: Sequence[Point]) -> list[float]:
-    """Random errors at the time of the others, over theirs; beyond what was measured random errors go as t^-1/2."""
-    times, errors = (np.array([getattr(p, name) for p in found]) for name in ("random_seconds", "random_error"))
+    """Random errors at the time of the others, over theirs; beyond what was measured random errors
+    go as t^-1/2.
+    """
+    times, errors = (
+        np.array([getattr(p, name) for p in found]) for name in ("random_seconds", "random_error")
+    )
     wanted = np.array([p.seconds for p in found])
     inside = np.clip(wanted, times[0], times[-1])
     log = np.interp(np.log(inside), np.log(times), np.log(errors))
@@ -173,14 +209,25 @@ def ratios(found: Sequence[Point]) -> list[float]:
 
 @part(size=64)
 @click.argument("target", required=False)
-@click.option("--samples", type=click.IntRange(16), default=1024, show_default=True, help="The most, for each place.")
+@click.option(
+    "--samples",
+    type=click.IntRange(16),
+    default=1024,
+    show_default=True,
+    help="The most, for each place.",
+)
 def points(target: str | None, size: int, samples: int) -> Iterator[Measurement]:
-    """Errors of low-discrepancy points beside those of random ones, at equal samples and at equal time."""
+    """Errors of low-discrepancy points beside those of random ones, at equal samples and at equal
+    time.
+    """
     for scene in three_scenes(target):
         with tempfile.TemporaryDirectory() as store:
             for name, what in surfels(make_renderer(scene, store), size).items():
                 yield told(
-                    f"{scene.name} at {scene.isovalue:g}, {scene.lighting.environment.name}, {name}",
+                    (
+                        f"{scene.name} at {scene.isovalue:g}, {scene.lighting.environment.name}, "
+                        f"{name}"
+                    ),
                     measure(what, samples),
                 )
 

@@ -1,13 +1,16 @@
-"""Rays per second of the lanes, of the scalar kernel and of Embree on the mesh of the same isosurface.
+"""Rays per second of the lanes, of the scalar kernel and of Embree on the mesh of the same
+isosurface.
 
-    python -m benchmarks.speed rays [TARGET[@ISOVALUE] ...] [--four] [--size 512] [--repeats 9] [--json]
+    python -m benchmarks.speed rays [TARGET[@ISOVALUE] ...] [--four] [--size 512] [--repeats 9]
+    [--json]
 
-Primary rays of the benchmarks' view, cosine rays from what they hit, cosine rays from what those hit,
-on one thread; `--four` takes the engine block, a bonsai, a heptane jet and a head. All candidates take the
-same rays in turn in one process; figures are ratios of medians. Embree traces the marching-cubes mesh: by
-the Python calls of `embreex` ("embree") and by its C interface ("embree C", rays one by one or 16 together,
-whichever is faster). Memory is all that is kept for the isosurface besides the volume, in megabytes. What a
-processor without AVX-512 gets is told where `NUMBA_CPU_NAME=haswell` is set.
+Primary rays of the benchmarks' view, cosine rays from what they hit, cosine rays from what those
+hit, on one thread; `--four` takes the engine block, a bonsai, a heptane jet and a head. All
+candidates take the same rays in turn in one process; figures are ratios of medians. Embree traces
+the marching-cubes mesh: by the Python calls of `embreex` ("embree") and by its C interface ("embree
+C", rays one by one or 16 together, whichever is faster). Memory is all that is kept for the
+isosurface besides the volume, in megabytes. What a processor without AVX-512 gets is told where
+`NUMBA_CPU_NAME=haswell` is set.
 """
 
 import tracemalloc
@@ -43,7 +46,8 @@ class Casts:
 
     def __init__(self, scene: Scene) -> None:
         """Build the map, a first time to have the kernels loaded."""
-        self.prepared, self.level = PreparedScene(scene), scene.volume.normalise_isovalue(scene.isovalue)
+        self.prepared = PreparedScene(scene)
+        self.level = scene.volume.normalise_isovalue(scene.isovalue)
         assert PreparedScene(scene).surface(scene.isovalue).cells()
         tracemalloc.start()
         assert self.prepared.surface(scene.isovalue).cells()
@@ -89,28 +93,40 @@ class Casts:
         """Megabytes for the isosurface."""
         figures = {"memory, MB": self.bytes / 1e6}
         if embree.installed() and mesh.installed():
-            figures["memory of mesh + embree, MB"] = (sum(a.nbytes for a in self.mesh) + self.tree.bytes) / 1e6
-            figures["memory / mesh + embree"] = figures["memory, MB"] / figures["memory of mesh + embree, MB"]
+            figures["memory of mesh + embree, MB"] = (
+                sum(a.nbytes for a in self.mesh) + self.tree.bytes
+            ) / 1e6
+            figures["memory / mesh + embree"] = (
+                figures["memory, MB"] / figures["memory of mesh + embree, MB"]
+            )
         return figures
 
 
 def measure(casts: Casts, rays: Rays, repeats: int) -> dict[str, float]:
-    """Mrays/s of the lanes on ``rays``, and how many times faster they are than each other candidate."""
+    """Mrays/s of the lanes on ``rays``, and how many times faster they are than each other
+    candidate.
+    """
     taken = medians(casts.candidates(rays), repeats)
     if "embree one" in taken:
         taken["embree C"] = min(taken.pop("embree one"), taken.pop("embree sixteen"))
     lanes = taken.pop("lanes")
-    return {"Mrays/s": len(rays) / lanes / 1e6, **{f"lanes / {name}": other / lanes for name, other in taken.items()}}
+    return {
+        "Mrays/s": len(rays) / lanes / 1e6,
+        **{f"lanes / {name}": other / lanes for name, other in taken.items()},
+    }
 
 
 def figures_of(scene: Scene, size: int, repeats: int) -> dict[str, Any]:
     """The figures of one isosurface."""
     casts = Casts(scene)
     figures: dict[str, Any] = {"lanes at once": RAY_WIDTH if REGISTER_LANES else 0}
-    going, rng = primary_rays(casts.prepared, size), np.random.default_rng(1)
+    going = primary_rays(casts.prepared, size)
+    rng = np.random.default_rng(1)
     for kind in ("primary", "bounce1", "bounce2"):
         figures[f"{kind}: rays"] = len(going)
-        figures |= {f"{kind}: {name}": value for name, value in measure(casts, going, repeats).items()}
+        figures |= {
+            f"{kind}: {name}": value for name, value in measure(casts, going, repeats).items()
+        }
         going = bounce(casts.prepared, going, rng)
     if not (embree.installed() and mesh.installed()):
         figures["embree"] = "not installed"
@@ -121,7 +137,9 @@ def scenes(targets: tuple[str, ...], four: bool) -> Iterator[Scene]:
     """The isosurfaces that are asked for; the benchmarks' own where none is."""
     data = shared_data()
     if four and data is None:
-        raise click.UsageError("The four volumes are not at hand: set ISOGI_SHARED_DATA to the folder of them.")
+        raise click.UsageError(
+            "The four volumes are not at hand: set ISOGI_SHARED_DATA to the folder of them."
+        )
     names = [*targets, *(f"{data}/{name}" for name in FOUR if four)]
     if not names:
         yield benchmark_scene(None)
@@ -138,4 +156,6 @@ def rays(targets: tuple[str, ...], four: bool, size: int, repeats: int) -> Itera
     """Rays a second: lanes, the scalar kernel and Embree; as JSON, each isosurface on a line."""
     for scene in scenes(targets, four):
         title = f"{scene.name} at {scene.isovalue:g}"
-        yield Measurement(title, {"isosurface": title, **figures_of(scene, size, repeats)}, variant="four" * four)
+        yield Measurement(
+            title, {"isosurface": title, **figures_of(scene, size, repeats)}, variant="four" * four
+        )

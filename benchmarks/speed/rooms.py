@@ -1,12 +1,14 @@
-"""Frames among walls and of a surface that shines, beside frames without; and what baking S3's scenes takes.
+"""Frames among walls and of a surface that shines, beside frames without; and what baking S3's
+scenes takes.
 
     python -m benchmarks.speed rooms [--size 512] [--repeats 9] [--levels 3] [--json]
 
-Cameras are a hundredth of a degree apart, so that each frame casts its primary rays; the light of texels and walls is
-there. Then the four scenes of docs/scenes, which are S3's kinds, are baked in a view of 256² at ``levels`` isovalues,
-evenly spaced through their ranges: the seconds of processors until the picture tells an error of ERRORS, where it does
-in time, are beside S3's own for a level (table 1; two Xeons of 3 GHz), whose error is not told. Glass keeps no texels:
-there the walls are all that is baked.
+Cameras are a hundredth of a degree apart, so that each frame casts its primary rays; the light of
+texels and walls is there. Then the four scenes of docs/scenes, which are S3's kinds, are baked in a
+view of 256² at ``levels`` isovalues, evenly spaced through their ranges: the seconds of processors
+until the picture tells an error of ERRORS, where it does in time, are beside S3's own for a level
+(table 1; two Xeons of 3 GHz), whose error is not told. Glass keeps no texels: there the walls are
+all that is baked.
 """
 
 import tempfile
@@ -32,7 +34,15 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import (
+    LOOSEST_TARGET,
+    Candidate,
+    bake_view,
+    make_renderer,
+    medians,
+    seconds,
+    view_of,
+)
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 
@@ -65,9 +75,17 @@ SIZE = 256
 
 
 @part(size=512, repeats=9)
-@click.option("--levels", default=3, type=click.IntRange(1), help="Isovalues of each scene.", show_default=True)
+@click.option(
+    "--levels",
+    default=3,
+    type=click.IntRange(1),
+    help="Isovalues of each scene.",
+    show_default=True,
+)
 def rooms(size: int, repeats: int, levels: int) -> Measurement:
-    """Frames in a room and of a surface that shines, over those without; processor time of S3's scenes."""
+    """Frames in a room and of a surface that shines, over those without; processor time of S3's
+    scenes.
+    """
     data = shared_data()
     if data is None:
         raise click.ClickException("This needs the shared volumes: set ISOGI_SHARED_DATA.")
@@ -96,10 +114,13 @@ def compare(name: str, scenes: list[Scene], size: int, repeats: int) -> dict[str
 
 def lit(scene: Scene, store: str, size: int) -> Renderer:
     """A renderer of a scene, with the light that its view reads."""
-    renderer, view = make_renderer(scene, store), camera_of(scene, size)
+    renderer = make_renderer(scene, store)
+    view = camera_of(scene, size)
     bake_view(renderer, view, MIN_SAMPLES)
     frame = renderer.render(view, LOOSEST_TARGET)
-    while frame.quality.waiting and renderer.refine_frame(frame, LOOSEST_TARGET, renderer.tiles, PRESENT):
+    while frame.quality.waiting and renderer.refine_frame(
+        frame, LOOSEST_TARGET, renderer.tiles, PRESENT
+    ):
         frame = renderer.render(view, LOOSEST_TARGET)
     return renderer
 
@@ -107,28 +128,39 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
 def camera_of(scene: Scene, size: int, turn: int = 0) -> View:
     """The view of a scene from a camera that stands a little aside in each turn."""
     azimuth, elevation, distance = CAMERAS["room" if scene.lighting.room.any else ""]
-    return view_of(scene, size, camera=scene.camera(azimuth + 0.01 * turn, elevation, distance, 30.0))
+    return view_of(
+        scene, size, camera=scene.camera(azimuth + 0.01 * turn, elevation, distance, 30.0)
+    )
 
 
 def moved(renderer: Renderer, scene: Scene, size: int) -> Candidate:
     """A frame from another camera in each round."""
-    return lambda turn: seconds(lambda: renderer.render(camera_of(scene, size, turn), LOOSEST_TARGET))
+    return lambda turn: seconds(
+        lambda: renderer.render(camera_of(scene, size, turn), LOOSEST_TARGET)
+    )
 
 
 def baked(name: str, data: Path, levels: int) -> dict[float, float]:
-    """Seconds of processors that a level of one of S3's scenes takes to ERRORS, the mean of some levels; of those
-    errors that all of them come to.
+    """Seconds of processors that a level of one of S3's scenes takes to ERRORS, the mean of some
+    levels; of those errors that all of them come to.
     """
     scene = documented_scene(name, data)
     low, high = scene.isovalues
-    view, spent = camera_of(scene, SIZE), dict[float, list[float]]()
-    with tempfile.TemporaryDirectory() as store, closing(RenderEngine([scene], store, workers=2)) as engine:
+    view = camera_of(scene, SIZE)
+    spent = dict[float, list[float]]()
+    with (
+        tempfile.TemporaryDirectory() as store,
+        closing(RenderEngine([scene], store, workers=2)) as engine,
+    ):
         engine.start()
         for share in (np.arange(levels) + 0.5) / levels:
-            before, shown = processor_seconds(), replace(view, isovalue=float(low + share * (high - low)))
+            before = processor_seconds()
+            shown = replace(view, isovalue=float(low + share * (high - low)))
             reached = dict[float, float]()
 
-            def note(frame: Frame, before: float = before, reached: dict[float, float] = reached) -> None:
+            def note(
+                frame: Frame, before: float = before, reached: dict[float, float] = reached
+            ) -> None:
                 for error in ERRORS:
                     if frame.total.likely <= error:
                         reached.setdefault(error, processor_seconds() - before)

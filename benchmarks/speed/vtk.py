@@ -1,4 +1,6 @@
-"""VTK's pipeline from a volume to a picture: flying edges, then Phong, shadow maps or ambient occlusion."""
+"""VTK's pipeline from a volume to a picture: flying edges, then Phong, shadow maps or ambient
+occlusion.
+"""
 
 import importlib.util
 import os
@@ -12,7 +14,8 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
 
 PASSES = ("phong", "shadow map", "ssao")
-SHADOW_MAP, SSAO_SAMPLES = 1024, 32
+SHADOW_MAP = 1024
+SSAO_SAMPLES = 32
 
 
 def installed() -> bool:
@@ -21,7 +24,9 @@ def installed() -> bool:
 
 
 def use_threads(threads: int) -> None:
-    """Let VTK's filters and Mesa's software renderer have so many threads; before any picture is made."""
+    """Let VTK's filters and Mesa's software renderer have so many threads; before any picture is
+    made.
+    """
     import vtk  # noqa: PLC0415
 
     os.environ["LP_NUM_THREADS"] = str(threads)
@@ -76,7 +81,9 @@ class Window:
         import vtk  # noqa: PLC0415
 
         self.edges = Edges(data, normals=True)
-        mapper, actor, light = vtk.vtkPolyDataMapper(), vtk.vtkActor(), vtk.vtkLight()
+        mapper = vtk.vtkPolyDataMapper()
+        actor = vtk.vtkActor()
+        light = vtk.vtkLight()
         mapper.SetInputConnection(self.edges.filter.GetOutputPort())
         mapper.ScalarVisibilityOff()
         actor.SetMapper(mapper)
@@ -84,7 +91,8 @@ class Window:
         focus = np.array(view.camera.target)
         light.SetFocalPoint(*focus)
         light.SetPosition(*(focus + 3.0 * data.GetLength() * np.array(towards)))
-        self.renderer, self.window = vtk.vtkRenderer(), vtk.vtkRenderWindow()
+        self.renderer = vtk.vtkRenderer()
+        self.window = vtk.vtkRenderWindow()
         self.renderer.AddActor(actor)
         self.renderer.AddLight(light)
         self._look(view)
@@ -118,7 +126,9 @@ class Window:
 
 
 def render_pass(by: str, length: float) -> Any:
-    """The pass that draws a picture; None for VTK's own, which shades by Phong. ``length`` is the box's diagonal."""
+    """The pass that draws a picture; None for VTK's own, which shades by Phong. ``length`` is the
+    box's diagonal.
+    """
     import vtk  # noqa: PLC0415
 
     if by == "phong":
@@ -131,11 +141,13 @@ def render_pass(by: str, length: float) -> Any:
         occlusion.SetKernelSize(SSAO_SAMPLES)
         occlusion.BlurOn()
         return occlusion
-    shadows, passes = vtk.vtkShadowMapPass(), vtk.vtkRenderPassCollection()
+    shadows = vtk.vtkShadowMapPass()
+    passes = vtk.vtkRenderPassCollection()
     shadows.GetShadowMapBakerPass().SetResolution(SHADOW_MAP)
     passes.AddItem(shadows.GetShadowMapBakerPass())
     passes.AddItem(shadows)
-    sequence, camera = vtk.vtkSequencePass(), vtk.vtkCameraPass()
+    sequence = vtk.vtkSequencePass()
+    camera = vtk.vtkCameraPass()
     sequence.SetPasses(passes)
     camera.SetDelegatePass(sequence)
     return camera

@@ -1,4 +1,6 @@
-"""Workers that pretend: tasks take their recorded seconds, a store is far away and fails, and workers die."""
+"""Workers that pretend: tasks take their recorded seconds, a store is far away and fails, and
+workers die.
+"""
 
 import itertools
 import random
@@ -22,9 +24,9 @@ RESTART = 3.0
 class Conditions:
     """How many ``workers`` there are, and what they have to put up with.
 
-    Seconds that a call of the store takes (``latency``), the share of calls that ``fail`` and how often each is made
-    at most (``tries``), how often a worker dies in an hour (``deaths``), and the seconds for which the scheduler is
-    busy with one task (``dispatch``).
+    Seconds that a call of the store takes (``latency``), the share of calls that ``fail`` and how
+    often each is made at most (``tries``), how often a worker dies in an hour (``deaths``), and the
+    seconds for which the scheduler is busy with one task (``dispatch``).
     """
 
     workers: int
@@ -45,14 +47,21 @@ class Job:
 
 
 class Cluster:
-    """Has the face of a ``WorkerPool``. One scheduler passes tasks on, one after the other, first come first served."""
+    """Has the face of a ``WorkerPool``. One scheduler passes tasks on, one after the other, first
+    come first served.
+    """
 
-    def __init__(self, world: World, light: Light, conditions: Conditions, chance: random.Random) -> None:
+    def __init__(
+        self, world: World, light: Light, conditions: Conditions, chance: random.Random
+    ) -> None:
         """Have all workers idle. All of them may die from now on."""
         self.workers = conditions.workers
         self.deaths = self.done = self.failed = self.again = 0
         self.busy = self.lost = 0.0
-        self._world, self._light, self._conditions, self._chance = world, light, conditions, chance
+        self._world = world
+        self._light = light
+        self._conditions = conditions
+        self._chance = chance
         self._free_at = 0.0
         self._ready: deque[Job] = deque()
         self._idle = list(range(conditions.workers))[::-1]
@@ -88,7 +97,8 @@ class Cluster:
     def _work(self) -> None:
         """Give tasks to workers that have none."""
         while self._ready and self._idle:
-            worker, job = self._idle.pop(), self._ready.popleft()
+            worker = self._idle.pop()
+            job = self._ready.popleft()
             job.begun += 1
             self.again += job.begun > 1
             number = next(self._numbers)
@@ -96,23 +106,34 @@ class Cluster:
             self._world.after(0.0, lambda w=worker, n=number: self._begin(w, n))  # type: ignore[misc]
 
     def _begin(self, worker: int, number: int) -> None:
-        """A worker reads the chunk, bakes it, and writes it. What it would bake is not there before that."""
+        """A worker reads the chunk, bakes it, and writes it. What it would bake is not there before
+        that.
+        """
         job = self._jobs[worker][1]
         asked, calls = self._ask(OBJECTS // 2)
         if not asked:
-            self._world.after(calls * self._conditions.latency, lambda: self._end(worker, number, None))
+            self._world.after(
+                calls * self._conditions.latency, lambda: self._end(worker, number, None)
+            )
             return
         seconds = self._seconds(job.task)
         kept, more = self._ask(OBJECTS // 2)
         taken = seconds + (calls + more) * self._conditions.latency
-        self._world.after(taken, lambda: self._end(worker, number, seconds if kept else None, seconds))
+        self._world.after(
+            taken, lambda: self._end(worker, number, seconds if kept else None, seconds)
+        )
 
     def _ask(self, objects: int) -> tuple[bool, int]:
-        """Whether the store did what was asked of it for so many objects, and the calls that this took."""
+        """Whether the store did what was asked of it for so many objects, and the calls that this
+        took.
+        """
         calls = 0
         for _ in range(objects):
             tries = next((n for n in range(self._conditions.tries) if not self._fails()), None)
-            calls += self._conditions.tries if tries is None else tries + 1
+            if tries is None:
+                calls += self._conditions.tries
+            else:
+                calls += tries + 1
             if tries is None:
                 return False, calls
         return True, calls
@@ -121,7 +142,9 @@ class Cluster:
         return self._conditions.fail > 0.0 and self._chance.random() < self._conditions.fail
 
     def _seconds(self, task: BakeTask) -> float:
-        """What the bake of a task will take; the queue lets nobody else change its chunk meanwhile."""
+        """What the bake of a task will take; the queue lets nobody else change its chunk
+        meanwhile.
+        """
         return self._light.price(task.source.name, task.index[2], task.offsets)
 
     def _end(self, worker: int, number: int, kept: float | None, spent: float = 0.0) -> None:
@@ -132,10 +155,12 @@ class Cluster:
         self._idle.append(worker)
         self._work()
         if kept is None:
-            self.failed, self.lost = self.failed + 1, self.lost + spent
+            self.failed = self.failed + 1
+            self.lost = self.lost + spent
             job.done(None, StoreError("The store did not answer."))
             return
-        self.done, self.busy = self.done + 1, self.busy + kept
+        self.done = self.done + 1
+        self.busy = self.busy + kept
         job.done(self._light.bake(job.task.source.name, job.task.index[2], job.task.offsets), None)
 
     def _await_death(self) -> None:
@@ -148,7 +173,8 @@ class Cluster:
         worker = self._chance.randrange(self._conditions.workers)
         if worker not in self._jobs and worker not in self._idle:
             return
-        self.deaths, self.workers = self.deaths + 1, self.workers - 1
+        self.deaths = self.deaths + 1
+        self.workers = self.workers - 1
         if worker in self._jobs:
             self._ready.appendleft(self._jobs.pop(worker)[1])
         else:

@@ -34,13 +34,18 @@ class Decision(NamedTuple):
 
 
 def measure(chunks: int, clients: int, flying: int, together: bool = False) -> Decision:
-    """A decision where ``clients`` want so many ``chunks`` in all, each its own or all ``together`` the same."""
+    """A decision where ``clients`` want so many ``chunks`` in all, each its own or all ``together``
+    the same.
+    """
     queue = crowded(chunks, clients, together)
     flown = [queue.take() for _ in range(flying)]
-    takes, finishes, views = [], [], []
+    takes = []
+    finishes = []
+    views = []
     for want in flown[:ROUNDS]:
         assert want is not None
-        texels, target = want.offsets, want.target
+        texels = want.offsets
+        target = want.target
         finishes.append(seconds(partial(queue.finish, want.key, texels, target, RESULT)))
         takes.append(seconds(queue.take))
     for number in range(ROUNDS):
@@ -54,14 +59,20 @@ def crowded(chunks: int, clients: int, together: bool) -> BakeQueue:
     """A queue in which all of these wait; its clock stands still."""
     queue = BakeQueue(lambda: 0.0, rate=lambda _: 1e-5)
     for client in range(clients):
-        own = range(chunks) if together else range(client, chunks, clients)
+        if together:
+            own = range(chunks)
+        else:
+            own = range(client, chunks, clients)
         queue.request(demands([key(chunk) for chunk in own]), 0.1, Viewer(client, single=True))
     return queue
 
 
 def demands(keys: list[Key]) -> list[tuple[Key, Demand]]:
     """What a view wants of these chunks: no two are worth the same."""
-    return [(each, Demand(each[1], TEXELS, 1.0 + each[1][2] % 97, Effort(80, 0.0, 0.0), SEEN)) for each in keys]
+    return [
+        (each, Demand(each[1], TEXELS, 1.0 + each[1][2] % 97, Effort(80, 0.0, 0.0), SEEN))
+        for each in keys
+    ]
 
 
 def key(chunk: int) -> Key:

@@ -1,4 +1,6 @@
-"""What Dask takes to pass a task on: measured on a cluster of this machine with tasks that do nothing."""
+"""What Dask takes to pass a task on: measured on a cluster of this machine with tasks that do
+nothing.
+"""
 
 import threading
 import time
@@ -19,20 +21,27 @@ def nothing(payload: np.ndarray) -> int:
 
 
 def measure(tasks: int, workers: int = 2, flying: int = 64) -> dict[str, float]:
-    """Seconds a task, where so many fly at once: of the wall, and of the processor in the process that has them.
+    """Seconds a task, where so many fly at once: of the wall, and of the processor in the process
+    that has them.
 
-    That holds the scheduler and its client, as a server with workers of its own does; the workers are not counted.
+    That holds the scheduler and its client, as a server with workers of its own does; the workers
+    are not counted.
     """
     with start_cluster(workers) as cluster, Client(cluster, set_as_default=False) as client:
         hand_over(client, flying, flying)
-        wall, processor = time.perf_counter(), time.process_time()
+        wall = time.perf_counter()
+        processor = time.process_time()
         hand_over(client, tasks, flying)
-        return {"wall": (time.perf_counter() - wall) / tasks, "processor": (time.process_time() - processor) / tasks}
+        return {
+            "wall": (time.perf_counter() - wall) / tasks,
+            "processor": (time.process_time() - processor) / tasks,
+        }
 
 
 def hand_over(client: Client, tasks: int, flying: int) -> None:
     """Have tasks done as a pool has: the end of one makes room for the next."""
-    room, done = threading.Semaphore(flying), threading.Semaphore(0)
+    room = threading.Semaphore(flying)
+    done = threading.Semaphore(0)
 
     def ended(future: Any) -> None:
         future.result()

@@ -1,4 +1,6 @@
-"""Light that is pretended to be baked: how far each texel is up its chunk's ladder, and what a task does to it."""
+"""Light that is pretended to be baked: how far each texel is up its chunk's ladder, and what a task
+does to it.
+"""
 
 import itertools
 from dataclasses import dataclass, field
@@ -22,13 +24,19 @@ class Light:
 
     def price(self, scene: str, chunk: int, offsets: np.ndarray) -> float:
         """Processor seconds that ``bake`` would take."""
-        ladder, own = self.recording.ladders[chunk], self._of(scene, chunk)[offsets]
+        ladder = self.recording.ladders[chunk]
+        own = self._of(scene, chunk)[offsets]
         level = int(own.min(initial=len(ladder.steps)))
-        return 0.0 if level == len(ladder.steps) else cost_of(ladder, level, int((own == level).sum())).seconds
+        if level == len(ladder.steps):
+            return 0.0
+        return cost_of(ladder, level, int((own == level).sum())).seconds
 
     def bake(self, scene: str, chunk: int, offsets: np.ndarray) -> BakeResult:
-        """Take the texels that are furthest behind one step on, as a task does; what it took, and what it left."""
-        ladder, levels = self.recording.ladders[chunk], self._of(scene, chunk)
+        """Take the texels that are furthest behind one step on, as a task does; what it took, and
+        what it left.
+        """
+        ladder = self.recording.ladders[chunk]
+        levels = self._of(scene, chunk)
         own = levels[offsets]
         if own.min(initial=len(ladder.steps)) == len(ladder.steps):
             return BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), duplicate=True)
@@ -36,8 +44,15 @@ class Light:
         cost = cost_of(ladder, int(own.min()), len(behind))
         levels[behind] += 1
         counts = np.bincount(levels[offsets], minlength=len(ladder.steps) + 1)
-        unfinished = sum(n * step.unfinished for n, step in zip(counts[1:], ladder.steps, strict=True))
-        return BakeResult(round(unfinished) + int(counts[0]), worth_of(ladder, counts), effort_of(ladder, counts), cost)
+        unfinished = sum(
+            n * step.unfinished for n, step in zip(counts[1:], ladder.steps, strict=True)
+        )
+        return BakeResult(
+            round(unfinished) + int(counts[0]),
+            worth_of(ladder, counts),
+            effort_of(ladder, counts),
+            cost,
+        )
 
     def demands(self, scene: str, view: int) -> list[Demand]:
         """What a view lacks: the chunks with texels that are not final."""
@@ -46,7 +61,9 @@ class Light:
 
     def _demand(self, scene: str, sight: Sight) -> Demand | None:
         ladder = self.recording.ladders[sight.chunk]
-        counts = np.bincount(self._of(scene, sight.chunk)[sight.offsets], minlength=len(ladder.steps) + 1)
+        counts = np.bincount(
+            self._of(scene, sight.chunk)[sight.offsets], minlength=len(ladder.steps) + 1
+        )
         if counts[-1] == len(sight.offsets):
             return None
         visible = [1.0, *(step.worth * max(step.taken, 1.0) for step in ladder.steps)]
@@ -67,16 +84,26 @@ def place_of(chunk: int) -> Index:
 
 def cost_of(ladder: Ladder, level: int, texels: int) -> Cost:
     """What it takes to bring so many texels from a level to the next."""
-    share, step = texels / ladder.texels, ladder.steps[level]
-    lit, seconds = (texels, share * step.seconds) if level == 0 else (0, 0.0)
+    share = texels / ladder.texels
+    step = ladder.steps[level]
+    if level == 0:
+        lit = texels
+        seconds = share * step.seconds
+    else:
+        lit = 0
+        seconds = 0.0
     return Cost(share * step.seconds, round(share * step.paths), lit, seconds)
 
 
 def worth_of(ladder: Ladder, counts: np.ndarray) -> float:
     """What the next path of texels is worth, a mean; so many are at each level."""
-    open_steps = [(n, step.worth) for n, step in zip(counts[1:-1].tolist(), ladder.steps, strict=False)]
+    open_steps = [
+        (n, step.worth) for n, step in zip(counts[1:-1].tolist(), ladder.steps, strict=False)
+    ]
     texels = sum(n for n, _ in open_steps)
-    return sum(n * worth for n, worth in open_steps) / texels if texels else 0.0
+    if texels:
+        return sum(n * worth for n, worth in open_steps) / texels
+    return 0.0
 
 
 def effort_of(ladder: Ladder, counts: np.ndarray) -> Effort:

@@ -36,8 +36,15 @@ def workers(axes: Any, rows: Rows) -> None:
     for dispatch in sorted({row["dispatch"] for row in rows}, reverse=True):
         own = [row for row in rows if row["dispatch"] == dispatch]
         label = f"a scheduler that takes {1e3 * dispatch:g} ms a task"
-        axes.plot([row["workers"] for row in own], [100 * row["efficiency"] for row in own], "o-", label=label)
-    axes.set(xscale="log", xlabel="workers", ylabel="share of their time spent baking, %", ylim=(0, 100))
+        axes.plot(
+            [row["workers"] for row in own],
+            [100 * row["efficiency"] for row in own],
+            "o-",
+            label=label,
+        )
+    axes.set(
+        xscale="log", xlabel="workers", ylabel="share of their time spent baking, %", ylim=(0, 100)
+    )
 
 
 def visitors(axes: Any, rows: Rows) -> None:
@@ -85,10 +92,19 @@ def times(axes: Any, rows: Rows, over: str) -> None:
     """Times to first light and to final, medians and 95 %."""
     for name, text, marker in (("light", "first light", "o"), ("final", "final", "s")):
         (line,) = axes.plot(
-            [row[over] for row in rows], [row[name] for row in rows], f"{marker}-", label=f"{text}, median"
+            [row[over] for row in rows],
+            [row[name] for row in rows],
+            f"{marker}-",
+            label=f"{text}, median",
         )
         many = [row[f"{name}_95"] for row in rows]
-        axes.plot([row[over] for row in rows], many, f"{marker}--", color=line.get_color(), label=f"{text}, 95 %")
+        axes.plot(
+            [row[over] for row in rows],
+            many,
+            f"{marker}--",
+            color=line.get_color(),
+            label=f"{text}, 95 %",
+        )
 
 
 PLOTS: dict[str, Callable[[Any, Rows], None]] = {

@@ -1,4 +1,6 @@
-"""Makes a recording: bakes views of a scene, for real, on a thread of this process, and notes each task."""
+"""Makes a recording: bakes views of a scene, for real, on a thread of this process, and notes each
+task.
+"""
 
 import statistics
 import tempfile
@@ -40,8 +42,11 @@ class Notebook(InlinePool):
 
 
 def record(scene: Scene, views: int, size: int, target: float) -> Recording:
-    """So many views of an orbit, of ``size`` pixels a side, all baked together to a ``target`` error."""
-    baker, shots = Baker(), [view_of(scene, 360.0 * number / views, size) for number in range(views)]
+    """So many views of an orbit, of ``size`` pixels a side, all baked together to a ``target``
+    error.
+    """
+    baker = Baker()
+    shots = [view_of(scene, 360.0 * number / views, size) for number in range(views)]
     with (
         tempfile.TemporaryDirectory() as store,
         closing(Notebook()) as notebook,
@@ -63,7 +68,9 @@ def view_of(scene: Scene, azimuth: float, size: int) -> View:
     return View(scene.isovalue, scene.camera(azimuth, 20.0, 2.5, 30.0), width=size, height=size)
 
 
-def bake(engine: EngineWithoutWorkers, baker: Baker, scene: Scene, view: View, target: float) -> None:
+def bake(
+    engine: EngineWithoutWorkers, baker: Baker, scene: Scene, view: View, target: float
+) -> None:
     """Bring a view's light to the target."""
     while demands := engine.survey(scene.id, view, target).demands:
         baker.request(scene.id, demands, target, GUEST_VIEWER)
@@ -80,27 +87,49 @@ def seconds_of(engine: EngineWithoutWorkers, scene: Scene, view: View, target: f
 
 def origin_of(scene: Scene, views: int, size: int, target: float) -> dict[str, Any]:
     """What was recorded."""
-    about = {"scene": scene.id, "volume": scene.volume.name, "lights": [light.name for light in scene.lighting.lights]}
-    return {**about, "isovalue": scene.isovalue, "views": views, "pixels": size, "target_error": target}
+    about = {
+        "scene": scene.id,
+        "volume": scene.volume.name,
+        "lights": [light.name for light in scene.lighting.lights],
+    }
+    return {
+        **about,
+        "isovalue": scene.isovalue,
+        "views": views,
+        "pixels": size,
+        "target_error": target,
+    }
 
 
-def recording_of(notebook: Notebook, asked: list[Frame], frame: float, origin: dict[str, Any]) -> Recording:
+def recording_of(
+    notebook: Notebook, asked: list[Frame], frame: float, origin: dict[str, Any]
+) -> Recording:
     """What was noted, the chunks by number."""
     numbers = {index: number for number, index in enumerate(notebook.notes)}
     views = tuple(
-        tuple(Sight(numbers[each.index], each.weight, each.offsets) for each in shot.demands if each.index in numbers)
+        tuple(
+            Sight(numbers[each.index], each.weight, each.offsets)
+            for each in shot.demands
+            if each.index in numbers
+        )
         for shot in asked
     )
-    return Recording(origin, frame, tuple(ladder_of(each) for each in notebook.notes.values()), views)
+    return Recording(
+        origin, frame, tuple(ladder_of(each) for each in notebook.notes.values()), views
+    )
 
 
 def ladder_of(notes: list[tuple[BakeTask, BakeResult]]) -> Ladder:
     """The steps of a chunk until it was final for the first time."""
-    texels, steps = len(notes[0][0].offsets), []
+    texels = len(notes[0][0].offsets)
+    steps = []
     for _, result in notes:
-        cost, effort = result.cost, result.effort
+        cost = result.cost
+        effort = result.effort
         share = result.unfinished / texels
-        steps.append(Step(cost.seconds, cost.paths, result.priority, share, effort.taken, effort.left))
+        steps.append(
+            Step(cost.seconds, cost.paths, result.priority, share, effort.taken, effort.left)
+        )
         if result.unfinished == 0:
             break
     return Ladder(texels, tuple(steps))

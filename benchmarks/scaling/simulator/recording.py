@@ -1,4 +1,6 @@
-"""A recording: what views of a scene asked for and what a real bake of them took, chunk by chunk. Kept as JSON."""
+"""A recording: what views of a scene asked for and what a real bake of them took, chunk by chunk.
+Kept as JSON.
+"""
 
 import base64
 import json
@@ -18,8 +20,8 @@ TEXELS = 4096
 class Step(NamedTuple):
     """One task at all ``texels`` of a chunk that were wanted: what it took, and what it left.
 
-    Processor ``seconds`` and ``paths``; the ``worth`` of the next paths, the share of the texels that are
-    ``unfinished``, and the paths that these have ``taken`` and that are ``left`` to them.
+    Processor ``seconds`` and ``paths``; the ``worth`` of the next paths, the share of the texels
+    that are ``unfinished``, and the paths that these have ``taken`` and that are ``left`` to them.
     """
 
     seconds: float
@@ -40,7 +42,9 @@ class Ladder:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a view sees of a chunk: its texels' ``offsets`` and the ``weight`` that it has in the picture."""
+    """What a view sees of a chunk: its texels' ``offsets`` and the ``weight`` that it has in the
+    picture.
+    """
 
     chunk: int
     weight: float
@@ -49,7 +53,9 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Where it is from, the seconds of a ``frame``, the chunks' ``ladders``, and ``views`` along an orbit."""
+    """Where it is from, the seconds of a ``frame``, the chunks' ``ladders``, and ``views`` along an
+    orbit.
+    """
 
     origin: dict[str, Any]
     frame: float
@@ -64,18 +70,28 @@ class Recording:
     def save(self, path: Path) -> None:
         """Write it as JSON; the texels of a view as a packed bitmap, a bit for each of a chunk."""
         views = [
-            {"chunks": [[s.chunk, rounded(s.weight)] for s in view], "texels": packed(view)} for view in self.views
+            {"chunks": [[s.chunk, rounded(s.weight)] for s in view], "texels": packed(view)}
+            for view in self.views
         ]
         ladders = [
-            {**asdict(each), "steps": [list(map(rounded, step)) for step in each.steps]} for each in self.ladders
+            {**asdict(each), "steps": [list(map(rounded, step)) for step in each.steps]}
+            for each in self.ladders
         ]
-        document = {"origin": self.origin, "frame": rounded(self.frame), "ladders": ladders, "views": views}
+        document = {
+            "origin": self.origin,
+            "frame": rounded(self.frame),
+            "ladders": ladders,
+            "views": views,
+        }
         path.write_text(json.dumps(document, separators=(",", ":")) + "\n", encoding="utf-8")
 
 
 def load(name: str) -> Recording:
     """The recording of this name in the repository, or in a file of this path."""
-    path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
+    if name.endswith(".json"):
+        path = Path(name)
+    else:
+        path = FOLDER / f"{name}.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     ladders = tuple(
         Ladder(each["texels"], tuple(Step(s, int(p), *rest) for s, p, *rest in each["steps"]))

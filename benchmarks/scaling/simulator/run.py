@@ -43,13 +43,17 @@ class Forgotten(Costs):
 
 
 class Timed(Baker):
-    """The real baker, with the processor seconds that it takes of the server: they are measured, not simulated."""
+    """The real baker, with the processor seconds that it takes of the server: they are measured,
+    not simulated.
+    """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         super().__init__(clock, None)
         self.calls = self.seconds = 0.0
 
-    def want(self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = JOB) -> frozenset[Index]:
+    def want(
+        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = JOB
+    ) -> frozenset[Index]:
         """As the baker does, timed."""
         begun = time.process_time()
         try:
@@ -74,7 +78,8 @@ class Timed(Baker):
         return told
 
     def _took(self, begun: float) -> None:
-        self.calls, self.seconds = self.calls + 1, self.seconds + time.process_time() - begun
+        self.seconds = self.seconds + time.process_time() - begun
+        self.calls = self.calls + 1
 
 
 class Timing(Cluster):
@@ -100,12 +105,18 @@ class Site:
 
 def site(recording: Recording, conditions: Conditions, scenes: Iterable[str], seed: int) -> Site:
     """A site where nobody has looked at anything."""
-    world, light, chance = World(), Light(recording), random.Random(seed)
-    baker, cluster = Timed(world), Timing(world, light, conditions, chance)
+    world = World()
+    light = Light(recording)
+    chance = random.Random(seed)
+    baker = Timed(world)
+    cluster = Timing(world, light, conditions, chance)
     cluster.baker = baker
     for scene in scenes:
-        source, costs = SceneSource(scene, {}, Path()), Forgotten(Store(NOWHERE), scene, world)
-        baker.add(scene, Bake(source, PLAN, scene, frozenset({scene}), NOWHERE, lambda _: None, costs))
+        source = SceneSource(scene, {}, Path())
+        costs = Forgotten(Store(NOWHERE), scene, world)
+        baker.add(
+            scene, Bake(source, PLAN, scene, frozenset({scene}), NOWHERE, lambda _: None, costs)
+        )
     baker.listen(world.news)
     baker.employ(cast(WorkerPool, cluster))
     return Site(world, light, baker, cluster, chance)
@@ -115,11 +126,12 @@ def site(recording: Recording, conditions: Conditions, scenes: Iterable[str], se
 class Visits:
     """What a run with visitors came to.
 
-    Views that were looked at, seconds to their first light and to final, medians and 95 %; the share that was final
-    before patience ended; ``fairness``, the longest mean time to light of a visitor over the median one; tasks done,
-    begun again after a death, and failed; processor seconds baked, and lost in tasks that failed; simulated seconds
-    from the first who came to the last who left; whether a task was handed over after that; and the seconds that the
-    baker itself took of the server's processor, which are real.
+    Views that were looked at, seconds to their first light and to final, medians and 95 %; the
+    share that was final before patience ended; ``fairness``, the longest mean time to light of a
+    visitor over the median one; tasks done, begun again after a death, and failed; processor
+    seconds baked, and lost in tasks that failed; simulated seconds from the first who came to the
+    last who left; whether a task was handed over after that; and the seconds that the baker itself
+    took of the server's processor, which are real.
     """
 
     views: int
@@ -149,9 +161,13 @@ def visit(
     recording: Recording, conditions: Conditions, visitors: int, habits: Habits, seed: int = 0
 ) -> tuple[Visits, Site]:
     """So many visitors come, look and leave; the figures, and the site as they left it."""
-    place = site(recording, conditions, ("hall", *(f"own {number}" for number in range(visitors))), seed)
+    place = site(
+        recording, conditions, ("hall", *(f"own {number}" for number in range(visitors))), seed
+    )
     desk = Desk(place.world, FRAME)
-    people = [Visitor(n, place.baker, place.light, desk, habits, place.chance) for n in range(visitors)]
+    people = [
+        Visitor(n, place.baker, place.light, desk, habits, place.chance) for n in range(visitors)
+    ]
     left = set(people)
     ended: list[float] = []
 
@@ -169,8 +185,10 @@ def visit(
 def figures(place: Site, people: list[Visitor], end: float) -> Visits:
     """What is told of a run."""
     looked = [each for visitor in people for each in visitor.looked]
-    light, final = known(each.light for each in looked), known(each.final for each in looked)
-    cluster, baker = place.cluster, place.baker
+    light = known(each.light for each in looked)
+    final = known(each.final for each in looked)
+    cluster = place.cluster
+    baker = place.baker
     return Visits(
         views=len(looked),
         light=quantile(light, 0.5),
@@ -193,12 +211,16 @@ def figures(place: Site, people: list[Visitor], end: float) -> Visits:
 
 
 def fairness(looked: list[Looked]) -> float:
-    """The longest mean time to light of a visitor over the median one; 1 where all were served alike."""
+    """The longest mean time to light of a visitor over the median one; 1 where all were served
+    alike.
+    """
     own: dict[Hashable, list[float]] = {}
     for each in looked:
         own.setdefault(each.visitor, []).extend(known([each.light]))
     means = [statistics.fmean(seconds) for seconds in own.values() if seconds]
-    return max(means) / max(statistics.median(means), 1e-9) if means else 1.0
+    if means:
+        return max(means) / max(statistics.median(means), 1e-9)
+    return 1.0
 
 
 def known(seconds: Iterable[float | None]) -> list[float]:
@@ -208,14 +230,18 @@ def known(seconds: Iterable[float | None]) -> list[float]:
 
 def quantile(values: list[float], share: float) -> float:
     """A quantile; 0 of nothing."""
-    return float(np.quantile(values, share)) if values else 0.0
+    if values:
+        return float(np.quantile(values, share))
+    return 0.0
 
 
 @dataclass(frozen=True)
 class Throughput:
-    """What a batch came to: processor ``seconds`` baked, over those of all ``workers`` until its end (``efficiency``).
+    """What a batch came to: processor ``seconds`` baked, over those of all ``workers`` until its
+    end (``efficiency``).
 
-    ``makespan`` is simulated, ``decision`` the real processor seconds that the baker takes for a task.
+    ``makespan`` is simulated, ``decision`` the real processor seconds that the baker takes for a
+    task.
     """
 
     workers: int
@@ -227,7 +253,9 @@ class Throughput:
 
 
 def batch(recording: Recording, conditions: Conditions, scenes: int, seed: int = 0) -> Throughput:
-    """Bake all views of so many scenes, as ``isogi prewarm`` asks for them: all at once, by one patient client."""
+    """Bake all views of so many scenes, as ``isogi prewarm`` asks for them: all at once, by one
+    patient client.
+    """
     names = [f"scene {number}" for number in range(scenes)]
     place = site(recording, conditions, names, seed)
     for name in names:
@@ -235,8 +263,14 @@ def batch(recording: Recording, conditions: Conditions, scenes: int, seed: int =
             place.baker.request(name, place.light.demands(name, view), TARGET, JOB)
     place.world.run(lambda: place.baker.tally().waiting == 0)
     cluster = place.cluster
-    makespan, baker = place.world.now, place.baker
+    makespan = place.world.now
+    baker = place.baker
     efficiency = cluster.busy / (conditions.workers * makespan)
     return Throughput(
-        conditions.workers, cluster.done, cluster.busy, makespan, efficiency, baker.seconds / max(cluster.done, 1)
+        conditions.workers,
+        cluster.done,
+        cluster.busy,
+        makespan,
+        efficiency,
+        baker.seconds / max(cluster.done, 1),
     )

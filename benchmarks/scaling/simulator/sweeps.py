@@ -21,10 +21,22 @@ DEATHS = (0.0, 10.0, 60.0)
 """Deaths of a worker in an hour."""
 
 CROWDS = (100, 1000, 10_000, 100_000)
-USUAL, PEOPLE = 64, 10
+USUAL = 64
+PEOPLE = 10
 """Workers and visitors where these are not what differs."""
 
-VARIED = ("workers", "dispatch", "visitors", "latency", "fail", "tries", "deaths", "chunks", "clients", "together")
+VARIED = (
+    "workers",
+    "dispatch",
+    "visitors",
+    "latency",
+    "fail",
+    "tries",
+    "deaths",
+    "chunks",
+    "clients",
+    "together",
+)
 """What differs from one row of a sweep to the next; all else in a row was measured."""
 
 SCENE_EACH = 32
@@ -44,13 +56,17 @@ def workers(recording: Recording, quick: bool, tell: Tell) -> Rows:
 
 def visitors(recording: Recording, quick: bool, tell: Tell) -> Rows:
     """Visitors over their number."""
-    return visits(recording, [({"visitors": n}, Conditions(USUAL), n) for n in few(VISITORS, quick)], tell)
+    return visits(
+        recording, [({"visitors": n}, Conditions(USUAL), n) for n in few(VISITORS, quick)], tell
+    )
 
 
 def latencies(recording: Recording, quick: bool, tell: Tell) -> Rows:
     """Visitors over how far the store is away."""
     base = Conditions(USUAL)
-    runs = [({"latency": each}, replace(base, latency=each), PEOPLE) for each in few(LATENCIES, quick)]
+    runs = [
+        ({"latency": each}, replace(base, latency=each), PEOPLE) for each in few(LATENCIES, quick)
+    ]
     return visits(recording, runs, tell)
 
 
@@ -66,11 +82,15 @@ def deaths(recording: Recording, quick: bool, tell: Tell) -> Rows:
     """Visitors over how often workers die."""
     base = Conditions(USUAL)
     return visits(
-        recording, [({"deaths": each}, replace(base, deaths=each), PEOPLE) for each in few(DEATHS, quick)], tell
+        recording,
+        [({"deaths": each}, replace(base, deaths=each), PEOPLE) for each in few(DEATHS, quick)],
+        tell,
     )
 
 
-def visits(recording: Recording, runs: Iterable[tuple[dict[str, Any], Conditions, int]], tell: Tell) -> Rows:
+def visits(
+    recording: Recording, runs: Iterable[tuple[dict[str, Any], Conditions, int]], tell: Tell
+) -> Rows:
     """What became of runs, each with the name of what differs."""
     rows = []
     for named, conditions, people in runs:
@@ -81,14 +101,18 @@ def visits(recording: Recording, runs: Iterable[tuple[dict[str, Any], Conditions
 
 
 def queue(_: Recording, quick: bool, tell: Tell) -> Rows:
-    """Processor time of a decision over the chunks that wait, for one client and for many, alone and together."""
+    """Processor time of a decision over the chunks that wait, for one client and for many, alone
+    and together.
+    """
     rows = []
     for chunks in few(CROWDS, quick):
         for clients, together in ((1, False), (100, False), (1000, False), (100, True)):
             if together and chunks * clients > 100_000:
                 continue  # a hundred clients do not look at ten thousand chunks each
             found = decisions.measure(chunks, clients, min(1024, chunks // 2), together)
-            rows.append({"chunks": chunks, "clients": clients, "together": together, **found._asdict()})
+            rows.append(
+                {"chunks": chunks, "clients": clients, "together": together, **found._asdict()}
+            )
             tell("queue", rows[-1])
     return rows
 

@@ -20,9 +20,10 @@ TARGET = 0.05
 class Habits:
     """What visitors do: so many ``views`` each, all of them come within ``arrive`` seconds.
 
-    Before each view they turn for up to ``turns`` views, think for ``think`` seconds on average after it, and go on
-    before it is final when their ``patience`` ends. A share ``together`` of them looks at one scene, the others at
-    one of their own; a share ``fixed`` of the views is the same for all.
+    Before each view they turn for up to ``turns`` views, think for ``think`` seconds on average
+    after it, and go on before it is final when their ``patience`` ends. A share ``together`` of
+    them looks at one scene, the others at one of their own; a share ``fixed`` of the views is the
+    same for all.
     """
 
     views: int = 3
@@ -36,7 +37,9 @@ class Habits:
 
 @dataclass
 class Looked:
-    """What became of a view at rest: seconds until all of it had light, and until it was final; None: not seen."""
+    """What became of a view at rest: seconds until all of it had light, and until it was final;
+    None: not seen.
+    """
 
     visitor: int
     light: float | None = None
@@ -46,7 +49,9 @@ class Looked:
 
 @dataclass(eq=False)
 class Desk:
-    """The server's processor: it draws frames, one after the other on each of its ``cores``, ``frame`` seconds each."""
+    """The server's processor: it draws frames, one after the other on each of its ``cores``,
+    ``frame`` seconds each.
+    """
 
     world: World
     frame: float
@@ -71,12 +76,23 @@ class Visitor:
     """One of those who come."""
 
     def __init__(
-        self, number: int, baker: Baker, light: Light, desk: Desk, habits: Habits, chance: random.Random
+        self,
+        number: int,
+        baker: Baker,
+        light: Light,
+        desk: Desk,
+        habits: Habits,
+        chance: random.Random,
     ) -> None:
         """Know where to look, and have looked at nothing."""
-        self.number, self.looked = number, list[Looked]()
+        self.number = number
+        self.looked = list[Looked]()
         self._viewer = Viewer(number, number, single=True)
-        self._baker, self._light, self._desk, self._habits, self._chance = baker, light, desk, habits, chance
+        self._baker = baker
+        self._light = light
+        self._desk = desk
+        self._habits = habits
+        self._chance = chance
         own = chance.random() >= habits.together
         self.scene = f"own {number}" if own else "hall"
 
@@ -96,7 +112,9 @@ class Visitor:
 
     def _choose(self) -> int:
         """A view: the one that all know, or any."""
-        return 0 if self._chance.random() < self._habits.fixed else self._chance.randrange(self._views)
+        if self._chance.random() < self._habits.fixed:
+            return 0
+        return self._chance.randrange(self._views)
 
     @property
     def _views(self) -> int:
@@ -105,11 +123,14 @@ class Visitor:
     def _want(self, view: int) -> tuple[list[Demand], Pending]:
         """Look at a view: what it lacks, and what of that is coming."""
         demands = self._light.demands(self.scene, view % self._views)
-        return demands, Pending(self.scene, self._baker.request(self.scene, demands, TARGET, self._viewer))
+        return demands, Pending(
+            self.scene, self._baker.request(self.scene, demands, TARGET, self._viewer)
+        )
 
     def _rest(self, view: int) -> Iterator[Pause]:
         """Look at a view until it is final, or for as long as there is patience."""
-        begun, looked = self._desk.world.now, Looked(self.number)
+        begun = self._desk.world.now
+        looked = Looked(self.number)
         self.looked.append(looked)
         while self._desk.world.now - begun < self._habits.patience:
             yield Pause(self._desk.draw())
@@ -118,7 +139,12 @@ class Visitor:
             if looked.light is None and not any(demand.effort.unlit for demand in demands):
                 looked.light = seconds
             if not pending.chunks:
-                looked.final, looked.given_up = (None, True) if demands else (seconds, False)
+                if demands:
+                    looked.final = None
+                    looked.given_up = True
+                else:
+                    looked.final = seconds
+                    looked.given_up = False
                 return
             yield from self._until_better(pending)
 
@@ -127,6 +153,10 @@ class Visitor:
         self._desk.resting += 1
         yield Pause(HEARTBEAT, Pending(pending.scene, pending.chunks, some=True))
         if pending.chunks:
-            left = frozenset(want for want in pending.chunks if self._baker.open(self.scene, [want], self._viewer))
+            left = frozenset(
+                want
+                for want in pending.chunks
+                if self._baker.open(self.scene, [want], self._viewer)
+            )
             yield Pause(self._desk.pause if left else 0.0, Pending(pending.scene, left))
         self._desk.resting -= 1

@@ -1,4 +1,6 @@
-"""The world of a simulation: what happens, in the order of its time. Nothing sleeps, and nothing is left to chance."""
+"""The world of a simulation: what happens, in the order of its time. Nothing sleeps, and nothing is
+left to chance.
+"""
 
 import heapq
 import itertools
@@ -12,7 +14,9 @@ Deed = Callable[[], None]
 
 @dataclass(eq=False)
 class Pending:
-    """Chunks of a ``scene`` that somebody waits for: until ``some`` have news, or until none is coming any more."""
+    """Chunks of a ``scene`` that somebody waits for: until ``some`` have news, or until none is
+    coming any more.
+    """
 
     scene: str
     chunks: frozenset[Index]
@@ -44,7 +48,9 @@ class Alarm:
 
 @dataclass(eq=False)
 class World:
-    """A clock, and deeds that are due. Those of one moment are done in the order in which they were put off."""
+    """A clock, and deeds that are due. Those of one moment are done in the order in which they were
+    put off.
+    """
 
     now: float = 0.0
     _due: list[tuple[float, int, Deed]] = field(default_factory=list)
@@ -82,7 +88,8 @@ class World:
         if pause is None:
             return
         alarm.pause += 1
-        number, pending = alarm.pause, pause.pending
+        number = alarm.pause
+        pending = pause.pending
         for key in keys_of(pending):
             self._waiting.setdefault(key, {})[pending] = alarm  # type: ignore[index]
         self.after(pause.seconds, lambda: self._wake(alarm, number, pending))
@@ -99,4 +106,6 @@ class World:
 
 def keys_of(pending: Pending | None) -> list[tuple[str, Index]]:
     """The chunks that are pending, by scene and place."""
-    return [(pending.scene, index) for index in pending.chunks] if pending else []
+    if pending:
+        return [(pending.scene, index) for index in pending.chunks]
+    return []
