@@ -1,4 +1,6 @@
-"""Bakes by an engine that no picture's check decides about: each texel alone, as far as its own noise asks."""
+"""Bakes by an engine that no picture's check decides about: each texel alone, as far as its own
+noise asks.
+"""
 
 from isogi_core.frame.frame import Frame
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -10,7 +12,9 @@ LONG = 120.0
 
 
 def bake_each_texel(engine: RenderEngine, scene: str, view: View) -> Frame:
-    """The frame of a view once each of its texels is good enough for any picture of the scene's target error."""
+    """The frame of a view once each of its texels is good enough for any picture of the scene's
+    target error.
+    """
     target = engine.planned(scene).target_error
     while (frame := engine.survey(scene, view, target, enough=MAX_SAMPLES)).stages:
         bake, stage = engine.lacking(scene, frame)

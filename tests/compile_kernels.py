@@ -1,4 +1,6 @@
-"""Compile every entry kernel on all cores, so that no test waits for one: ``python -m tests.compile_kernels``."""
+"""Compile every entry kernel on all cores, so that no test waits for one: ``python -m
+tests.compile_kernels``.
+"""
 
 from importlib import import_module
 from pkgutil import walk_packages
@@ -10,8 +12,15 @@ from isogi_core.kernels._jit import Entry
 
 def entry_kernels() -> list[Entry]:
     """Find the entry kernels of all modules, each once."""
-    modules = [import_module(each.name) for each in walk_packages(kernels.__path__, f"{kernels.__name__}.")]
-    found = {id(each): each for module in modules for each in vars(module).values() if isinstance(each, Entry)}
+    modules = [
+        import_module(each.name) for each in walk_packages(kernels.__path__, f"{kernels.__name__}.")
+    ]
+    found = {
+        id(each): each
+        for module in modules
+        for each in vars(module).values()
+        if isinstance(each, Entry)
+    }
     return list(found.values())
 
 

@@ -28,7 +28,9 @@ ROOT = HERE.parent
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One process more than there are cores, at most 5: tests of pages and servers wait more than they work."""
+    """One process more than there are cores, at most 5: tests of pages and servers wait more than
+    they work.
+    """
     return min((os.cpu_count() or 1) + 1, 5)
 
 
@@ -39,22 +41,40 @@ ROOMS = {
     "benchmarks": "benchmark",
     **dict.fromkeys(["bake", "frame", "kernels", "report"], "light"),
     **dict.fromkeys(["server/exports", "server/prewarm", "server/render"], "light"),
-    **dict.fromkeys(["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"], "live"),
+    **dict.fromkeys(
+        ["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"],
+        "live",
+    ),
     "stability": "stability",
 }
 """Folders, and the marker that each test in one gets."""
 
 LONGEST = (
-    *("web/card/test_published.py", "worker/test_pool.py", "docs/test_commands.py", "benchmarks/test_service.py"),
-    *("web/card/test_pictures.py", "web/test_page.py", "web/test_slices.py", "web/test_live.py", "web/test_stale.py"),
+    *(
+        "web/card/test_published.py",
+        "worker/test_pool.py",
+        "docs/test_commands.py",
+        "benchmarks/test_service.py",
+    ),
+    *(
+        "web/card/test_pictures.py",
+        "web/test_page.py",
+        "web/test_slices.py",
+        "web/test_live.py",
+        "web/test_stale.py",
+    ),
     *("web/test_lights.py", "web/test_manners.py", "web/test_upload.py"),
 )
-"""Files whose tests take longest, which run first: processes that share the files then end at about the same time."""
+"""Files whose tests take longest, which run first: processes that share the files then end at about
+the same time.
+"""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by the fixtures they use and the folder they are in, before ``-m`` chooses; begin with ``LONGEST``."""
+    """Mark tests by the fixtures they use and the folder they are in, before ``-m`` chooses; begin
+    with ``LONGEST``.
+    """
     for item in items:
         for marker in markers_of(item):
             item.add_marker(marker)
@@ -66,12 +86,15 @@ def markers_of(item: pytest.Item) -> set[str]:
     """The markers that a test gets by itself."""
     folder = f"{item.path.relative_to(HERE).parent}/"
     by_folder = {marker for room, marker in ROOMS.items() if folder.startswith(f"{room}/")}
-    return by_folder | {FIXTURES[name] for name in FIXTURES.keys() & set(getattr(item, "fixturenames", ()))}
+    return by_folder | {
+        FIXTURES[name] for name in FIXTURES.keys() & set(getattr(item, "fixturenames", ()))
+    }
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Look for no garbage while tests are collected, and never among the half a million objects that are left.
+    """Look for no garbage while tests are collected, and never among the half a million objects
+    that are left.
 
     Servers look for it while tests run.
     """
@@ -89,7 +112,9 @@ def anyio_backend() -> str:
 
 @pytest.fixture(scope="session", autouse=True)
 def no_uploads_unless_asked_for() -> Iterator[None]:
-    """Leave the user's folder of uploads alone: one server has it at a time, and tests start many."""
+    """Leave the user's folder of uploads alone: one server has it at a time, and tests start
+    many.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ISOGI_UPLOADS_MB", "0")
         yield
@@ -97,15 +122,21 @@ def no_uploads_unless_asked_for() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def one_list_of_authorities() -> Iterator[None]:
-    """Let clients share what they trust: each of them reads all certificates of the web, and tests make thousands."""
+    """Let clients share what they trust: each of them reads all certificates of the web, and tests
+    make thousands.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("httpx._transports.default.create_ssl_context", lru_cache(httpx.create_ssl_context))
+        patch.setattr(
+            "httpx._transports.default.create_ssl_context", lru_cache(httpx.create_ssl_context)
+        )
         yield
 
 
 @pytest.fixture(scope="session", autouse=True)
 def patient_clients() -> Iterator[None]:
-    """Let clients wait where they set no time: beside other tests an answer takes longer than httpx's five seconds."""
+    """Let clients wait where they set no time: beside other tests an answer takes longer than
+    httpx's five seconds.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("httpx._config.DEFAULT_TIMEOUT_CONFIG.read", 60.0)
         yield
@@ -113,7 +144,9 @@ def patient_clients() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def one_volume_of_each_demo() -> Iterator[None]:
-    """Let scenes share their demo's volume, which nobody changes: to make it takes longer than most tests of it."""
+    """Let scenes share their demo's volume, which nobody changes: to make it takes longer than most
+    tests of it.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isogi_core.plan.volumes.opening.demo_volume", lru_cache(demo_volume))
         yield
@@ -130,7 +163,9 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="module")
 def browsers() -> "Iterator[BrowserType]":
-    """What opens browsers: one at a time in a process. Its event loop ends with it, so that other files have theirs."""
+    """What opens browsers: one at a time in a process. Its event loop ends with it, so that other
+    files have theirs.
+    """
     from playwright.sync_api import sync_playwright  # which few tests need, and takes a while
 
     with sync_playwright() as playwright:
@@ -158,7 +193,9 @@ def s3(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
 
 @pytest.fixture(scope="session")
 def motos() -> Iterator[str]:
-    """The address of moto's server: a standard S3, that somebody else has made; with an empty bucket."""
+    """The address of moto's server: a standard S3, that somebody else has made; with an empty
+    bucket.
+    """
     server = pytest.importorskip("moto.server").ThreadedMotoServer("127.0.0.1", 0, verbose=False)
     logging.getLogger("werkzeug").setLevel(logging.WARNING)
     server.start()
@@ -170,7 +207,9 @@ def motos() -> Iterator[str]:
 
 @pytest.fixture
 def standard_s3(motos: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A place in a bucket of a standard S3, that this process, and those that it starts, have the keys of."""
+    """A place in a bucket of a standard S3, that this process, and those that it starts, have the
+    keys of.
+    """
     for name, value in environment_of(motos).items():
         monkeypatch.setenv(name, value)
     return f"s3://{BUCKET}/light-{uuid4().hex}"
@@ -198,7 +237,10 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene file whose light bakes in seconds: two balls that touch, 24 × 20 × 16 voxels."""
     folder = tmp_path_factory.mktemp("scene")
     z, y, x = np.mgrid[:16, :20, :24]
-    balls = [np.exp(-(((x - cx) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2) for cx in (8, 16)]
+    balls = [
+        np.exp(-(((x - cx) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2)
+        for cx in (8, 16)
+    ]
     nrrd.write(str(folder / "small.nrrd"), sum(balls).astype(np.float32), index_order="C")
     (folder / "small.toml").write_text(SMALL_SCENE)
     return folder / "small.toml"
@@ -219,5 +261,7 @@ def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
 
 @pytest.fixture
 def unfiltered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No light is so grainy that it is filtered: what is drawn of whole chunks is what a view draws, to the bit."""
+    """No light is so grainy that it is filtered: what is drawn of whole chunks is what a view
+    draws, to the bit.
+    """
     monkeypatch.setattr(texel_reading, "GRAIN", 1e9)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 @contextmanager
 def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
-    """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by default."""
+    """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by
+    default.
+    """
     from server.cli.serve import Server, address, listen
 
     listener = listen("127.0.0.1", port)
@@ -37,13 +39,16 @@ def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
 
 @contextmanager
 def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
-    """The base URL of an isogi that is ready, with a scene and a store; it bakes on a thread of this process."""
+    """The base URL of an isogi that is ready, with a scene and a store; it bakes on a thread of
+    this process.
+    """
     from server.api.app import create_app
     from server.settings import Settings
     from tests.server.inline import EngineWithoutWorkers, InlinePool
     from worker.baker import Baker
 
-    baker, pool = Baker(), InlinePool()
+    baker = Baker()
+    pool = InlinePool()
     baker.employ(cast("WorkerPool", pool))
     try:
         engine = EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker)
@@ -55,12 +60,16 @@ def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
 
 @contextmanager
 def serving_with_a_worker(scene: Path, store: Path) -> Iterator[str]:
-    """The same, baked by a worker process, as a server of its own has it; it takes three seconds of the processor."""
+    """The same, baked by a worker process, as a server of its own has it; it takes three seconds of
+    the processor.
+    """
     from server.api.app import create_app
     from server.render.engine import RenderEngine
     from server.settings import Settings
 
-    with live(create_app(RenderEngine([load_scene(scene)], str(store), workers=1), Settings())) as url:
+    with live(
+        create_app(RenderEngine([load_scene(scene)], str(store), workers=1), Settings())
+    ) as url:
         yield url
 
 

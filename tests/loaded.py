@@ -1,4 +1,6 @@
-"""Scenes of demos that all tests of a process share, as loading one takes longer than most tests; and NRRD files."""
+"""Scenes of demos that all tests of a process share, as loading one takes longer than most tests;
+and NRRD files.
+"""
 
 import json
 from functools import lru_cache
@@ -14,7 +16,9 @@ from isogi_core.plan.scene import Scene
 
 
 def load_scene(target: str | Path, **settings: Any) -> Scene:
-    """What the core's ``load_scene`` gives; of a demo under the same settings, one scene. Files are read each time."""
+    """What the core's ``load_scene`` gives; of a demo under the same settings, one scene. Files are
+    read each time.
+    """
     try:
         told = json.dumps(settings)
     except TypeError:

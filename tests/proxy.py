@@ -1,4 +1,6 @@
-"""A way to a server that delays, drops and resets: what networks do between a program and an object store."""
+"""A way to a server that delays, drops and resets: what networks do between a program and an object
+store.
+"""
 
 import random
 import select
@@ -11,8 +13,9 @@ from types import TracebackType
 from typing import Literal
 
 Harm = Literal["pass", "delay", "drop", "reset", "cut", "silence"]
-"""What becomes of an answer: it passes; each piece of it comes later; the connection ends before it, in order or by a
-reset, or in the middle of it; or nothing of it ever comes. The request has arrived, and is done."""
+"""What becomes of an answer: it passes; each piece of it comes later; the connection ends before
+it, in order or by a reset, or in the middle of it; or nothing of it ever comes. The request has
+arrived, and is done."""
 
 PIECE = 1 << 14
 """Bytes that are passed on at a time, at most."""
@@ -22,16 +25,19 @@ LINGER_NOT = struct.pack("ii", 1, 0)
 
 
 class Proxy:
-    """A proxy to ``target``, a host and a port, while the ``with`` block runs; its own ``address`` is alike.
+    """A proxy to ``target``, a host and a port, while the ``with`` block runs; its own ``address``
+    is alike.
 
-    Each answer suffers one of the ``harms``, which may be changed at any time, by chance of a ``seed``. ``delay`` is in
-    seconds. ``suffered`` lists what became of each.
+    Each answer suffers one of the ``harms``, which may be changed at any time, by chance of a
+    ``seed``. ``delay`` is in seconds. ``suffered`` lists what became of each.
     """
 
     def __init__(self, target: tuple[str, int], seed: int = 0, delay: float = 0.05) -> None:
         self.harms: tuple[Harm, ...] = ("pass",)
         self.suffered: list[Harm] = []
-        self._target, self._random, self._delay = target, random.Random(seed), delay
+        self._target = target
+        self._random = random.Random(seed)
+        self._delay = delay
         self._closing = threading.Event()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._thread = threading.Thread(target=self._accept, daemon=True)
@@ -57,10 +63,14 @@ class Proxy:
         with suppress(OSError):
             while not self._closing.is_set():
                 client, _ = self._listener.accept()
-                threading.Thread(target=self._serve, args=[client], name="proxy", daemon=True).start()
+                threading.Thread(
+                    target=self._serve, args=[client], name="proxy", daemon=True
+                ).start()
 
     def _serve(self, client: socket.socket) -> None:
-        """Pass on requests, and their answers as far as harm leaves them, until either side ends."""
+        """Pass on requests, and their answers as far as harm leaves them, until either side
+        ends.
+        """
         harm: Harm | None = None
         with client, suppress(OSError), socket.create_connection(self._target) as server:
             while not self._closing.is_set():
@@ -83,7 +93,9 @@ class Proxy:
         return harm
 
     def _answer(self, client: socket.socket, data: bytes, harm: Harm) -> bool:
-        """Pass a piece of an answer on, or what the harm leaves of it; whether the connection goes on."""
+        """Pass a piece of an answer on, or what the harm leaves of it; whether the connection goes
+        on.
+        """
         if harm == "delay":
             time.sleep(self._delay)
         elif harm == "silence":

@@ -1,7 +1,9 @@
-"""Run tests at the same time, and run a test that failed once more, alone: ``python -m tests.run [options of pytest]``.
+"""Run tests at the same time, and run a test that failed once more, alone: ``python -m tests.run
+[options of pytest]``.
 
-Tests wait for servers and browsers on a machine that is full of each other, so a test may fail only there. Such a
-test is named and counted. Three are forgiven, more fail the run. ``RECORD`` counts over the runs of one ``make``.
+Tests wait for servers and browsers on a machine that is full of each other, so a test may fail only
+there. Such a test is named and counted. Three are forgiven, more fail the run. ``RECORD`` counts
+over the runs of one ``make``.
 """
 
 import subprocess
@@ -12,7 +14,9 @@ from pathlib import Path
 import pytest
 
 RECORD = Path("test-results") / "passed-alone.txt"
-"""The tests that passed only when they ran alone, one a line; ``make test`` removes the file before it starts."""
+"""The tests that passed only when they ran alone, one a line; ``make test`` removes the file before
+it starts.
+"""
 
 MAX_TRIED_ALONE = 20
 MAX_FORGIVEN = 3
@@ -50,10 +54,16 @@ def recorded(passed: Sequence[str]) -> list[str]:
 
 
 def judge(failed: Sequence[str]) -> int:
-    """Try each test alone that ``failed``, print what came of it, and return the status of the run."""
+    """Try each test alone that ``failed``, print what came of it, and return the status of the
+    run.
+    """
     passed = [test for test in failed[:MAX_TRIED_ALONE] if passes_alone(test)]
-    flaky, broken = recorded(passed), len(failed) - len(passed)
-    untried = ", or were not tried" if len(failed) > MAX_TRIED_ALONE else ""
+    flaky = recorded(passed)
+    broken = len(failed) - len(passed)
+    if len(failed) > MAX_TRIED_ALONE:
+        untried = ", or were not tried"
+    else:
+        untried = ""
     alone = f"{len(flaky)} passed only when run again, alone ({MAX_FORGIVEN} forgiven):"
     say(f"\n{broken} failed alone, too{untried}; {alone}")
     say(*(f"  {test}" for test in flaky))
@@ -64,8 +74,12 @@ def main(options: Sequence[str]) -> int:
     """Run pytest with its ``options``, and judge what failed."""
     failures = Failures()
     status = pytest.main([*options], plugins=[failures])
-    tried = status in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED) and (failures.ids or not status)
-    return judge(list(failures.ids)) if tried else int(status)
+    tried = status in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED) and (
+        failures.ids or not status
+    )
+    if tried:
+        return judge(list(failures.ids))
+    return int(status)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""A small S3 on a socket of this machine, that fails when it is told to. Also ``python -m tests.s3 --port 9000``.
+"""A small S3 on a socket of this machine, that fails when it is told to. Also ``python -m tests.s3
+--port 9000``.
 
-It knows one bucket, and of S3 what isogi asks of it: objects with entity tags, conditional reads and writes, ranges,
-listing page by page, deletion one by one and many at once. It looks at the access key and not at the signature.
+It knows one bucket, and of S3 what isogi asks of it: objects with entity tags, conditional reads
+and writes, ranges, listing page by page, deletion one by one and many at once. It looks at the
+access key and not at the signature.
 """
 
 import argparse
@@ -26,9 +28,10 @@ MOST_LISTED = 1000
 """Keys in one page of a listing, at most."""
 
 Fault = int | Literal["hang", "short", "drop", "lost", "no-bucket"]
-"""What becomes of a call: a status that is answered and nothing done; ``hang``: no answer until the server closes;
-``short``: half of the body, and the connection ends; ``drop``: the connection ends and nothing is done; ``lost``: what
-was asked is done, and the connection ends without an answer; ``no-bucket``: as if there were no bucket."""
+"""What becomes of a call: a status that is answered and nothing done; ``hang``: no answer until the
+server closes; ``short``: half of the body, and the connection ends; ``drop``: the connection ends
+and nothing is done; ``lost``: what was asked is done, and the connection ends without an answer;
+``no-bucket``: as if there were no bucket."""
 
 
 def environment_of(endpoint: str) -> dict[str, str]:
@@ -44,7 +47,8 @@ def environment_of(endpoint: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Call:
-    """One request: its ``number`` from 1, its method, the key in the bucket (empty for the bucket itself), its query.
+    """One request: its ``number`` from 1, its method, the key in the bucket (empty for the bucket
+    itself), its query.
 
     ``condition`` is what If-Match or If-None-Match says, empty where there is neither.
     """
@@ -57,10 +61,12 @@ class Call:
 
 
 class S3Server:
-    """An S3 while the ``with`` block runs: ``url`` of a place in it, ``environment`` that leads there.
+    """An S3 while the ``with`` block runs: ``url`` of a place in it, ``environment`` that leads
+    there.
 
-    ``objects`` are the bytes by key (``prefix``/…), free to be changed; ``calls`` all requests so far, and ``sent`` the
-    bytes of the answers' bodies; ``fault`` is asked before each call what shall become of it, None for what is usual.
+    ``objects`` are the bytes by key (``prefix``/…), free to be changed; ``calls`` all requests so
+    far, and ``sent`` the bytes of the answers' bodies; ``fault`` is asked before each call what
+    shall become of it, None for what is usual.
     """
 
     def __init__(self, port: int = 0) -> None:
@@ -75,7 +81,9 @@ class S3Server:
         self._server.s3 = self
 
     def __enter__(self) -> "S3Server":
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True
+        )
         self._thread.start()
         return self
 
@@ -139,12 +147,14 @@ class Handler(BaseHTTPRequestHandler):
 
     def work(self) -> None:
         """Read the request, and answer it or fail as told."""
-        s3, parts = self.server.s3, urlsplit(self.path)
+        s3 = self.server.s3
+        parts = urlsplit(self.path)
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
         bucket, _, key = unquote(parts.path).lstrip("/").partition("/")
         condition = self.headers.get("If-Match") or self.headers.get("If-None-Match") or ""
         fault = s3.began(self.command, key, parts.query, condition)
-        self.short, self.lost = fault == "short", fault == "lost"
+        self.short = fault == "short"
+        self.lost = fault == "lost"
         if fault == "hang":
             s3.closing.wait()
         if fault in ("hang", "drop"):
@@ -160,7 +170,9 @@ class Handler(BaseHTTPRequestHandler):
             answer = self.answer(key, parse_qs(parts.query, keep_blank_values=True), body)
         self.say(*answer)
 
-    def answer(self, key: str, query: dict[str, list[str]], body: bytes) -> tuple[int, bytes, dict[str, str]]:
+    def answer(
+        self, key: str, query: dict[str, list[str]], body: bytes
+    ) -> tuple[int, bytes, dict[str, str]]:
         """Status, body and headers of what was asked; the caller holds the lock."""
         objects = self.server.s3.objects
         if not key and self.command == "GET":
@@ -168,7 +180,9 @@ class Handler(BaseHTTPRequestHandler):
         if not key and self.command == "POST" and "delete" in query:
             return self.delete_many(body)
         if self.command == "PUT":
-            return self.copy(key) if "x-amz-copy-source" in self.headers else self.put(key, body)
+            if "x-amz-copy-source" in self.headers:
+                return self.copy(key)
+            return self.put(key, body)
         if self.command == "DELETE":
             objects.pop(key, None)
             return 204, b"", {}
@@ -181,7 +195,11 @@ class Handler(BaseHTTPRequestHandler):
         data = self.server.s3.objects.get(key)
         if data is None:
             return failure(404, "NoSuchKey")
-        headers = {"ETag": tag(data), "Last-Modified": formatdate(time.time(), usegmt=True), "Accept-Ranges": "bytes"}
+        headers = {
+            "ETag": tag(data),
+            "Last-Modified": formatdate(time.time(), usegmt=True),
+            "Accept-Ranges": "bytes",
+        }
         if self.headers.get("If-Match", tag(data)) not in (tag(data), "*"):
             return failure(412, "PreconditionFailed")
         if self.headers.get("If-None-Match") in (tag(data), "*"):
@@ -194,7 +212,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def put(self, key: str, body: bytes) -> tuple[int, bytes, dict[str, str]]:
         """Keep an object where the conditions hold."""
-        objects, wanted = self.server.s3.objects, self.headers.get("If-Match")
+        objects = self.server.s3.objects
+        wanted = self.headers.get("If-Match")
         if self.headers.get("If-None-Match") == "*" and key in objects:
             return failure(412, "PreconditionFailed")
         if wanted is not None and key not in objects:
@@ -206,18 +225,24 @@ class Handler(BaseHTTPRequestHandler):
 
     def copy(self, key: str) -> tuple[int, bytes, dict[str, str]]:
         """Keep the object that a header names under this key, too."""
-        objects, source = (
-            self.server.s3.objects,
-            unquote(self.headers["x-amz-copy-source"]).lstrip("/").partition("/")[2],
-        )
+        objects = self.server.s3.objects
+        source = unquote(self.headers["x-amz-copy-source"]).lstrip("/").partition("/")[2]
         if source not in objects:
             return failure(404, "NoSuchKey")
         objects[key] = objects[source]
-        return 200, f"<CopyObjectResult><ETag>{escape(tag(objects[key]))}</ETag></CopyObjectResult>".encode(), XML
+        return (
+            200,
+            f"<CopyObjectResult><ETag>{escape(tag(objects[key]))}</ETag></CopyObjectResult>".encode(),
+            XML,
+        )
 
     def delete_many(self, body: bytes) -> tuple[int, bytes, dict[str, str]]:
         """Delete the keys that a document names."""
-        keys = [each.text or "" for each in ElementTree.fromstring(body).iter() if each.tag.rpartition("}")[2] == "Key"]
+        keys = [
+            each.text or ""
+            for each in ElementTree.fromstring(body).iter()
+            if each.tag.rpartition("}")[2] == "Key"
+        ]
         for key in keys:
             self.server.s3.objects.pop(key, None)
         rows = "".join(f"<Deleted><Key>{escape(key)}</Key></Deleted>" for key in keys)
@@ -268,26 +293,37 @@ def span(header: str, size: int) -> tuple[int, int]:
 
 def listing(objects: dict[str, bytes], query: dict[str, str]) -> bytes:
     """One page of ListObjectsV2."""
-    prefix, delimiter = query.get("prefix", ""), query.get("delimiter", "")
+    prefix = query.get("prefix", "")
+    delimiter = query.get("delimiter", "")
     after = query.get("continuation-token") or query.get("start-after", "")
     most = min(int(query.get("max-keys", MOST_LISTED)), MOST_LISTED)
     names: dict[str, int | None] = {}
     for key, data in sorted(objects.items()):
         if key.startswith(prefix):
-            folder, found, _ = key[len(prefix) :].partition(delimiter) if delimiter else ("", "", "")
+            if delimiter:
+                folder, found, _ = key[len(prefix) :].partition(delimiter)
+            else:
+                folder = ""
+                found = ""
+                _ = ""
             names[prefix + folder + delimiter if found else key] = None if found else len(data)
     rest = [name for name in names if name > after]
     rows = "".join(row(name, names[name], objects) for name in rest[:most])
-    more = f"<NextContinuationToken>{escape(rest[most - 1])}</NextContinuationToken>" if len(rest) > most else ""
+    if len(rest) > most:
+        more = f"<NextContinuationToken>{escape(rest[most - 1])}</NextContinuationToken>"
+    else:
+        more = ""
     truncated = str(len(rest) > most).lower()
-    return f"<ListBucketResult><IsTruncated>{truncated}</IsTruncated>{more}{rows}</ListBucketResult>".encode()
+    inside = f"<IsTruncated>{truncated}</IsTruncated>{more}{rows}"
+    return f"<ListBucketResult>{inside}</ListBucketResult>".encode()
 
 
 def row(name: str, size: int | None, objects: dict[str, bytes]) -> str:
     """An object, or a folder, in a listing."""
     if size is None:
         return f"<CommonPrefixes><Prefix>{escape(name)}</Prefix></CommonPrefixes>"
-    facts = f"<LastModified>2026-01-01T00:00:00.000Z</LastModified><ETag>{escape(tag(objects[name]))}</ETag>"
+    facts = "<LastModified>2026-01-01T00:00:00.000Z</LastModified>"
+    facts += f"<ETag>{escape(tag(objects[name]))}</ETag>"
     return f"<Contents><Key>{escape(name)}</Key>{facts}<Size>{size}</Size></Contents>"
 
 

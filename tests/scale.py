@@ -1,4 +1,6 @@
-"""How much tests do: all of it with compiled kernels, and little where Numba is switched off and Python runs them."""
+"""How much tests do: all of it with compiled kernels, and little where Numba is switched off and
+Python runs them.
+"""
 
 from typing import TypeVar
 
@@ -15,7 +17,9 @@ COMPILED = pytest.mark.skipif(PYTHON, reason="only compiled kernels do that, or 
 
 
 def many(count: int) -> int:
-    """A count of cheap items with compiled kernels, and a thousandth of it in Python, at least 100."""
+    """A count of cheap items with compiled kernels, and a thousandth of it in Python, at least
+    100.
+    """
     return few(count, max(count // 1000, 100))
 
 

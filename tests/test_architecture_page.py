@@ -1,4 +1,6 @@
-"""The architecture page and the README say what is true: files, functions, the picture, and measured figures."""
+"""The architecture page and the README say what is true: files, functions, the picture, and
+measured figures.
+"""
 
 import ast
 import json
@@ -50,26 +52,44 @@ def test_a_journey_is_short_and_turns_back_nowhere(title: str) -> None:
 
 @pytest.mark.parametrize("title", LONGEST)
 def test_a_journey_names_functions_that_are_there(title: str) -> None:
-    missing = [(file, name) for file, name in STOP.findall(section(title)) if name not in names_in(ROOT / file)]
+    missing = [
+        (file, name)
+        for file, name in STOP.findall(section(title))
+        if name not in names_in(ROOT / file)
+    ]
     assert missing == []
 
 
 def rows_of(text: str) -> list[tuple[str, str, list[str]]]:
-    """The rows of the table "Where is …?": a file, the name to begin at, and the files that it works with."""
+    """The rows of the table "Where is …?": a file, the name to begin at, and the files that it
+    works with.
+    """
     table = text.partition("## Where is")[2]
-    return [(file, name, re.findall(r"`([^`]+)`", more)) for _, file, name, more in ROW.findall(table)]
+    return [
+        (file, name, re.findall(r"`([^`]+)`", more)) for _, file, name, more in ROW.findall(table)
+    ]
 
 
 def defines(path: Path, name: str) -> bool:
     """Whether a Python module or a module of the page defines a name."""
     if path.suffix == ".py":
         return name in names_in(path)
-    return re.search(rf"^export (class|function|const) {name}\b", path.read_text(encoding="utf-8"), re.M) is not None
+    return (
+        re.search(
+            rf"^export (class|function|const) {name}\b", path.read_text(encoding="utf-8"), re.M
+        )
+        is not None
+    )
 
 
 def not_there(text: str) -> list[str]:
     """What the table names that is not in the repository."""
-    files = [file for first, _, more in rows_of(text) for file in (first, *more) if not (ROOT / file).is_file()]
+    files = [
+        file
+        for first, _, more in rows_of(text)
+        for file in (first, *more)
+        if not (ROOT / file).is_file()
+    ]
     names = [(file, name) for file, name, _ in rows_of(text) if file not in files]
     return files + [f"{file} {name}" for file, name in names if not defines(ROOT / file, name)]
 
@@ -81,7 +101,10 @@ def test_the_table_leads_to_files_and_names_that_are_there() -> None:
 
 
 def test_the_search_of_the_table_finds_what_is_not_there() -> None:
-    text = "## Where is …?\n| a | `worker/queue.py` `Nothing` | `no/file.py` |\n| b | `web/live/live.js` `Live` |  |\n"
+    text = (
+        "## Where is …?\n| a | `worker/queue.py` `Nothing` | `no/file.py` |\n| b | "
+        "`web/live/live.js` `Live` |  |\n"
+    )
     assert not_there(text) == ["no/file.py", "worker/queue.py Nothing"]
 
 
@@ -92,19 +115,27 @@ def test_the_page_names_files_that_are_there() -> None:
 
 
 def test_the_picture_is_of_these_rooms() -> None:
-    command = [sys.executable, "-c", "import draw_architecture as d; print(d.picture() == d.PICTURE.read_text())"]
+    command = [
+        sys.executable,
+        "-c",
+        "import draw_architecture as d; print(d.picture() == d.PICTURE.read_text())",
+    ]
     drawn = subprocess.run(command, cwd=ROOT / "docs", capture_output=True, text=True, check=True)
     assert drawn.stdout.strip() == "True", "run: python docs/draw_architecture.py"
 
 
 def stated(text: str) -> list[tuple[str, str, str]]:
-    """The figures in the README's tables: what it states, the measurement, and the figure's name."""
+    """The figures in the README's tables: what it states, the measurement, and the figure's
+    name.
+    """
     return [(value.strip(), name, figure) for value, name, figure in FIGURE.findall(text)]
 
 
 def is_measured(value: str, name: str, figure: str) -> bool:
     """Whether a figure, as it is stated, is the measured one rounded to as many digits."""
-    found = json.loads((ROOT / "docs" / "measurements" / f"{name}.json").read_text(encoding="utf-8"))["figures"][figure]
+    found = json.loads(
+        (ROOT / "docs" / "measurements" / f"{name}.json").read_text(encoding="utf-8")
+    )["figures"][figure]
     number = re.match(r"[\d.]+", value)
     assert number, value
     digits = len(number[0].partition(".")[2])

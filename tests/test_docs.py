@@ -1,4 +1,6 @@
-"""The documentation: every page is in the index, links lead somewhere, and files that pages name are there."""
+"""The documentation: every page is in the index, links lead somewhere, and files that pages name
+are there.
+"""
 
 import re
 import subprocess
@@ -10,7 +12,9 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 MEASUREMENTS = DOCS / "measurements"
-PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(DOCS.rglob("*.md"))
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
+    DOCS.rglob("*.md")
+)
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"")
 CODE = re.compile(r"```.*?```", re.DOTALL)
@@ -38,7 +42,9 @@ def broken(page: Path, text: str) -> Iterator[str]:
     for link in links(text):
         path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
-        if not target.exists() or (anchor and anchor not in anchors(target.read_text(encoding="utf-8"))):
+        if not target.exists() or (
+            anchor and anchor not in anchors(target.read_text(encoding="utf-8"))
+        ):
             yield link
 
 
@@ -52,12 +58,18 @@ def tracked() -> frozenset[str]:
 
 
 def missing(text: str) -> Iterator[str]:
-    """Paths in backticks that lead into a folder of the repository, and modules, that are not there."""
+    """Paths in backticks that lead into a folder of the repository, and modules, that are not
+    there.
+    """
     folders = {path for path in tracked() if "/" not in path and (ROOT / path).is_dir()}
     names = {Path(path).name for path in tracked()}
     for word in TICKED.findall(CODE.sub("", text)):
-        inside = "/" in word and word.partition("/")[0] in folders and re.fullmatch(r"[\w./-]+", word)
-        if (inside and word.rstrip("/") not in tracked()) or (re.fullmatch(r"\w+\.py", word) and word not in names):
+        inside = (
+            "/" in word and word.partition("/")[0] in folders and re.fullmatch(r"[\w./-]+", word)
+        )
+        if (inside and word.rstrip("/") not in tracked()) or (
+            re.fullmatch(r"\w+\.py", word) and word not in names
+        ):
             yield word
 
 
@@ -82,24 +94,44 @@ def test_pages_that_explain_are_short() -> None:
 
 
 def test_relative_links_resolve() -> None:
-    wrong = {path.name: found for path in PAGES if (found := list(broken(path, path.read_text(encoding="utf-8"))))}
+    wrong = {
+        path.name: found
+        for path in PAGES
+        if (found := list(broken(path, path.read_text(encoding="utf-8"))))
+    }
     assert wrong == {}
 
 
 def test_files_in_backticks_exist() -> None:
-    wrong = {path.name: found for path in PAGES if (found := list(missing(path.read_text(encoding="utf-8"))))}
+    wrong = {
+        path.name: found
+        for path in PAGES
+        if (found := list(missing(path.read_text(encoding="utf-8"))))
+    }
     assert wrong == {}
 
 
 def test_pages_that_code_names_exist() -> None:
-    sources = [ROOT / path for path in tracked() if Path(path).suffix in (".py", ".yml") or path == "Makefile"]
-    named = {name for path in sources for name in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))}
+    sources = [
+        ROOT / path
+        for path in tracked()
+        if Path(path).suffix in (".py", ".yml") or path == "Makefile"
+    ]
+    named = {
+        name
+        for path in sources
+        for name in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))
+    }
     assert "docs/cluster.md" in named
     assert named - tracked() == set()
 
 
 def test_pictures_in_docs_are_shown_somewhere() -> None:
-    shown = {(path.parent / link).resolve() for path in PAGES for link in links(path.read_text(encoding="utf-8"))}
+    shown = {
+        (path.parent / link).resolve()
+        for path in PAGES
+        for link in links(path.read_text(encoding="utf-8"))
+    }
     pictures = [path for suffix in ("*.png", "*.svg") for path in DOCS.rglob(suffix)]
     assert {path.name for path in pictures if path.resolve() not in shown} == set()
 
@@ -117,7 +149,11 @@ def test_the_glossary_has_the_words_of_the_concepts() -> None:
 
 def long_entries(text: str) -> list[str]:
     """Lines of a list that take more words than a change does."""
-    return [line for line in text.splitlines() if line.startswith("- ") and len(line.split()) > LONGEST_ENTRY + 1]
+    return [
+        line
+        for line in text.splitlines()
+        if line.startswith("- ") and len(line.split()) > LONGEST_ENTRY + 1
+    ]
 
 
 def test_entries_of_the_changelog_say_one_change() -> None:
@@ -126,7 +162,9 @@ def test_entries_of_the_changelog_say_one_change() -> None:
 
 
 def test_changes_are_files_of_one_line_and_a_known_kind() -> None:
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["towncrier"]
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "towncrier"
+    ]
     kinds = {kind["directory"] for kind in config["type"]}
     assert config["start_string"] in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     for path in sorted((ROOT / config["directory"]).glob("*.md")):
@@ -137,7 +175,10 @@ def test_changes_are_files_of_one_line_and_a_known_kind() -> None:
 
 
 def test_the_search_finds_what_is_wrong() -> None:
-    text = "# One `two`\n[a](no.md) [b](#one-two) [c](#three) ![d](http://a/b.png)\n`tests/no.py` `no_module.py`"
+    text = (
+        "# One `two`\n[a](no.md) [b](#one-two) [c](#three) "
+        "![d](http://a/b.png)\n`tests/no.py` `no_module.py`"
+    )
     page = DOCS / "page.md"
     assert list(links(text)) == ["no.md", "#one-two", "#three"]
     assert anchors(text) == {"one-two"}

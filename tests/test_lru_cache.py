@@ -68,7 +68,9 @@ def test_the_newest_result_is_kept_at_any_size() -> None:
 
 def test_two_threads_make_a_result_once() -> None:
     kept: LruCache[str] = LruCache(1000)
-    begun, go, count = threading.Event(), threading.Event(), []
+    begun = threading.Event()
+    go = threading.Event()
+    count = []
 
     def make() -> np.ndarray:
         count.append(1)
@@ -77,7 +79,9 @@ def test_two_threads_make_a_result_once() -> None:
         return np.zeros(1)
 
     results: list[np.ndarray] = []
-    threads = [threading.Thread(target=lambda: results.append(kept.get("a", make))) for _ in range(2)]
+    threads = [
+        threading.Thread(target=lambda: results.append(kept.get("a", make))) for _ in range(2)
+    ]
     threads[0].start()
     begun.wait(10)
     threads[1].start()
@@ -98,7 +102,8 @@ def test_a_failed_result_leaves_nothing_and_is_tried_again() -> None:
 
 def test_a_waiting_thread_makes_what_another_failed_to_make() -> None:
     kept: LruCache[str] = LruCache(1000)
-    begun, go = threading.Event(), threading.Event()
+    begun = threading.Event()
+    go = threading.Event()
 
     def fail() -> np.ndarray:
         begun.set()
@@ -149,7 +154,9 @@ def test_a_kind_has_a_limit_of_its_own() -> None:
     lights = [("light", turn) for turn in range(5)]
     surfaces = [("surface", number) for number in range(5)]
     assert made(kept, *surfaces, *lights) == [*surfaces, *lights] and kept.nbytes == 7 * SIZE
-    assert made(kept, *surfaces, *lights[3:]) == [], "lights drive out lights alone, the oldest first"
+    assert made(kept, *surfaces, *lights[3:]) == [], (
+        "lights drive out lights alone, the oldest first"
+    )
     assert made(kept, lights[2]) == [lights[2]] and made(kept, lights[4], lights[3]) == [lights[3]]
 
 

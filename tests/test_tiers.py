@@ -1,4 +1,6 @@
-"""Each test is in a tier: the Makefile knows all markers, and folders that give a marker are there."""
+"""Each test is in a tier: the Makefile knows all markers, and folders that give a marker are
+there.
+"""
 
 import re
 import tomllib
@@ -6,7 +8,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.conftest import FIXTURES, HERE, LONGEST, ROOMS, ROOT, markers_of, pytest_collection_modifyitems
+from tests.conftest import (
+    FIXTURES,
+    HERE,
+    LONGEST,
+    ROOMS,
+    ROOT,
+    markers_of,
+    pytest_collection_modifyitems,
+)
 
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 SOON = {"data", "journey", "light", "live", "smoke"}
@@ -21,7 +31,9 @@ def words_of(variable: str) -> set[str]:
 
 
 def test_every_marker_is_in_a_tier() -> None:
-    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "pytest"
+    ]["ini_options"]
     markers = {line.partition(":")[0] for line in options["markers"]}
     assert words_of("LATE") | SOON == markers
     assert not words_of("LATE") & SOON
@@ -38,7 +50,11 @@ def test_the_longest_files_are_there_and_run_first() -> None:
     files = ("test_tiers.py", LONGEST[1], "test_run.py", LONGEST[0])
     items = [SimpleNamespace(path=HERE / name, add_marker=lambda _: None) for name in files]
     pytest_collection_modifyitems(items)  # type: ignore[arg-type]
-    assert [item.path.relative_to(HERE).as_posix() for item in items] == [*LONGEST[:2], "test_tiers.py", "test_run.py"]
+    assert [item.path.relative_to(HERE).as_posix() for item in items] == [
+        *LONGEST[:2],
+        "test_tiers.py",
+        "test_run.py",
+    ]
 
 
 @pytest.mark.parametrize(

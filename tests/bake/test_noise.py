@@ -1,4 +1,6 @@
-"""The error estimate: its parts, its calibration against a long bake, how paths scatter, and what is left to do."""
+"""The error estimate: its parts, its calibration against a long bake, how paths scatter, and what
+is left to do.
+"""
 
 import math
 from dataclasses import replace
@@ -31,7 +33,15 @@ from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD, LIGHT_NUMBERS, light_texels
 from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, most_samples, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
-from tests.bake.texels import baked, climbed, orbital, plan_of, rotations_of, spec_of, surface_texels
+from tests.bake.texels import (
+    baked,
+    climbed,
+    orbital,
+    plan_of,
+    rotations_of,
+    spec_of,
+    surface_texels,
+)
 from tests.kernels.transport.harmonic_bases import basis
 from tests.loaded import load_scene
 from tests.scale import COMPILED
@@ -51,14 +61,17 @@ def light_of(spec: BakeSpec, samples: list[list[int]], noise: float = 0.02, seed
     return light
 
 
-# --- the error of a texel -----------------------------------------------------------------------------------------
+# --- the error of a texel
+# -----------------------------------------------------------------------------------------
 
 
 def test_luminance_is_a_mean_over_rotations_of_the_light() -> None:
     spec = orbital((0.3, 0.6, 0.9))
     light = light_of(spec, [[64] * 20, [64] * 20])
     lights = rotations_of(spec.luminance_light, 3000)
-    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, spec.order**2)), lights) / len(lights)
+    seen = np.einsum(
+        "mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, spec.order**2)), lights
+    ) / len(lights)
     np.testing.assert_allclose(mean_luminance(light, spec), seen, rtol=0.05)
 
 
@@ -68,7 +81,9 @@ def test_error_is_relative_to_the_texels_own_light() -> None:
     (part,) = light.parts
     part.coefficients[:, 0, 0] = np.array([1.0, 0.8, 0.01]) / FACTOR
     part.noise[:] = 0.02 / FACTOR
-    np.testing.assert_allclose(relative_error(light, spec), [0.02, 0.02 / 0.8, 0.02 / FLOOR], rtol=1e-5)
+    np.testing.assert_allclose(
+        relative_error(light, spec), [0.02, 0.02 / 0.8, 0.02 / FLOOR], rtol=1e-5
+    )
 
 
 def test_errors_of_the_parts_are_independent() -> None:
@@ -87,7 +102,8 @@ def test_no_light_has_no_error() -> None:
     assert relative_error(light_of(spec, [[64] * 2]), spec).tolist() == [0.0, 0.0]
 
 
-# --- when a texel is done, and what is next -------------------------------------------------------------------------
+# --- when a texel is done, and what is next
+# -------------------------------------------------------------------------
 
 
 def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
@@ -96,7 +112,9 @@ def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
     light.parts[0].noise[1] = 0.0
     assert finished(light, spec, 0.01).tolist() == [False, True, True, True, False]
     light.parts[0].noise[:] = 0.0
-    assert finished(light, spec, 0.01).tolist() == [True, True, True, True, False], "unlit is never done"
+    assert finished(light, spec, 0.01).tolist() == [True, True, True, True, False], (
+        "unlit is never done"
+    )
     light.parts[0].samples[0] = MIN_SAMPLES // 2
     assert not finished(light, spec, 0.01)[0], "few paths that all died say nothing"
 
@@ -104,7 +122,9 @@ def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
 def test_all_parts_must_have_the_fewest_samples() -> None:
     most = most_samples(0.5)
     light = light_of(
-        orbital(), [[MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES // 2, most], [0, MIN_SAMPLES, MIN_SAMPLES, most]], noise=0.0
+        orbital(),
+        [[MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES // 2, most], [0, MIN_SAMPLES, MIN_SAMPLES, most]],
+        noise=0.0,
     )
     assert finished(light, orbital(), 0.5).tolist() == [False, True, False, True]
 
@@ -119,61 +139,92 @@ def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     assert good_enough(errors.astype(np.float32), samples, target)[final].all()
 
 
-# --- noise estimated from halves ------------------------------------------------------------------------------------
+# --- noise estimated from halves
+# ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [1, 2, 5])
 def test_noise_is_half_the_difference_pooled_over_bands(order: int) -> None:
-    """A twin in loops: band 0 with a quarter of its neighbour; above it the mean of the bands' mean squares."""
-    projected, samples = max(order, 2), 32
+    """A twin in loops: band 0 with a quarter of its neighbour; above it the mean of the bands' mean
+    squares.
+    """
+    projected = max(order, 2)
+    samples = 32
     halves = np.random.default_rng(5).normal(size=(6, 2, projected**2))
     means = halves / (samples / 2)
     noise = noise_of_halves(halves, samples, order)
     assert noise.shape == (6, 1 if order == 1 else 2)
     for texel, estimated in zip(means, noise, strict=True):
         squares = [((a - b) / 2) ** 2 for a, b in texel.T]
-        assert estimated[0] == pytest.approx(np.sqrt(0.75 * squares[0] + 0.25 * np.mean(squares[1:4])))
+        assert estimated[0] == pytest.approx(
+            np.sqrt(0.75 * squares[0] + 0.25 * np.mean(squares[1:4]))
+        )
         if order > 1:
-            bands = [np.mean([squares[i] for i in np.flatnonzero(band_of(order) == l)]) for l in range(1, order)]
+            bands = [
+                np.mean([squares[i] for i in np.flatnonzero(band_of(order) == l)])
+                for l in range(1, order)
+            ]
             assert estimated[1] == pytest.approx(np.sqrt(np.mean(bands)))
 
 
 def test_noise_of_halves_is_the_standard_error_of_their_mean() -> None:
-    """Halves of noise whose size is known: on average the estimate is that of all samples together."""
-    samples, sigma = 64, 0.3
+    """Halves of noise whose size is known: on average the estimate is that of all samples
+    together.
+    """
+    samples = 64
+    sigma = 0.3
     sums = np.random.default_rng(6).normal(size=(4000, 2, 25)) * sigma * np.sqrt(samples / 2)
     estimated = np.sqrt((noise_of_halves(sums, samples, 5) ** 2).mean(axis=0))
     np.testing.assert_allclose(estimated, sigma / np.sqrt(samples), rtol=0.03)
 
 
 def test_pooled_noise_falls_as_stratified_points_do() -> None:
-    former, latest, decay = np.array([[0.1, 0.3]], np.float32), np.array([[0.2, 0.4]]), DECAYS["direct"]
-    low, high = 0.38 * 0.025, 0.38 * 0.025 + 0.24 * (0.125 - 0.025)
-    np.testing.assert_allclose(blend_noise(former, 64, latest, decay), np.sqrt([[low, high]]), rtol=1e-6)
+    former = np.array([[0.1, 0.3]], np.float32)
+    latest = np.array([[0.2, 0.4]])
+    decay = DECAYS["direct"]
+    low = 0.38 * 0.025
+    high = 0.38 * 0.025 + 0.24 * (0.125 - 0.025)
+    np.testing.assert_allclose(
+        blend_noise(former, 64, latest, decay), np.sqrt([[low, high]]), rtol=1e-6
+    )
     assert blend_noise(np.zeros((1, 2), np.float32), 0, latest, decay) is latest
     quiet = np.array([[0.2, 0.1]])
     np.testing.assert_allclose(blend_noise(quiet, 16, quiet, decay), np.sqrt(0.38) * quiet)
-    assert all(0.2 < share <= 0.5 for decay in DECAYS.values() for share in decay), "never worse than random points"
+    assert all(0.2 < share <= 0.5 for decay in DECAYS.values() for share in decay), (
+        "never worse than random points"
+    )
 
 
-# --- calibration ----------------------------------------------------------------------------------------------------
+# --- calibration
+# --------------------------------------------------------------------------------------------------
 
 
 @COMPILED
 def test_error_falls_as_samples_are_added() -> None:
     spec = orbital()
     texels = surface_texels(spec, 60)
-    errors = [np.sqrt((relative_error(climbed(spec, texels, n), spec) ** 2).mean()) for n in (16, 128, 1024)]
+    errors = [
+        np.sqrt((relative_error(climbed(spec, texels, n), spec) ** 2).mean())
+        for n in (16, 128, 1024)
+    ]
     assert errors[1] < 0.5 * errors[0] and errors[2] < 0.5 * errors[1]
 
 
 def wrongness(part: Part, reference: Part, spec: BakeSpec, count: int = 24) -> np.ndarray:
-    """Errors of the luminance of each texel against a reference under turned lights, (texels, turns)."""
+    """Errors of the luminance of each texel against a reference under turned lights, (texels,
+    turns).
+    """
     own = spec.term_of(part.layer).luminance
     n = min(part.layer.order**2, own.shape[1])
-    lights = rotations_of(own, count)[:, :, :n] if spec.order > 1 else own[None]
-    lights = lights if part.layer.channels == lights.shape[1] else lights.sum(axis=1, keepdims=True)
-    return np.einsum("mcn,tcn->mt", part.coefficients.astype(float) - reference.coefficients, lights)
+    if spec.order > 1:
+        lights = rotations_of(own, count)[:, :, :n]
+    else:
+        lights = own[None]
+    if part.layer.channels != lights.shape[1]:
+        lights = lights.sum(axis=1, keepdims=True)
+    return np.einsum(
+        "mcn,tcn->mt", part.coefficients.astype(float) - reference.coefficients, lights
+    )
 
 
 LOOKS = {
@@ -212,8 +263,11 @@ def test_the_estimate_is_calibrated(name: str, samples: int) -> None:
 @COMPILED
 @pytest.mark.parametrize("name", LOOKS)
 def test_final_texels_are_within_their_error(name: str) -> None:
-    """Those that stop early are those whose halves agreed by chance: the estimate is too low, but not by much."""
-    (spec, texels, reference), target = referred(name), 0.02
+    """Those that stop early are those whose halves agreed by chance: the estimate is too low, but
+    not by much.
+    """
+    (spec, texels, reference) = referred(name)
+    target = 0.02
     light = baked(spec, texels, most_samples(target), target=target)
     parts = zip(light.parts, reference.parts, strict=True)
     wrong = sum(wrongness(part, exact, spec) for part, exact in parts)
@@ -224,7 +278,8 @@ def test_final_texels_are_within_their_error(name: str) -> None:
     assert 0.75 < seen / estimated < 1.33, seen / estimated
 
 
-# --- how paths scatter ------------------------------------------------------------------------------------------------
+# --- how paths scatter
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -236,7 +291,8 @@ def rng() -> np.random.Generator:
 def ways(rng: np.random.Generator, count: int) -> np.ndarray:
     """Directions with a cosine about z, of paths that leave; (count, 3)."""
     u, v = rng.random((2, count))
-    radius, angle = np.sqrt(u), 2.0 * math.pi * v
+    radius = np.sqrt(u)
+    angle = 2.0 * math.pi * v
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u)], axis=-1)
 
 
@@ -244,16 +300,21 @@ def ways(rng: np.random.Generator, count: int) -> np.ndarray:
 def test_a_squared_light_is_its_squared_radiance(order: int, rng: np.random.Generator) -> None:
     """Against a fine grid: equal steps in z and in azimuth."""
     light = rng.normal(size=order**2)
-    z, angle = (np.arange(400) + 0.5) / 200.0 - 1.0, 2.0 * math.pi * (np.arange(64) + 0.5) / 64
+    z = (np.arange(400) + 0.5) / 200.0 - 1.0
+    angle = 2.0 * math.pi * (np.arange(64) + 0.5) / 64
     side = np.sqrt(1.0 - z**2)[:, None]
-    grid = np.stack(np.broadcast_arrays(side * np.cos(angle), side * np.sin(angle), z[:, None]), axis=-1)
+    grid = np.stack(
+        np.broadcast_arrays(side * np.cos(angle), side * np.sin(angle), z[:, None]), axis=-1
+    )
     values = basis(order, grid.reshape(-1, 3))
     expected = (values @ light) ** 2 @ values * 4.0 * math.pi / len(values)
     np.testing.assert_allclose(square_light(light), expected, rtol=2e-3, atol=2e-3)
 
 
 def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) -> None:
-    """Light of two bands, whose square has three and is wholly known; a third of the paths bring nothing."""
+    """Light of two bands, whose square has three and is wholly known; a third of the paths bring
+    nothing.
+    """
     light = np.pad(rng.normal(size=(3, 4)), ((0, 0), (0, 5)))
     colour = np.array([0.2126, 0.7152, 0.0722])
     square = square_light(colour @ light)
@@ -268,13 +329,16 @@ def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_deviation_of_paths_is_a_mean_over_rotations(channels: int, rng: np.random.Generator) -> None:
+def test_the_deviation_of_paths_is_a_mean_over_rotations(
+    channels: int, rng: np.random.Generator
+) -> None:
     spec = spec_of(plan_of(Layer("direct", 4, channels)))
     light = Light.dark(spec.plan, 6)
     fading = 0.3 ** band_of(4)
     light.parts[0].coefficients[:] = 0.02 * rng.normal(size=(6, channels, 16)) * fading
     light.parts[0].coefficients[:, :, 0] = 0.2
-    lights, estimated = rotations_of(spec.luminance_light, 3000), path_deviation(light, spec)
+    lights = rotations_of(spec.luminance_light, 3000)
+    estimated = path_deviation(light, spec)
     second = np.array([square_light(one.sum(axis=0)) for one in lights[:300]])
     seen = light.transfer[:, channels // 2] @ second.mean(axis=0)
     mean = np.einsum("mcn,tcn->mt", light.transfer, lights)
@@ -286,24 +350,33 @@ def test_the_deviation_under_two_lights_is_a_mean_over_both(rng: np.random.Gener
     """Direct light of order 4 beside a lobe, and reflected light of order 3 with it."""
     spec = spec_of(replace(plan_of(Layer("direct", 4), Layer("indirect", 3)), lobes=1))
     assert len(spec.terms) == 2 and not np.allclose(spec.terms[0].light[:, :9], spec.terms[1].light)
-    light, unit = Light.dark(spec.plan, 6), spec.unit
+    light = Light.dark(spec.plan, 6)
+    unit = spec.unit
     for part, mean in zip(light.parts, (0.2, 0.05), strict=True):
-        part.coefficients[:] = 0.1 * mean * rng.normal(size=part.coefficients.shape) * 0.3 ** band_of(part.layer.order)
+        part.coefficients[:] = (
+            0.1 * mean * rng.normal(size=part.coefficients.shape) * 0.3 ** band_of(part.layer.order)
+        )
         part.coefficients[:, :, 0] = mean
     both = np.zeros((2, 16))
     for row, term in zip(both, spec.terms, strict=True):
         row[: term.order**2] = term.luminance.sum(axis=0) / unit
     turns = rotations_of(both, 3000)
-    mean = sum(light.columns([term])[:, 0] @ turns[:, i, : term.order**2].T for i, term in enumerate(spec.terms))
+    mean = sum(
+        light.columns([term])[:, 0] @ turns[:, i, : term.order**2].T
+        for i, term in enumerate(spec.terms)
+    )
     second = sum(
-        part.coefficients[:, 0, 0] * term.square[0] for part, term in zip(light.parts, spec.terms, strict=True)
+        part.coefficients[:, 0, 0] * term.square[0]
+        for part, term in zip(light.parts, spec.terms, strict=True)
     )
     expected = np.maximum(second - (mean**2).mean(axis=1), 0.0) + LEAST_SPREAD * second
     np.testing.assert_allclose((path_deviation(light, spec) / unit) ** 2, expected, rtol=0.05)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_band_0_varies_less_where_paths_bring_equal_light(share: float, rng: np.random.Generator) -> None:
+def test_band_0_varies_less_where_paths_bring_equal_light(
+    share: float, rng: np.random.Generator
+) -> None:
     """Against the variances of paths that were drawn, of which a ``share`` brings light."""
     count = 100_000
     values = basis(2, ways(rng, count)) * (rng.random((count, 1)) < share)
@@ -313,7 +386,8 @@ def test_band_0_varies_less_where_paths_bring_equal_light(share: float, rng: np.
     assert estimated[0] == pytest.approx(variances[0] / variances[1:].mean(), rel=0.02, abs=1e-4)
 
 
-# --- efforts ----------------------------------------------------------------------------------------------------------
+# --- efforts
+# --------------------------------------------------------------------------------------------------
 
 
 TARGET = 0.05
@@ -321,7 +395,8 @@ ERRORS = texel_target(TARGET)
 
 
 def test_samples_follow_the_rate_of_errors_up_to_a_level() -> None:
-    error, samples = ERRORS * np.array([4.0, 2.0, 1.02, 60.0, 0.2]), np.array([64, 64, 64, 64, 16])
+    error = ERRORS * np.array([4.0, 2.0, 1.02, 60.0, 0.2])
+    samples = np.array([64, 64, 64, 64, 16])
     goals = [512, 256, 128, most_samples(TARGET), MIN_SAMPLES]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
     assert (samples + samples_left(error, samples, TARGET)).tolist() == goals
 
@@ -339,11 +414,14 @@ def test_texels_at_the_rate_take_the_predicted_samples() -> None:
 def test_efforts_are_summed_chunk_by_chunk() -> None:
     rng = np.random.default_rng(6)
     samples = rng.choice([VOID, 0, 16, 64, 256, 2048], 400)
-    error, chunks = rng.uniform(0.0, 0.3, 400), rng.integers(0, 5, 400)
+    error = rng.uniform(0.0, 0.3, 400)
+    chunks = rng.integers(0, 5, 400)
     found = efforts(chunks, 6, error, samples, TARGET)
     for chunk in range(6):
         own = [(e, n) for e, n, at in zip(error, samples, chunks, strict=True) if at == chunk]
-        lit = [(e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)]
+        lit = [
+            (e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)
+        ]
         left = sum(float(samples_left(np.array([e]), np.array([n]), TARGET)[0]) for e, n in lit)
         expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left, 0.0, len(lit)
         assert found[chunk].tolist() == pytest.approx(expected)
@@ -353,8 +431,14 @@ def test_efforts_are_summed_chunk_by_chunk() -> None:
 
 def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
     """What the unlit ones among the others would need is the mean of the chunk's lit ones."""
-    samples, chunks = np.array([64, 64, 0, 0, 16]), np.array([0, 0, 0, 1, 3])
+    samples = np.array([64, 64, 0, 0, 16])
+    chunks = np.array([0, 0, 0, 1, 3])
     error = ERRORS * np.array([4.0, 2.0, 180.0, 180.0, 0.2])
     first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], TARGET)
     assert (first, second, last) == (512, 256, MIN_SAMPLES)
-    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [1.5 * (512 + 256), 0.0, 0.0, MIN_SAMPLES]
+    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [
+        1.5 * (512 + 256),
+        0.0,
+        0.0,
+        MIN_SAMPLES,
+    ]

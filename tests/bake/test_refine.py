@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, noise_of_halves, relative_error
+from isogi_core.bake.noise import (
+    DECAYS,
+    blend_noise,
+    finished,
+    most_samples,
+    noise_of_halves,
+    relative_error,
+)
 from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, refine
 from isogi_core.bake.texel_light import VOID, Light, noise_codes, noise_of, round_light
 from isogi_core.kernels.transport.paths import SampleRange, TransferRules
@@ -26,7 +33,8 @@ LOOKS = {
 EVERY_LOOK = pytest.mark.parametrize("settings", LOOKS.values(), ids=LOOKS)
 
 
-# --- the same bits ------------------------------------------------------------------------------------------------
+# --- the same bits
+# ------------------------------------------------------------------------------------------------
 
 
 @COMPILED
@@ -51,7 +59,10 @@ def test_the_bits_of_a_part_depend_on_its_samples_alone() -> None:
     light.put(np.arange(30), climbed(spec, texels[:30], 128))
     climb(light.parts[:1], np.arange(30), locate(texels, spec.prepared, spec.shown), spec)
     refine(light, texels, spec, 128, 0.001)
-    assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {(256, 128), (128, 128)}
+    assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {
+        (256, 128),
+        (128, 128),
+    }
     for samples in {int(own) for part in light.parts for own in part.samples}:
         expected = climbed(spec, texels, samples)
         for part, own in zip(light.parts, expected.parts, strict=True):
@@ -77,10 +88,13 @@ def test_light_in_memory_is_rounded_as_in_the_store(settings: dict[str, object])
     spec = orbital(**settings)  # type: ignore[arg-type]
     for part in baked(spec, surface_texels(spec, 40), 64).parts:
         assert np.array_equal(round_light(part.coefficients, part.layer), part.coefficients)
-        assert np.array_equal(noise_of(noise_codes(part.noise, part.layer.scale), part.layer.scale), part.noise)
+        assert np.array_equal(
+            noise_of(noise_codes(part.noise, part.layer.scale), part.layer.scale), part.noise
+        )
 
 
-# --- what climbs ---------------------------------------------------------------------------------------------------
+# --- what climbs
+# --------------------------------------------------------------------------------------------------
 
 
 @COMPILED
@@ -100,49 +114,62 @@ def test_texels_at_the_target_are_left_alone() -> None:
 
 @COMPILED
 def test_parts_catch_up_and_then_climb_together() -> None:
-    spec, target = orbital(), 0.001
+    spec = orbital()
+    target = 0.001
     texels = surface_texels(spec, 60)
     far, near = climbed(spec, texels, 128), climbed(spec, texels, 16)
     light = Light((far.parts[0].rows(np.arange(60)), near.parts[1]))
     assert (next_samples(light, spec, target) == 16).all()
     refine(light, texels, spec, 64, target)
-    assert same(Light(light.parts[:1]), Light(far.parts[:1])) and (light.parts[1].samples == 64).all()
+    assert (
+        same(Light(light.parts[:1]), Light(far.parts[:1])) and (light.parts[1].samples == 64).all()
+    )
     refine(light, texels, spec, 512, target)
     assert (light.parts[0].samples == 512).all() and same(light, climbed(spec, texels, 512))
 
 
 @COMPILED
 def test_texels_with_enough_samples_wait() -> None:
-    spec, target, until = orbital(), 0.005, 128
+    spec = orbital()
+    target = 0.005
+    until = 128
     light = baked(spec, surface_texels(spec, 60), until, target=target)
-    waiting, done = next_samples(light, spec, target), finished(light, spec, target)
+    waiting = next_samples(light, spec, target)
+    done = finished(light, spec, target)
     assert (waiting[done] == -1).all() and (waiting[~done] == until).all() and not done.all()
 
 
 @COMPILED
 def test_a_layer_far_ahead_is_followed_up_to_the_target() -> None:
-    spec, loose = orbital(), 0.2
+    spec = orbital()
+    loose = 0.2
     texels = surface_texels(spec, 30)
     light = Light((climbed(spec, texels, 1024).parts[0], Light.dark(spec.plan, 30).parts[1]))
     refine(light, texels, spec, 1024, loose)
-    assert (light.parts[0].samples == 1024).all() and (light.parts[1].samples == most_samples(loose)).all()
+    assert (light.parts[0].samples == 1024).all() and (
+        light.parts[1].samples == most_samples(loose)
+    ).all()
 
 
-# --- what the light is ---------------------------------------------------------------------------------------------
+# --- what the light is
+# ---------------------------------------------------------------------------------------------
 
 
-def kernels_sums(spec: BakeSpec, texels: np.ndarray, number: int, first: int, count: int) -> np.ndarray:
+def kernels_sums(
+    spec: BakeSpec, texels: np.ndarray, number: int, first: int, count: int
+) -> np.ndarray:
     """Sums of the kernel for one layer of the spec; (m, 2, channels, n²)."""
-    prepared, layer, m = spec.prepared, spec.plan.layers[number], len(texels)
+    prepared = spec.prepared
+    layer = spec.plan.layers[number]
+    m = len(texels)
     sums = np.zeros((m, 2, layer.channels, layer.order**2))
-    isovalues, void = np.empty(m), np.empty(m, np.bool_)
+    isovalues = np.empty(m)
+    void = np.empty(m, np.bool_)
     place = (texels, np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(prepared.field, prepared.step, *place, void)
     bricks = prepared.maps.covering(isovalues)
-    samples, rules = (
-        SampleRange(first, count),
-        TransferRules(spec.shares([layer]), spec.plan.survival, spec.plan.branches),
-    )
+    samples = SampleRange(first, count)
+    rules = TransferRules(spec.shares([layer]), spec.plan.survival, spec.plan.branches)
     orders = np.full(layer.channels, layer.order)
     bake_texels(prepared.field, bricks, place, np.arange(m), samples, rules, orders, sums)
     return sums
@@ -153,10 +180,17 @@ def test_means_and_noise_are_those_of_the_kernels_sums(number: int) -> None:
     spec = orbital((0.3, 0.5, 0.9), precision="single")
     texels = surface_texels(spec, 20)
     part = climbed(spec, texels, 64).parts[number]
-    levels = [kernels_sums(spec, texels, number, first, count) for first, count in ((0, 8), (8, 8), (16, 16))]
+    levels = [
+        kernels_sums(spec, texels, number, first, count)
+        for first, count in ((0, 8), (8, 8), (16, 16))
+    ]
     np.testing.assert_allclose(part.coefficients, sum(levels).sum(axis=1) / 64, atol=1e-6)
-    decay, seen = DECAYS[part.layer.kind], [spec.judged(sums, part.layer) for sums in levels]
-    noises = [noise_of_halves(sums, count, part.layer.order) for sums, count in zip(seen, (16, 16, 32), strict=True)]
+    decay = DECAYS[part.layer.kind]
+    seen = [spec.judged(sums, part.layer) for sums in levels]
+    noises = [
+        noise_of_halves(sums, count, part.layer.order)
+        for sums, count in zip(seen, (16, 16, 32), strict=True)
+    ]
     blended = blend_noise(blend_noise(noises[0], 16, noises[1], decay), 32, noises[2], decay)
     codes = (noise_codes(noise, part.layer.scale).astype(int) for noise in (part.noise, blended))
     assert np.abs(np.subtract(*codes)).max() <= 1, "each level is rounded to the next step"
@@ -165,7 +199,8 @@ def test_means_and_noise_are_those_of_the_kernels_sums(number: int) -> None:
 @COMPILED
 def test_direct_and_indirect_light_are_the_whole() -> None:
     """Three layers of the same paths, under constant light."""
-    apart, whole = orbital(precision="single"), orbital(sky=False, precision="single")
+    apart = orbital(precision="single")
+    whole = orbital(sky=False, precision="single")
     whole = replace(whole, plan=replace(whole.plan, branches=apart.plan.branches))
     texels = surface_texels(apart, 40)
     sum_of = climbed(apart, texels, 64).transfer[:, 0, 0]
@@ -175,7 +210,9 @@ def test_direct_and_indirect_light_are_the_whole() -> None:
 @COMPILED
 @pytest.mark.parametrize("settings", [{"sky": False}, {"indirect_order": 1}])
 def test_white_furnace(settings: dict[str, object]) -> None:
-    """Albedo 1 and no end of bounces: every path gets out, and each texel sees all of a constant light."""
+    """Albedo 1 and no end of bounces: every path gets out, and each texel sees all of a constant
+    light.
+    """
     spec = orbital(1.0, **{"bounces": 1000, **settings})  # type: ignore[arg-type]
     light = climbed(spec, surface_texels(spec, 200), 64)
     whole = np.sqrt(4.0 * np.pi) * light.transfer[:, 0, 0]
@@ -211,10 +248,14 @@ def test_void_texels_are_marked_once_and_hold_nothing(settings: dict[str, object
     light = baked(hollow, np.array([[z, y, x], *surface_texels(spec, 3)], np.int32), 16, 128)
     assert light.void.tolist() == [True, False, False, False]
     assert light.samples[0] == VOID and (light.samples[1:] >= MIN_SAMPLES).all()
-    assert not light.transfer[0].any() and all(np.isfinite(part.coefficients).all() for part in light.parts)
+    assert not light.transfer[0].any() and all(
+        np.isfinite(part.coefficients).all() for part in light.parts
+    )
 
 
 def test_add_to_mean_is_the_mean_of_all() -> None:
     values = np.random.default_rng(3).random((48, 5))
     old = values[:16].mean(axis=0).astype(np.float32)
-    np.testing.assert_allclose(add_to_mean(old, 16, values[16:].sum(axis=0), 48), values.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(
+        add_to_mean(old, 16, values[16:].sum(axis=0), 48), values.mean(axis=0), rtol=1e-6
+    )

@@ -43,7 +43,8 @@ def some_light(texels: int, seed: int = 1) -> Light:
 
 
 def test_rows_are_copies_and_are_put_back_where_they_were() -> None:
-    light, before = some_light(9), some_light(9)
+    light = some_light(9)
+    before = some_light(9)
     which = np.array([7, 0, 4])
     rows = light.rows(which)
     for part in rows.parts:
@@ -68,7 +69,9 @@ def test_layers_add_up_over_their_orders_and_channels() -> None:
     direct, indirect = (part.coefficients for part in light.parts)
     assert light.transfer.shape == (5, 3, 9)
     for channel in range(3):
-        np.testing.assert_array_equal(light.transfer[:, channel, :4], direct[:, 0, :4] + indirect[:, channel])
+        np.testing.assert_array_equal(
+            light.transfer[:, channel, :4], direct[:, 0, :4] + indirect[:, channel]
+        )
         np.testing.assert_array_equal(light.transfer[:, channel, 4:], direct[:, 0, 4:])
 
 
@@ -80,7 +83,8 @@ def test_a_texel_void_in_one_layer_is_made_void_in_all() -> None:
     assert [part.samples.tolist() for part in light.parts] == [[16] * 5 + [VOID] + [16] * 3] * 2
 
 
-# --- rounding ---------------------------------------------------------------------------------------------------------
+# --- rounding
+# --------------------------------------------------------------------------------------------------
 
 
 SCALES = (1.0, 2.0**-9, 2.0**6)
@@ -96,7 +100,11 @@ def test_codes_of_noise_survive_the_round_trip(scale: float) -> None:
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_noise_is_kept_to_half_a_step(scale: float) -> None:
-    noise = scale * NOISIEST * 2.0 ** np.random.default_rng(1).uniform(-254 / CODES_PER_HALVING, 0.0, 5000)
+    noise = (
+        scale
+        * NOISIEST
+        * 2.0 ** np.random.default_rng(1).uniform(-254 / CODES_PER_HALVING, 0.0, 5000)
+    )
     kept = noise_of(noise_codes(noise, scale), scale)
     assert np.abs(np.log2(kept / noise)).max() <= 0.5 / CODES_PER_HALVING + 1e-6
 
@@ -157,7 +165,12 @@ def test_bytes_of_light_survive_the_round_trip() -> None:
     light = decoded_light(used)
     assert light.dtype == np.float32 and len(set(light.tolist())) == len(used)
     assert np.array_equal(light_codes(light), used)
-    assert decoded_light(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [0.0, 0.0, 1.0, -1.0]
+    assert decoded_light(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [
+        0.0,
+        0.0,
+        1.0,
+        -1.0,
+    ]
 
 
 def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
@@ -167,7 +180,9 @@ def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
         kept = decoded_light(light_codes(sign * 2.0**size))
         assert (sign * kept > 0.0).all()
         assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / CODES_PER_HALVING + 1e-6
-    assert not decoded_light(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / CODES_PER_HALVING))).any()
+    assert not decoded_light(
+        light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / CODES_PER_HALVING))
+    ).any()
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -175,6 +190,10 @@ def test_only_the_higher_bands_are_bytes(scale: float) -> None:
     layer = Layer("direct", 5, coarse=2, scale=scale)
     light = 0.2 * scale * np.random.default_rng(5).normal(size=(30, 1, 25))
     rounded = round_light(light, layer)
-    assert np.array_equal(rounded[..., :4], round_light(light[..., :4], Layer("direct", 2, scale=scale)))
-    assert np.array_equal(rounded[..., 4:], decoded_light(light_codes(light[..., 4:] / scale)) * np.float32(scale))
+    assert np.array_equal(
+        rounded[..., :4], round_light(light[..., :4], Layer("direct", 2, scale=scale))
+    )
+    assert np.array_equal(
+        rounded[..., 4:], decoded_light(light_codes(light[..., 4:] / scale)) * np.float32(scale)
+    )
     assert np.array_equal(round_light(rounded, layer), rounded)

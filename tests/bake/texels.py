@@ -1,4 +1,6 @@
-"""Texels of the orbital and their light, baked in this process; bake specs of plans of a test's own."""
+"""Texels of the orbital and their light, baked in this process; bake specs of plans of a test's
+own.
+"""
 
 import math
 from functools import cache
@@ -28,7 +30,8 @@ ALBEDO = (0.3, 0.6, 0.9)
 
 def rotations_of(light: np.ndarray, count: int, seed: int = 1) -> np.ndarray:
     """The light (channels, n²) under so many random rotations, (count, channels, n²)."""
-    order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
+    order = math.isqrt(light.shape[1])
+    out = np.empty((count, *light.shape))
     for matrix, place in zip(Rotation.random(count, rng=seed).as_matrix(), out, strict=True):
         rotate(order, np.ascontiguousarray(matrix), light, place)
     return out
@@ -37,7 +40,10 @@ def rotations_of(light: np.ndarray, count: int, seed: int = 1) -> np.ndarray:
 def spec_of(plan: ScenePlan, **settings: Any) -> BakeSpec:
     """The orbital under a sky, lit by a plan of the test's own."""
     return BakeSpec(
-        PreparedScene(load_scene("demo:orbital", **{"lights": [SKY], "albedo": list(ALBEDO), **settings})), plan
+        PreparedScene(
+            load_scene("demo:orbital", **{"lights": [SKY], "albedo": list(ALBEDO), **settings})
+        ),
+        plan,
     )
 
 
@@ -51,8 +57,13 @@ def plan_of(*layers: Layer, representation: str = "transfer", bounces: int = 3) 
 def orbital(
     albedo: float | tuple[float, ...] = 0.7, shading: str = "gi", sky: bool = True, **settings: Any
 ) -> BakeSpec:
-    """A bake spec of the orbital with 3 bounces, under a sky (no lobes) or constant light; three albedos: coloured."""
-    given = list(albedo) if isinstance(albedo, tuple) else albedo
+    """A bake spec of the orbital with 3 bounces, under a sky (no lobes) or constant light; three
+    albedos: coloured.
+    """
+    if isinstance(albedo, tuple):
+        given = list(albedo)
+    else:
+        given = albedo
     lights = [SKY if sky else CONSTANT]
     settled = {"lights": lights, "albedo": given, "bounces": 3, "lobes": 0, **settings}
     scene = load_scene("demo:orbital", **settled)
@@ -60,7 +71,9 @@ def orbital(
 
 
 def surface_texels(spec: BakeSpec, count: int, seed: int = 1) -> np.ndarray:
-    """Random texels (count, 3; z, y, x) within a voxel or so of the scene's own isosurface; lattice 1."""
+    """Random texels (count, 3; z, y, x) within a voxel or so of the scene's own isosurface; lattice
+    1.
+    """
     volume = spec.prepared.scene.volume
     iso = volume.normalise_isovalue(spec.prepared.scene.isovalue)
     steep = np.sqrt(sum(g * g for g in np.gradient(volume.voxels)))

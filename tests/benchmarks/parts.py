@@ -30,5 +30,7 @@ def figures(part: click.Command, *arguments: str) -> dict[str, Any]:
 
 def bench_of(folder: Path, size: int = 16, **settings: Any) -> Bench:
     """A bench of the orbital under a sky, or as settings say."""
-    scene = load_scene("demo:orbital", **{"lights": [SKY], "bounces": 2, "target_error": 0.1, **settings})
+    scene = load_scene(
+        "demo:orbital", **{"lights": [SKY], "bounces": 2, "target_error": 0.1, **settings}
+    )
     return Bench(scene, view_of(scene, size), folder)

@@ -1,4 +1,6 @@
-"""The parts of the accuracy suite, small: figures they promise, what these must be, and tables of made-up ones."""
+"""The parts of the accuracy suite, small: figures they promise, what these must be, and tables of
+made-up ones.
+"""
 
 import math
 from pathlib import Path
@@ -12,7 +14,17 @@ from benchmarks.accuracy import stiffness, surfaces
 from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.branching import branching
 from benchmarks.accuracy.calibration import Told, frames_of, table
-from benchmarks.accuracy.card import CASES, GOALS, LOBES, NEW, TEXELS, Found, body, figures_of, place_of
+from benchmarks.accuracy.card import (
+    CASES,
+    GOALS,
+    LOBES,
+    NEW,
+    TEXELS,
+    Found,
+    body,
+    figures_of,
+    place_of,
+)
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.filtering import filtering
@@ -37,16 +49,32 @@ SMALL = ("--size", "16", "--repeats", "1")
 def test_lobes() -> None:
     """The sky of a demo has one, its sun."""
     timed = ("turned", "turned, processor", "at rest")
-    names = {f"{n} {what}" for n in (0, 1) for what in ("told, %", "bytes a texel", *(f"{way}_ms" for way in timed))}
-    assert set(figures(lobes, "demo:casting", *SMALL)) == names | {f"1 {way} / 0 {way}" for way in timed}
+    names = {
+        f"{n} {what}"
+        for n in (0, 1)
+        for what in ("told, %", "bytes a texel", *(f"{way}_ms" for way in timed))
+    }
+    assert set(figures(lobes, "demo:casting", *SMALL)) == names | {
+        f"1 {way} / 0 {way}" for way in timed
+    }
 
 
 def test_albedo() -> None:
-    """At the highest albedo light is that of a fresh bake; below it, mixing errs by no more than a hundredth."""
+    """At the highest albedo light is that of a fresh bake; below it, mixing errs by no more than a
+    hundredth.
+    """
     found = figures(albedo, "demo:orbital", "--samples", "16", *SMALL)
     albedos = ("0.1", "0.3", "0.6", "0.9", "0.9,0.5,0.1")
-    names = {f"{name} {what}" for name in albedos for what in ("apart, %", "mixed, %", "bake, s", "bytes a texel")}
-    names |= {f"{name} fresh_ms" for name in albedos} | {"live bake, s", "live bytes a texel", "told, %"}
+    names = {
+        f"{name} {what}"
+        for name in albedos
+        for what in ("apart, %", "mixed, %", "bake, s", "bytes a texel")
+    }
+    names |= {f"{name} fresh_ms" for name in albedos} | {
+        "live bake, s",
+        "live bytes a texel",
+        "told, %",
+    }
     assert set(found) == names | {"live, albedo moved_ms"}
     assert found["0.9 apart, %"] < 0.01 and all(found[f"{name} mixed, %"] < 1.0 for name in albedos)
 
@@ -70,16 +98,24 @@ def test_what_projection_gains_is_listed_by_volume() -> None:
     assert found["volumes"] == 1 and found["projected by the plan"] == 0
     assert 0.0 < found["orbital: expected, %"] < 1.0
     errors = [found[f"orbital: {name}, RMSE, %"] for name in ("own isosurfaces", "projected")]
-    assert all(0.0 <= error < 10.0 for error in errors), "without the reference's noise, which may be all of it"
+    assert all(0.0 <= error < 10.0 for error in errors), (
+        "without the reference's noise, which may be all of it"
+    )
     assert found["orbital: bake projected / bake"] > 1.0
 
 
 def test_a_finer_lattice_interpolates_better(tmp_path: Path) -> None:
-    """Vicinity shading misses more than any of them; a plain gradient and other offsets make other pictures."""
+    """Vicinity shading misses more than any of them; a plain gradient and other offsets make other
+    pictures.
+    """
     scene = tmp_path / "coarse.toml"
-    scene.write_text('volume = "demo:orbital"\nlattice = 0.5\nbounces = 2\n[[lights]]\ntype = "constant"\n')
+    scene.write_text(
+        'volume = "demo:orbital"\nlattice = 0.5\nbounces = 2\n[[lights]]\ntype = "constant"\n'
+    )
     found = figures(choices, str(scene), "--size", "16", "--paths", "512")
-    carried = [found[f"{density} texels per voxel: interpolation, %"] for density in ("0.25", "0.5", "1")]
+    carried = [
+        found[f"{density} texels per voxel: interpolation, %"] for density in ("0.25", "0.5", "1")
+    ]
     assert carried[0] > carried[1] > carried[2] > 0.0
     assert found["vicinity shading: RMSE, %"] > 2.0 * found["0.25 texels per voxel: RMSE, %"]
     assert found["plain gradient, offset 0.3: difference, %"] > 0.1
@@ -129,7 +165,10 @@ def test_frames_are_as_wrong_as_they_say() -> None:
 
 
 def test_the_table_has_a_line_for_each_and_one_for_all() -> None:
-    frames = [Told("box", 0, 0, light, 0.02, 0.02 / ratio, ratio, 0.95) for light, ratio in (("16", 1.0), ("64", 2.0))]
+    frames = [
+        Told("box", 0, 0, light, 0.02, 0.02 / ratio, ratio, 0.95)
+        for light, ratio in (("16", 1.0), ("64", 2.0))
+    ]
     lines = table(frames).splitlines()[2:]
     assert [line.split(" | ")[0] for line in lines] == ["| box", "| all, 16", "| all, 64", "| all"]
     assert lines[-1] == "| all | 2 | 1.50 | 50% | 1.00 … 2.00 | 95.0% |"
@@ -182,7 +221,9 @@ def test_glass_is_at_its_target_at_rest_and_says_so() -> None:
 
 
 def test_new_texels_are_told_from_those_refined() -> None:
-    own, other, fresh = Path("one/c/0"), Path("two/c/0"), Path("one/c/1")
+    own = Path("one/c/0")
+    other = Path("two/c/0")
+    fresh = Path("one/c/1")
     before = {own: np.array([0, 1, 2, 0], np.uint8), other: np.array([3, 0, 0, 0], np.uint8)}
     after = {own: np.array([1, 1, 3, 0], np.uint8), other: np.array([3, 0, 2, 2], np.uint8)}
     after[fresh] = np.array([0, 0, 4, 0], np.uint8)
@@ -209,7 +250,9 @@ def test_a_law_is_found_again() -> None:
 
 
 def test_what_was_told_is_judged() -> None:
-    surfaces = [surface(0.1, 0.0, error, told) for error, told in [(0.01, 0.01), (0.03, 0.02), (0.1, 0.04)]]
+    surfaces = [
+        surface(0.1, 0.0, error, told) for error, told in [(0.01, 0.01), (0.03, 0.02), (0.1, 0.04)]
+    ]
     found = stiffness.figures(surfaces)
     assert found["surfaces"] == 3
     assert found["measured / told, percentile 50"] == pytest.approx(1.5)
@@ -220,10 +263,23 @@ def test_what_was_told_is_judged() -> None:
 def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target(tmp_path: Path) -> None:
     """Views that are kept are not measured again."""
     kept = tmp_path / "kept.jsonl"
-    asked = "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light", "--kept", str(kept)
+    asked = (
+        "--size",
+        "24",
+        "--paths",
+        "256",
+        "--only",
+        "nested shells 1 under constant light",
+        "--kept",
+        str(kept),
+    )
     found = figures(totals, *asked)
     lines = kept.read_text()
-    assert figures(totals, *asked) == found and kept.read_text() == lines and len(lines.splitlines()) == 2
+    assert (
+        figures(totals, *asked) == found
+        and kept.read_text() == lines
+        and len(lines.splitlines()) == 2
+    )
     assert (found["views"], found["final"]) == (2, 1.0)
     assert 0.5 < found["told / true, median"] < 2.0
     assert 0.0 < found["worst true error told as final"] <= 0.025
@@ -239,7 +295,11 @@ def test_filtered_light_is_nearer_to_the_truth() -> None:
 
 def test_a_white_furnace_is_white() -> None:
     found = figures(furnace, "--size", "24", "--paths", "32", "--only", "coarse shell 1")
-    assert found["volumes"] == 1 and found["worst mean, off by"] < 0.005 and found["worst pixel, off by"] < 0.05
+    assert (
+        found["volumes"] == 1
+        and found["worst mean, off by"] < 0.005
+        and found["worst pixel, off by"] < 0.05
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,4 +1,6 @@
-"""The race to equal error: its errors and laws against closed forms, and one small run without and with Mitsuba."""
+"""The race to equal error: its errors and laws against closed forms, and one small run without and
+with Mitsuba.
+"""
 
 import importlib.util
 import tempfile
@@ -20,7 +22,19 @@ from isogi_core.plan.scene import Scene
 from isogi_report.speed import make_renderer
 from tests.benchmarks.parts import figures
 
-TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64")
+TINY = (
+    "demo:casting",
+    "--size",
+    "24",
+    "--views",
+    "2",
+    "--turns",
+    "2",
+    "--checks",
+    "2",
+    "--samples",
+    "64",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +78,9 @@ def test_an_error_below_the_converged_noise_is_refused() -> None:
 def test_a_closed_surface_is_seen_from_outside() -> None:
     scene = casting()
     with tempfile.TemporaryDirectory() as store:
-        each = check(scene, [make_renderer(scene, store).render(PictureSet(scene, 24, 3, 3).view(1))], 8)[0]
+        each = check(
+            scene, [make_renderer(scene, store).render(PictureSet(scene, 24, 3, 3).view(1))], 8
+        )[0]
     assert each.outside[each.best.on].mean() > 0.97
     assert not each.outside[~each.best.on].any()
 
@@ -72,7 +88,9 @@ def test_a_closed_surface_is_seen_from_outside() -> None:
 def test_views_are_spread_evenly_and_picks_differ() -> None:
     pictures = PictureSet(casting(), 8, 36, 12)
     scene = pictures.scene
-    towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(scene.volume.centre)
+    towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(
+        scene.volume.centre
+    )
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     cosines = towards @ towards.T - 2.0 * np.eye(36)
     assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 17.0
@@ -86,7 +104,9 @@ def test_views_are_spread_evenly_and_picks_differ() -> None:
 
 def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "mitsuba" else find(name, *a))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "mitsuba" else find(name, *a)
+    )
     told = figures(equal_error, *TINY, "--paths", "32")
     found = {key.removeprefix("demo:casting: "): value for key, value in told.items()}
     assert found.pop("mitsuba") == "not installed"
@@ -102,12 +122,16 @@ def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPa
         pytest.skip("Mitsuba's llvm variant finds no LLVM")
     monkeypatch.setattr(mitsuba_race, "CONVERGED", 64)
     scene = casting()
-    view = replace(PictureSet(scene, 48, 3, 3).view(1), light=quaternion_from_angles(30.0, 60.0, 20.0))
+    view = replace(
+        PictureSet(scene, 48, 3, 3).view(1), light=quaternion_from_angles(30.0, 60.0, 20.0)
+    )
     with tempfile.TemporaryDirectory() as store:
         each = check(scene, [make_renderer(scene, store).render(view)], 64)[0]
     peer = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
     best = peer.converge(view, each.best.on)
-    other = peer.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
+    other = peer.converge(
+        replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on
+    )
     assert likeness([each], [best])["picture 1: likeness, difference"] < 0.1
     assert likeness([each], [other])["picture 1: likeness, difference"] > 0.15
     peer.converge(view, each.best.on)

@@ -1,4 +1,6 @@
-"""Peers, where they are installed, are shown the same surface as ours: else their times would mean nothing."""
+"""Peers, where they are installed, are shown the same surface as ours: else their times would mean
+nothing.
+"""
 
 import numpy as np
 import pytest
@@ -31,12 +33,16 @@ def test_embree_hits_where_ours_do(scene: Scene) -> None:
     from benchmarks.common import mesh
     from benchmarks.speed import embree
 
-    tree = embree.Tree(embree.Device(1), *mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(127.5)))
+    tree = embree.Tree(
+        embree.Device(1), *mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(127.5))
+    )
     rays = primary_rays(PreparedScene(scene), SIZE)
     for _ in range(2):
         t, _ = cast(PreparedScene(scene), rays)
         for trace in (tree.device.one, tree.device.sixteen):
-            found = tree.trace(trace, rays.origins.astype(np.float32), rays.directions.astype(np.float32))[0]
+            found = tree.trace(
+                trace, rays.origins.astype(np.float32), rays.directions.astype(np.float32)
+            )[0]
             assert (np.isfinite(found) == np.isfinite(t)).mean() > 0.97
             both = np.isfinite(found) & np.isfinite(t)
             assert np.median(np.abs(found[both] - t[both])) < 0.02
@@ -51,7 +57,8 @@ def test_vtk_shows_what_ours_shows(scene: Scene, seen: np.ndarray) -> None:
     from benchmarks.speed import vtk
 
     vtk.use_threads(2)
-    data, view = vtk.image(scene.volume), view_of(scene, SIZE)
+    data = vtk.image(scene.volume)
+    view = view_of(scene, SIZE)
     for by in vtk.PASSES:
         picture = vtk.Window(data, view, (0.5, 0.5, 0.7), by).picture(127.5)
         assert ((picture.max(axis=-1) > 0) == seen).mean() > AGREE
@@ -65,8 +72,11 @@ def test_mitsuba_sees_the_light_that_ours_sees(scene: Scene, seen: np.ndarray) -
 
     surface = mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(127.5))
     assert mitsuba.usable("scalar_rgb")
-    tracer = mitsuba.PathTracer("scalar_rgb", surface, view_of(scene, SIZE), paths.ALBEDO, paths.SEGMENTS + 1)
+    tracer = mitsuba.PathTracer(
+        "scalar_rgb", surface, view_of(scene, SIZE), paths.ALBEDO, paths.SEGMENTS + 1
+    )
     theirs = tracer.picture(32, 2)[..., 0][seen].mean()
-    rng, prepared = np.random.default_rng(1), PreparedScene(scene)
+    rng = np.random.default_rng(1)
+    prepared = PreparedScene(scene)
     _, ours = paths.walk(prepared, bounce(prepared, primary_rays(prepared, 4 * SIZE), rng), rng)
     assert paths.ALBEDO * ours == pytest.approx(theirs, rel=0.02)

@@ -35,13 +35,19 @@ def test_rows_tell_what_a_plan_takes_beside_s1() -> None:
     assert (found[f"{bare}: representation"], found[f"{bare}: bytes a texel"]) == ("vicinity", 4)
     assert found[f"{LAMP}: representation"] == "irradiance" and f"{LAMP}: S1: error, %" not in found
     assert found[f"{bare}: plan: store, MB"] < found[f"{bare}: S1: store, MB"] / 3
-    assert found[f"{bare}: plan: error, %"] == pytest.approx(found[f"{bare}: S1: error, %"], abs=2.0)
+    assert found[f"{bare}: plan: error, %"] == pytest.approx(
+        found[f"{bare}: S1: error, %"], abs=2.0
+    )
     for way in (f"{bare}: plan", f"{bare}: S1", f"{LAMP}: plan"):
         assert found[f"{way}: bake, s"] > 0.0 and 0.0 < found[f"{way}: error, %"] < 25.0
 
 
 def test_one_isovalue_shows_fewer_texels_than_a_range() -> None:
-    names = ("constant light, one isovalue", "constant light, a range of isovalues", "constant light")
+    names = (
+        "constant light, one isovalue",
+        "constant light, a range of isovalues",
+        "constant light",
+    )
     one, some, every = (scene.texels for _, scene in load_planned(names, 0.5))
     assert 0 < one.shown < some.shown < every.shown <= every.total == one.total
 
@@ -53,21 +59,37 @@ def test_scenes_under_probes_need_the_shared_data() -> None:
 
 
 @pytest.mark.data
-def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_scenes_are_there_with_the_shared_data(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ISOGI_SHARED_DATA", str(shared_data))
     scenes = dict(load_planned(PLANNED, 0.05))
     assert list(scenes) == list(PLANNED)
-    found: dict[str, set[str]] = {"vicinity": set(), "constant": set(), "irradiance": set(), "transfer": set()}
+    found: dict[str, set[str]] = {
+        "vicinity": set(),
+        "constant": set(),
+        "irradiance": set(),
+        "transfer": set(),
+    }
     for name, scene in scenes.items():
         found[scene.plan.representation].add(name)
-    assert all(name.startswith("rotating") for name in found["transfer"]) and len(found["transfer"]) == 5
+    assert (
+        all(name.startswith("rotating") for name in found["transfer"])
+        and len(found["transfer"]) == 5
+    )
     assert found["irradiance"] == {LAMP, "fixed uffizi", "fixed uffizi, coloured albedo"}
     assert found["vicinity"] == {"constant light, no bounces"}
 
 
 def test_the_table_is_markdown_with_a_dash_for_no_figure() -> None:
-    row: dict[str, Any] = {"representation": "irradiance", "layers": "irradiance (half)", "bytes_per_texel": 4}
-    row["texels"] = TexelCount(total=10**6, shown=500, void=0, chunks=245, shown_chunks=10, chunk=16)
+    row: dict[str, Any] = {
+        "representation": "irradiance",
+        "layers": "irradiance (half)",
+        "bytes_per_texel": 4,
+    }
+    row["texels"] = TexelCount(
+        total=10**6, shown=500, void=0, chunks=245, shown_chunks=10, chunk=16
+    )
     rows = [
         Row("lamp", **row, by_plan=Bake(1.25, 0.5, 0.021), by_s1=None, reference_noise=0.01),
         Row(
@@ -80,5 +102,8 @@ def test_the_table_is_markdown_with_a_dash_for_no_figure() -> None:
     ]
     head, rule, lamp, black = table(rows).splitlines()
     assert {line.count("|") for line in (head, rule, lamp, black)} == {10}
-    assert lamp == "| lamp | irradiance | irradiance (half) | 4 | 0.1% | 0.2 / 301.1 | 1.2 / – | 0.50 / – | 2.1% / – |"
+    assert lamp == (
+        "| lamp | irradiance | irradiance (half) | 4 | 0.1% | 0.2 / 301.1 | 1.2 / – | 0.50 "
+        "/ – | 2.1% / – |"
+    )
     assert black.endswith("| 1.0 / 2.0 | 0.50 / 9.00 | – / 10.0% |")

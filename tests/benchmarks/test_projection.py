@@ -1,4 +1,6 @@
-"""Ways to carry light from texels to pixels: against light that is known, the frames' own, and search by hand."""
+"""Ways to carry light from texels to pixels: against light that is known, the frames' own, and
+search by hand.
+"""
 
 import math
 from dataclasses import replace
@@ -45,12 +47,15 @@ SLOPE = np.array([1.0, -2.0, 0.5])
 def linear() -> Neighbourhood:
     """Pixels inside a lattice of 8³ texels whose light is 10 + SLOPE · place, all lit."""
     rng = np.random.default_rng(5)
-    cells, fractions = rng.integers(1, 6, (50, 3)), rng.random((50, 3))
+    cells = rng.integers(1, 6, (50, 3))
+    fractions = rng.random((50, 3))
     texels, numbers = texels_about(cells, (8, 8, 8))
     count = len(texels)
     light = 10.0 + texels @ SLOPE
     shares = np.full(count, 0.04), np.ones(count, np.bool_), rng.random(count)
-    return Neighbourhood(numbers, fractions, light, 0.0 * light, *shares, np.tile((0.0, 0.0, 1.0), (count, 1)))
+    return Neighbourhood(
+        numbers, fractions, light, 0.0 * light, *shares, np.tile((0.0, 0.0, 1.0), (count, 1))
+    )
 
 
 def wanted(around: Neighbourhood) -> np.ndarray:
@@ -74,9 +79,15 @@ def test_weights_add_up_and_noise_falls_with_them(linear: Neighbourhood) -> None
 def test_single_texels_are_those_that_a_search_finds(linear: Neighbourhood) -> None:
     for m, numbers in enumerate(linear.numbers):
         away = [np.linalg.norm(TAPS[c] - linear.fractions[m]) for c in CORNERS]
-        assert carry(linear, nearest(linear)).light[m] == linear.light[numbers[CORNERS[int(np.argmin(away))]]]
+        assert (
+            carry(linear, nearest(linear)).light[m]
+            == linear.light[numbers[CORNERS[int(np.argmin(away))]]]
+        )
         apart = [linear.apart[numbers[c]] for c in CORNERS]
-        assert carry(linear, closest_isovalue(linear)).light[m] == linear.light[numbers[CORNERS[int(np.argmin(apart))]]]
+        assert (
+            carry(linear, closest_isovalue(linear)).light[m]
+            == linear.light[numbers[CORNERS[int(np.argmin(apart))]]]
+        )
 
 
 def test_texels_without_light_are_left_out(linear: Neighbourhood) -> None:
@@ -87,15 +98,20 @@ def test_texels_without_light_are_left_out(linear: Neighbourhood) -> None:
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_frames_do_what_their_twins_say(shared: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_do_what_their_twins_say(
+    shared: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Grey light and surfaces: twins know luminance alone."""
     monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: shared)
     monkeypatch.setattr(carrying, "SAMPLES", 64)
     probe = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
     bench = bench_of(tmp_path, lights=[probe], albedo=0.7, lobes=1)
-    bake = ViewBake(bench.renderer(bench.scene), bench.view, tuple(map(unrounded, bench.scene.plan.layers)))
+    bake = ViewBake(
+        bench.renderer(bench.scene), bench.view, tuple(map(unrounded, bench.scene.plan.layers))
+    )
     bake.grow(64)
-    frame, sides = bake.frame(), sides_of(bench)
+    frame = bake.frame()
+    sides = sides_of(bench)
     on = frame.state > 0
     carried = (by_shares_and_normals if shared else plain)(sides, sides.own)
     light = luminance_of(frame.radiance[on])
@@ -105,7 +121,9 @@ def test_frames_do_what_their_twins_say(shared: bool, tmp_path: Path, monkeypatc
 
 @pytest.fixture
 def sides() -> Sides:
-    """Pixels in a lattice of 8³ texels, lit as the cosine of their normals to a lamp's direction has it."""
+    """Pixels in a lattice of 8³ texels, lit as the cosine of their normals to a lamp's direction
+    has it.
+    """
     rng = np.random.default_rng(9)
     texels, numbers = texels_about(rng.integers(1, 6, (40, 3)), (8, 8, 8))
     count = len(texels)
@@ -117,7 +135,8 @@ def sides() -> Sides:
         light = 2.0 * normals[:, 2], np.zeros(count)
         return Neighbourhood(numbers, rng.random((40, 3)), *light, *shares, normals)
 
-    own, there = around(), around()
+    own = around()
+    there = around()
     there = replace(there, fractions=own.fractions)
     pixels = rng.normal(size=(40, 3)) * 0.2 + (0.0, 0.0, 1.0)
     pixels /= np.linalg.norm(pixels, axis=1, keepdims=True)
@@ -129,9 +148,11 @@ def test_texels_are_moved_where_they_are_far_and_can_be(sides: Sides) -> None:
         there = sides.projected.lit & (sides.ways > way)
         found = sides.beyond(way)
         for name in ("light", "noise", "lit", "apart", "normals"):
-            own, other = getattr(sides.own, name), getattr(sides.projected, name)
+            own = getattr(sides.own, name)
+            other = getattr(sides.projected, name)
             assert all(
-                np.array_equal(getattr(found, name)[t], (other if there[t] else own)[t]) for t in range(len(there))
+                np.array_equal(getattr(found, name)[t], (other if there[t] else own)[t])
+                for t in range(len(there))
             )
 
 
@@ -160,10 +181,14 @@ def test_a_texel_that_faces_away_hardly_counts(sides: Sides) -> None:
 
 def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) -> None:
     normals = np.array([(0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (0.0, 1.0, 0.0)])
-    constant, under_sky = (bench_of(tmp_path, lights=[light]) for light in (CONSTANT, {"type": "sky", "ground": 0.1}))
+    constant, under_sky = (
+        bench_of(tmp_path, lights=[light]) for light in (CONSTANT, {"type": "sky", "ground": 0.1})
+    )
     spec = constant.renderer(constant.scene).caches.spec("gi")
     flat = bare_light(RotatedLight(spec, constant.view))(normals) * spec.unit
-    assert np.allclose(flat, luminance_of(np.array([constant.scene.surfaces.albedo]))), "albedo under a radiance of 1"
+    assert np.allclose(flat, luminance_of(np.array([constant.scene.surfaces.albedo]))), (
+        "albedo under a radiance of 1"
+    )
     spec = under_sky.renderer(under_sky.scene).caches.spec("gi")
     sky = bare_light(RotatedLight(spec, under_sky.view))(normals)
     assert sky[0] > sky[2] > sky[1] > 0.0, "up, level, down"
@@ -178,7 +203,11 @@ def test_light_of_lobes_is_on_both_sides(tmp_path: Path, monkeypatch: pytest.Mon
     assert max(each.rmse for each in errors_of_moves(bench).values()) < 0.1
 
 
-def test_moved_texels_are_nearer_to_light_at_the_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moved_texels_are_nearer_to_light_at_the_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(carrying, "SAMPLES", 256)
-    found = errors_of_moves(bench_of(tmp_path, size=24, lights=[CONSTANT], lattice=0.5, target_error=0.05))
+    found = errors_of_moves(
+        bench_of(tmp_path, size=24, lights=[CONSTANT], lattice=0.5, target_error=0.05)
+    )
     assert found["projected"].rmse < 0.8 * found["on their own isosurfaces"].rmse

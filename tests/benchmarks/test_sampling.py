@@ -1,4 +1,6 @@
-"""Light sampled S3's way: Shepard's weights against sums by hand, light of vertices against that of pixels."""
+"""Light sampled S3's way: Shepard's weights against sums by hand, light of vertices against that of
+pixels.
+"""
 
 from pathlib import Path
 
@@ -34,7 +36,8 @@ bounces = 1
 
 def test_shepard_weighs_the_nearest_by_inverse_squares() -> None:
     rng = np.random.default_rng(3)
-    points, places = rng.random((60, 3)), rng.random((20, 3))
+    points = rng.random((60, 3))
+    places = rng.random((20, 3))
     near, weights = shepard(points, places)
     for place, numbers, own in zip(places, near, weights, strict=True):
         squares = ((points - place) ** 2).sum(axis=1)
@@ -56,9 +59,12 @@ def test_few_points_are_all_taken() -> None:
 
 
 def test_vertices_are_where_edges_cross_the_level() -> None:
-    """Of a field that is linear along each axis they are on its plane, one for each edge that the plane cuts."""
+    """Of a field that is linear along each axis they are on its plane, one for each edge that the
+    plane cuts.
+    """
     z, y, x = np.mgrid[:5, :6, :7].astype(np.float32)
-    voxels, slope = x + 2.0 * y + 4.0 * z, np.array([1.0, 2.0, 4.0])
+    voxels = x + 2.0 * y + 4.0 * z
+    slope = np.array([1.0, 2.0, 4.0])
     points = vertices_of(voxels, 9.5)
     assert np.allclose(points @ slope, 9.5)
     cut = sum(int(np.count_nonzero(np.diff(voxels > 9.5, axis=axis))) for axis in range(3))
@@ -71,14 +77,17 @@ def test_vertices_are_where_edges_cross_the_level() -> None:
 def test_vertices_have_the_light_that_pixels_have(tmp_path: Path) -> None:
     bench = bench_of(tmp_path, room="cornell", bounces=1, lattice=0.5)
     renderer = bench.renderer(bench.scene)
-    best, points = trace_reference(renderer, bench.view, 1024), renderer.gbuffer(bench.view).points
+    best = trace_reference(renderer, bench.view, 1024)
+    points = renderer.gbuffer(bench.view).points
     assert error(light_of_points(renderer, bench.view, points, 256), lit_by_paths(best)) < 0.05
 
 
 def test_texels_that_views_share_are_baked_once(tmp_path: Path) -> None:
     bench = bench_of(tmp_path, lights=[{"type": "constant"}], bounces=0)
     found = shots(bench.renderer(bench.scene), bench.view, (0.03, 0.031, 1e6))
-    assert [place for place, _ in found] == [PLACES[0], PLACES[0], PLACES[1]], "one level shows nothing"
+    assert [place for place, _ in found] == [PLACES[0], PLACES[0], PLACES[1]], (
+        "one level shows nothing"
+    )
     every, rows = own_texels([bake for _, bake in found], 16)
     assert len(every.texels) < sum(map(len, rows))
     for (_, bake), own in zip(found, rows, strict=True):
@@ -86,14 +95,27 @@ def test_texels_that_views_share_are_baked_once(tmp_path: Path) -> None:
 
 
 def test_the_part_tells_of_both_ways_and_places(tmp_path: Path) -> None:
-    """A lattice of two voxels a texel is coarse for either; vertices of other normals count for S3's alone."""
+    """A lattice of two voxels a texel is coarse for either; vertices of other normals count for
+    S3's alone.
+    """
     scene = tmp_path / "orbital.toml"
     scene.write_text(ROOM)
-    found = figures(sampling, str(scene), "--size", "16", "--levels", "3", "--paths", "16", "--truth", "64")
+    found = figures(
+        sampling, str(scene), "--size", "16", "--levels", "3", "--paths", "16", "--truth", "64"
+    )
     for way in SPACING_KINDS:
-        own = {key.removeprefix(f"orbital, {way}: "): value for key, value in found.items() if way in key}
+        own = {
+            key.removeprefix(f"orbital, {way}: "): value
+            for key, value in found.items()
+            if way in key
+        }
         assert {f"{method} {place}: RMSE, %" for method in METHODS for place in PLACES} < set(own)
-        assert 1.0 <= own["S3, paths"] / own["own texels, paths"] < 1.8, "two more from a vertex at most"
-        assert own["softened, %"] == pytest.approx(0.0, abs=50.0) and own["S3, s"] > 0.0 < own["own texels, s"]
+        assert 1.0 <= own["S3, paths"] / own["own texels, paths"] < 1.8, (
+            "two more from a vertex at most"
+        )
+        assert (
+            own["softened, %"] == pytest.approx(0.0, abs=50.0)
+            and own["S3, s"] > 0.0 < own["own texels, s"]
+        )
         assert 0.0 < own["own texels at levels: RMSE, %"] < own["S3 at levels: RMSE, %"]
     assert all(found[f"S3 / own texels, {place}: RMSE, median"] > 1.0 for place in PLACES)

@@ -39,13 +39,20 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside what they are about."""
+    """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside
+    what they are about.
+    """
     monkeypatch.setitem(kills_module.LATEST, "server", 0.5)
     monkeypatch.setattr(kills_module, "WORKERS", 1)
     found = figures(kills, tiny, "--victim", "server", "--cycles", "1")
     assert found["servers killed"] == 1 and found["views that became final"] >= 1
     assert found["objects read meanwhile"] >= found["objects"] > 0
-    wrong = ("answers 5xx", "torn", "lost, or with less light than before", "processes left after 5 s")
+    wrong = (
+        "answers 5xx",
+        "torn",
+        "lost, or with less light than before",
+        "processes left after 5 s",
+    )
     differ = ("objects with other bytes than undisturbed", "objects that undisturbed are none")
     assert not any(found[name] for name in (*wrong, *differ, "final pictures that differ")), found
 
@@ -83,10 +90,15 @@ def test_light_is_held_to_the_byte_by_its_samples() -> None:
 
 def test_public(tmp_path: Path) -> None:
     z, y, x = np.mgrid[:24, :24, :24] - 11.5
-    nrrd.write(str(tmp_path / "ball.nrrd"), (20.0 - np.sqrt(x * x + y * y + z * z)).astype(np.float32))
+    nrrd.write(
+        str(tmp_path / "ball.nrrd"), (20.0 - np.sqrt(x * x + y * y + z * z)).astype(np.float32)
+    )
     (tmp_path / "list.txt").write_text("me ball.nrrd\n")
     done = run(public, "--list", str(tmp_path / "list.txt"), "--folder", str(tmp_path / "pictures"))
-    assert "| me | ball.nrrd | NRRD of float32; it does not say where it lies | 24 × 24 × 24 |" in done.stdout
+    assert (
+        "| me | ball.nrrd | NRRD of float32; it does not say where it lies | 24 × 24 × 24 |"
+        in done.stdout
+    )
     assert [picture.name for picture in (tmp_path / "pictures").iterdir()] == ["00.png"]
 
 
@@ -110,7 +122,19 @@ def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_cluster() -> None:
-    arguments = ["demo:orbital", "--size", "16", "--tasks", "2", "--rounds", "1", "--workers", "1", "--same", "1"]
+    arguments = [
+        "demo:orbital",
+        "--size",
+        "16",
+        "--tasks",
+        "2",
+        "--rounds",
+        "1",
+        "--workers",
+        "1",
+        "--same",
+        "1",
+    ]
     done = run(cluster, *arguments, "--json")
     found = json.loads(done.stdout)
     bytes_left = {value for name, value in found.items() if name.startswith("SHA-256")}
@@ -126,7 +150,9 @@ def test_cluster() -> None:
     assert "round 1 of 1" in done.stderr
 
 
-def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_volume_beyond_the_budget_is_rendered_and_served(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     small = ("--size", "80", "--pixels", "24", "--seconds", "1", "--folder", str(tmp_path))
     found = figures(large, *small)
@@ -137,8 +163,13 @@ def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monke
     assert (tmp_path / "gyroid-80.png").read_bytes().startswith(b"\x89PNG")
     (copy,) = {path.stat().st_ino: path for path in (tmp_path / "copies").glob("*.voxels")}.values()
     surveys = sum(path.stat().st_size for path in (tmp_path / "copies").glob("*/*.npy"))
-    assert copy.stat().st_size == pytest.approx(80**3 * 4, rel=0.01) and 0 < surveys < copy.stat().st_size / 10
-    assert found["disk: copies, MiB"] == pytest.approx((copy.stat().st_size + surveys) / 2**20, rel=1e-3)
+    assert (
+        copy.stat().st_size == pytest.approx(80**3 * 4, rel=0.01)
+        and 0 < surveys < copy.stat().st_size / 10
+    )
+    assert found["disk: copies, MiB"] == pytest.approx(
+        (copy.stat().st_size + surveys) / 2**20, rel=1e-3
+    )
     voxels, facts = read_voxels(copy) or pytest.fail("the copy cannot be read")
     assert voxels.shape == (80, 80, 80) and facts["dtype"] == "uint16"
 
@@ -146,12 +177,17 @@ def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monke
 def in_process(target: str, store: Path, *more: str) -> dict[str, Any]:
     """What the command does, without a process of its own."""
     named = dict(option.removeprefix("--").replace("-", "_").partition("=")[::2] for option in more)
-    dry, isovalue = "dry_run" in named, named["isovalue"]
-    given = {name: value for name, value in named.items() if name not in ("dry_run", "isovalue", "workers")}
-    order = order_of(fields_given(given | {"isovalues": (isovalue,)}))
-    return prewarm_views(target, order, Settings(store=str(store), workers=1), dry).model_dump(mode="json") | {
-        "cpu": 1.0
+    dry = "dry_run" in named
+    isovalue = named["isovalue"]
+    given = {
+        name: value
+        for name, value in named.items()
+        if name not in ("dry_run", "isovalue", "workers")
     }
+    order = order_of(fields_given(given | {"isovalues": (isovalue,)}))
+    return prewarm_views(target, order, Settings(store=str(store), workers=1), dry).model_dump(
+        mode="json"
+    ) | {"cpu": 1.0}
 
 
 def test_what_came_is_told_beside_what_was_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,7 +203,17 @@ def test_what_came_is_told_beside_what_was_foretold(monkeypatch: pytest.MonkeyPa
 
 
 def test_time_left() -> None:
-    arguments = ["demo:orbital", "--size", "16", "--views", "2", "--error", "0.2", "--every", "0.05"]
+    arguments = [
+        "demo:orbital",
+        "--size",
+        "16",
+        "--views",
+        "2",
+        "--error",
+        "0.2",
+        "--every",
+        "0.05",
+    ]
     found = figures(time_left, *arguments)
     assert all(found[f"view {n}, seconds"] > 0.0 for n in (1, 2))
     assert all(0.0 < found[f"view {n}, estimated error"] <= 0.2 for n in (1, 2))

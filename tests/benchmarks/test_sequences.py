@@ -14,7 +14,9 @@ SHAPE = (40, 50)
 
 def truth(light: np.ndarray, on: np.ndarray, spread: float = 0.0, seed: int = 0) -> Reference:
     """A reference of this luminance, whose replicas are ``spread`` about it."""
-    noise = spread * np.random.default_rng(seed).standard_normal((int(on.sum()), REFERENCE_REPLICAS, 1))
+    noise = spread * np.random.default_rng(seed).standard_normal(
+        (int(on.sum()), REFERENCE_REPLICAS, 1)
+    )
     sums = (light[on][:, None, None] + noise) * np.ones(3) / REFERENCE_REPLICAS
     mean = np.zeros((*SHAPE, 3), np.float32)
     mean[on] = sums.sum(axis=1)
@@ -28,19 +30,27 @@ def everywhere() -> np.ndarray:
 def test_a_sequence_that_follows_the_truth_has_no_jumps() -> None:
     """An error that stays where it is is none here."""
     rng = np.random.default_rng(1)
-    light, change, wrong = rng.random(SHAPE) + 0.5, 0.1 * rng.standard_normal(SHAPE), rng.standard_normal(SHAPE)
+    light = rng.random(SHAPE) + 0.5
+    change = 0.1 * rng.standard_normal(SHAPE)
+    wrong = rng.standard_normal(SHAPE)
     before = Shot(light + wrong, truth(light, everywhere()))
     after = Shot(light + change + wrong, truth(light + change, everywhere()))
     (found,) = jumps([before, after])
     mean = (light + change / 2.0).mean()
     assert found.own == pytest.approx(np.sqrt((change**2).mean()) / mean, rel=1e-5)
-    assert found.beyond == pytest.approx(0.0, abs=1e-6) and found.p99 == pytest.approx(0.0, abs=1e-6)
+    assert found.beyond == pytest.approx(0.0, abs=1e-6) and found.p99 == pytest.approx(
+        0.0, abs=1e-6
+    )
 
 
 def test_flicker_is_told_whatever_the_truth_does() -> None:
     rng = np.random.default_rng(2)
-    light, flicker = np.full(SHAPE, 2.0), 0.2 * rng.standard_normal(SHAPE)
-    taken = [Shot(light, truth(light, everywhere())), Shot(light + flicker, truth(light, everywhere()))]
+    light = np.full(SHAPE, 2.0)
+    flicker = 0.2 * rng.standard_normal(SHAPE)
+    taken = [
+        Shot(light, truth(light, everywhere())),
+        Shot(light + flicker, truth(light, everywhere())),
+    ]
     (found,) = jumps(taken)
     assert found.own == 0.0
     assert found.beyond == pytest.approx(np.sqrt((flicker**2).mean()) / 2.0, rel=1e-5)
@@ -48,8 +58,11 @@ def test_flicker_is_told_whatever_the_truth_does() -> None:
 
 
 def test_only_pixels_that_show_the_surface_in_both_frames_count() -> None:
-    light, left, right = np.full(SHAPE, 1.0), everywhere(), everywhere()
-    left[:, :20], right[:, 30:] = False, False
+    light = np.full(SHAPE, 1.0)
+    left = everywhere()
+    right = everywhere()
+    left[:, :20] = False
+    right[:, 30:] = False
     wild = light.copy()
     wild[:, :20] = wild[:, 30:] = 100.0
     (found,) = jumps([Shot(wild, truth(light, left)), Shot(light, truth(light, right))])
@@ -77,9 +90,23 @@ def test_views_slide_and_turn() -> None:
 
 
 def test_the_part_tells_of_both() -> None:
-    sliding = ("--from", "0.02", "--to", "0.03", "--step", "0.01", "--turns", "1", "--degrees", "20")
-    found = figures(sequences, "demo:orbital", *sliding, "--paths", "16", "--error", "0.5", "--size", "12")
+    sliding = (
+        "--from",
+        "0.02",
+        "--to",
+        "0.03",
+        "--step",
+        "0.01",
+        "--turns",
+        "1",
+        "--degrees",
+        "20",
+    )
+    found = figures(
+        sequences, "demo:orbital", *sliding, "--paths", "16", "--error", "0.5", "--size", "12"
+    )
     assert found["isovalue: steps"] == found["light: steps"] == 1
     assert all(
-        0.0 < found[f"{what}: the truth's jump, root mean square, mean"] < 100.0 for what in ("isovalue", "light")
+        0.0 < found[f"{what}: the truth's jump, root mean square, mean"] < 100.0
+        for what in ("isovalue", "light")
     )

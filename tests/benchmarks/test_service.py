@@ -17,18 +17,26 @@ from tests.benchmarks.parts import figures
 from tests.compile_kernels import compile_all
 
 LACKING = ("framebuffer.tally", "transfer.locate_texels", "transfer.bake_texels")
-"""Kernels that a first start compiles, one for pictures and two for light: all would take a minute."""
+"""Kernels that a first start compiles, one for pictures and two for light: all would take a
+minute.
+"""
 
 
 def test_warm_view() -> None:
     found = figures(warm_view, "demo:orbital", "--size", "32", "--repeats", "1")
     places = ("folder", "disk", "s3")
     assert [found[f"{where}: bytes / plain bytes"] for where in places] == [1.0, 1.0, 1.0]
-    assert all(found[f"{where}: {what}"] > 0.0 for where in places for what in ("view / plain reads", "unwrapping, ms"))
+    assert all(
+        found[f"{where}: {what}"] > 0.0
+        for where in places
+        for what in ("view / plain reads", "unwrapping, ms")
+    )
 
 
 def test_drag() -> None:
-    found = figures(drag, "demo:orbital", "--size", "48", "--seconds", "1", "--pages", "2", "--workers", "1")
+    found = figures(
+        drag, "demo:orbital", "--size", "48", "--seconds", "1", "--pages", "2", "--workers", "1"
+    )
     waits = [found[f"input to picture, {which}"] for which in ("median", "95 %", "longest")]
     assert 0.0 < waits[0] <= waits[1] <= waits[2]
     assert found["drafts a second and page"] > 1.0
@@ -38,13 +46,17 @@ def test_drag() -> None:
 
 def test_load() -> None:
     found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "1", "--workers", "1")
-    assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
+    assert {key for key in found if key.startswith("answered")} <= {
+        f"answered {n}" for n in (200, 304, 429, 503)
+    }
     assert found["answered 200"] > 0 and found["livez, answers"] > 0
     assert found["requests in progress, afterwards"] == 0
 
 
 def test_memory() -> None:
-    found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4", "--requests", "1")
+    found = figures(
+        memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4", "--requests", "1"
+    )
     assert (found["uploads: answered 201"], found["uploads: answered 507"]) == (3, 3)
     assert found["kept"] == found["volumes looked at: answered 200"] == 3
     refused = {int(name[-3:]) for name in found if name.startswith("hostile requests: answered ")}

@@ -1,4 +1,6 @@
-"""The simulation: nothing is lost in it, nothing is baked for nobody, and a seed tells all of it."""
+"""The simulation: nothing is lost in it, nothing is baked for nobody, and a seed tells all of
+it.
+"""
 
 from dataclasses import replace
 
@@ -27,13 +29,20 @@ def told(found: Visits) -> Visits:
 
 def check_nothing_is_left(place: Site) -> None:
     queue = place.baker._queue
-    assert not queue.requests and not queue._in_flight and not queue._held and not any(queue._interesting.values())
+    assert (
+        not queue.requests
+        and not queue._in_flight
+        and not queue._held
+        and not any(queue._interesting.values())
+    )
     assert place.baker.tally().in_flight == 0
 
 
 @pytest.mark.parametrize("conditions", [Conditions(1), Conditions(8), HARD])
 @pytest.mark.parametrize("visitors", [1, 6])
-def test_every_want_ends_and_nobody_starves(recording: Recording, conditions: Conditions, visitors: int) -> None:
+def test_every_want_ends_and_nobody_starves(
+    recording: Recording, conditions: Conditions, visitors: int
+) -> None:
     found, place = visit(recording, conditions, visitors, HABITS)
     assert found.views == 2 * visitors
     assert found.done_share == 1.0 or found.given_up > 0
@@ -50,7 +59,8 @@ def test_nothing_is_baked_once_all_have_left_early(recording: Recording) -> None
 
 
 def test_what_is_baked_is_all_that_there_is_whoever_bakes_it(recording: Recording) -> None:
-    few, many = batch(recording, Conditions(1), 1), batch(recording, Conditions(16), 1)
+    few = batch(recording, Conditions(1), 1)
+    many = batch(recording, Conditions(16), 1)
     assert few.seconds == pytest.approx(many.seconds)
     assert few.makespan > 2.0 * many.makespan
 

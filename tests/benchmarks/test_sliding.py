@@ -1,4 +1,6 @@
-"""An isovalue that slides in a room: errors and jumps of made-up pictures against closed forms, and the part itself."""
+"""An isovalue that slides in a room: errors and jumps of made-up pictures against closed forms, and
+the part itself.
+"""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +25,9 @@ target_error = 0.1
 
 
 def seen(light: np.ndarray, error: float = 0.0, surface: int = 5) -> Any:
-    """What a frame tells of grey ``light``: ``surface`` rows show the isosurface, and the others the wall number 2."""
+    """What a frame tells of grey ``light``: ``surface`` rows show the isosurface, and the others
+    the wall number 2.
+    """
     rows = np.arange(light.size).reshape(SHAPE)
     walls = SimpleNamespace(pixels=rows[surface:].ravel(), numbers=np.full(rows[surface:].size, 2))
     told = np.full(SHAPE, error)
@@ -37,7 +41,9 @@ def seen(light: np.ndarray, error: float = 0.0, surface: int = 5) -> Any:
     )
 
 
-def shot(frame: np.ndarray, truth: np.ndarray, error: float = 0.0, surface: int = 5, half: float = 0.0) -> Shot:
+def shot(
+    frame: np.ndarray, truth: np.ndarray, error: float = 0.0, surface: int = 5, half: float = 0.0
+) -> Shot:
     """Pictures of these; that of ``half`` of the truth's paths is so much brighter."""
     return Shot(0.0, seen(frame), seen(truth), seen(truth, error, surface), seen(truth + half))
 
@@ -48,30 +54,42 @@ def test_pixels_are_told_apart_by_what_they_show() -> None:
 
 
 def test_errors_are_of_all_and_of_the_isosurface() -> None:
-    light, wrong = np.full(SHAPE, 2.0), np.zeros(SHAPE)
+    light = np.full(SHAPE, 2.0)
+    wrong = np.zeros(SHAPE)
     wrong[:5] = 0.1
     found = errors_of(shot(light + wrong, light))
     assert found.surface == pytest.approx(0.05) and found.rmse == pytest.approx(0.05 / np.sqrt(2.0))
-    assert (found.fresh_rmse, found.noise) == (0.0, 0.0) and found.apart == pytest.approx(found.rmse)
+    assert (found.fresh_rmse, found.noise) == (0.0, 0.0) and found.apart == pytest.approx(
+        found.rmse
+    )
     noisy = errors_of(shot(light + 0.1, light, 0.03))
-    assert noisy.rmse == pytest.approx(np.sqrt(0.05**2 - 0.03**2)) and noisy.noise == pytest.approx(0.03)
+    assert noisy.rmse == pytest.approx(np.sqrt(0.05**2 - 0.03**2)) and noisy.noise == pytest.approx(
+        0.03
+    )
 
 
 def test_jumps_are_of_pixels_that_show_the_same_in_both() -> None:
-    light, step = np.full(SHAPE, 1.0), np.zeros(SHAPE)
+    light = np.full(SHAPE, 1.0)
+    step = np.zeros(SHAPE)
     step[5] = 50.0
     found = jump(shot(light, light), shot(light + step, light + step, surface=6))
-    assert (found.frames, found.truth, found.unlike) == (0.0, 0.0, 0.0), "this row was a wall before"
+    assert (found.frames, found.truth, found.unlike) == (0.0, 0.0, 0.0), (
+        "this row was a wall before"
+    )
 
 
 def test_a_jump_of_the_truth_is_none_of_the_frames() -> None:
     rng = np.random.default_rng(2)
-    light, change, flicker = np.full(SHAPE, 1.0), 0.2 * rng.standard_normal(SHAPE), 0.1 * rng.standard_normal(SHAPE)
+    light = np.full(SHAPE, 1.0)
+    change = 0.2 * rng.standard_normal(SHAPE)
+    flicker = 0.1 * rng.standard_normal(SHAPE)
     mean = (light + change / 2.0).mean()
     found = jump(shot(light, light), shot(light + change + flicker, light + change))
     assert found.truth == pytest.approx(np.sqrt((change**2).mean()) / mean)
     assert found.unlike == pytest.approx(np.sqrt((flicker**2).mean()) / mean)
-    assert found.above == pytest.approx(np.sqrt(((change + flicker) ** 2).mean()) / mean - found.truth)
+    assert found.above == pytest.approx(
+        np.sqrt(((change + flicker) ** 2).mean()) / mean - found.truth
+    )
     calmer = jump(shot(light, light), shot(light, light + change))
     assert calmer.above == 0.0 and calmer.unlike == pytest.approx(calmer.truth)
 

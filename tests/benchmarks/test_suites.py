@@ -1,4 +1,6 @@
-"""Suites: what a part prints and writes, and that a page's figures can be looked up by their names."""
+"""Suites: what a part prints and writes, and that a page's figures can be looked up by their
+names.
+"""
 
 import json
 import re
@@ -44,7 +46,9 @@ MAIN = suite("Halves and pairs.", halves, pairs)
 def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Where measurements are written; the test's parts count as parts of the suite "speed"."""
     monkeypatch.setattr(
-        suites, "write_measurement", lambda name, found, command: write_measurement(name, found, command, tmp_path)
+        suites,
+        "write_measurement",
+        lambda name, found, command: write_measurement(name, found, command, tmp_path),
     )
     return tmp_path
 
@@ -68,19 +72,40 @@ def test_write_makes_a_page_and_its_figures(folder: Path) -> None:
     assert name.endswith("-halves-deep")
     data = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     assert data["figures"] == {"half": 3.0, "deep": True} and data["name"] == name
-    assert data["command"].endswith(" halves 'a cube.toml' --size 6 --deep"), "without paths and without --write"
-    assert data["machine"]["cores"] >= 1 and data["machine"]["simd"] >= 0 and data["machine"]["processor"]
+    assert data["command"].endswith(" halves 'a cube.toml' --size 6 --deep"), (
+        "without paths and without --write"
+    )
+    assert (
+        data["machine"]["cores"] >= 1
+        and data["machine"]["simd"] >= 0
+        and data["machine"]["processor"]
+    )
     lines = (folder / f"{name}.md").read_text(encoding="utf-8").splitlines()
-    assert [line.partition(":")[0] for line in lines[:6]] == ["---", "commit", "date", "machine", "command", "---"]
-    assert lines[1] == f"commit: {data['commit']}" and re.fullmatch(r"date: \d{4}-\d\d-\d\d", lines[2])
+    assert [line.partition(":")[0] for line in lines[:6]] == [
+        "---",
+        "commit",
+        "date",
+        "machine",
+        "command",
+        "---",
+    ]
+    assert lines[1] == f"commit: {data['commit']}" and re.fullmatch(
+        r"date: \d{4}-\d\d-\d\d", lines[2]
+    )
     assert lines[7] == f"# {data['title']}" and "| half | 3 |" in lines
 
 
 def test_several_measurements_are_sections_of_one_page(folder: Path) -> None:
     code, out = run("pairs", "--write", "--json")
-    assert (code, [json.loads(line) for line in out.splitlines()]) == (1, [{"value": 1}, {"value": 2}])
+    assert (code, [json.loads(line) for line in out.splitlines()]) == (
+        1,
+        [{"value": 1}, {"value": 2}],
+    )
     (file,) = folder.glob("*.json")
-    assert json.loads(file.read_text(encoding="utf-8"))["figures"] == {"one: value": 1, "two: value": 2}
+    assert json.loads(file.read_text(encoding="utf-8"))["figures"] == {
+        "one: value": 1,
+        "two: value": 2,
+    }
     assert "## two\n" in file.with_suffix(".md").read_text(encoding="utf-8")
 
 
@@ -98,7 +123,9 @@ def test_pictures_lie_beside_the_page(tmp_path: Path) -> None:
 
 
 def test_the_list_of_measurements_parts_old_pages_from_new(tmp_path: Path) -> None:
-    (tmp_path / "old.md").write_text("---\ncommit: abc\ndate: 2025-01-02\n---\n\n# Old figures\n", encoding="utf-8")
+    (tmp_path / "old.md").write_text(
+        "---\ncommit: abc\ndate: 2025-01-02\n---\n\n# Old figures\n", encoding="utf-8"
+    )
     write_measurement("speed-x", Measurement("new figures", {"n": 1}), "python", tmp_path)
     fresh, earlier = index_of(tmp_path).split("## Measured before the suites")
     assert "| [old](old.md) | Old figures | 2025-01-02 | abc |" in earlier and "old.md" not in fresh
@@ -118,7 +145,9 @@ def test_a_figure_is_one_value(value: object, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_outside_a_repository_the_commit_is_unknown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_outside_a_repository_the_commit_is_unknown(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert re.fullmatch(r"[0-9a-f]{12,}(-dirty)?", measurement.commit())
     monkeypatch.setattr(measurement, "ROOT", tmp_path)
     assert measurement.commit() == "unknown"
@@ -131,13 +160,17 @@ def test_each_suite_lists_parts_that_know_json_and_write(name: str) -> None:
     assert listed == list(made.commands) and len(listed) > 4
     for each in made.commands.values():
         assert each.help and {"as_json", "write"} <= {parameter.name for parameter in each.params}
-        assert each.callback is not None and each.callback.__module__.startswith(f"benchmarks.{name}.")
+        assert each.callback is not None and each.callback.__module__.startswith(
+            f"benchmarks.{name}."
+        )
 
 
 def test_a_part_has_one_name_with_dashes_or_underscores() -> None:
     assert (
         CliRunner()
         .invoke(speed, ["first_view", "--help"])
-        .stdout.endswith(CliRunner().invoke(speed, ["first-view", "--help"]).stdout.partition("\n")[2])
+        .stdout.endswith(
+            CliRunner().invoke(speed, ["first-view", "--help"]).stdout.partition("\n")[2]
+        )
     )
     assert CliRunner().invoke(speed, ["third-view"]).exit_code == 2

@@ -1,4 +1,6 @@
-"""The summary of reports says what their data say, with their pictures, and lives with what was left out."""
+"""The summary of reports says what their data say, with their pictures, and lives with what was
+left out.
+"""
 
 import re
 from dataclasses import replace
@@ -13,13 +15,18 @@ from isogi_report.page import write_report
 from isogi_report.sections import Column, Section, Table
 from tests.report.samples import SHARE, report_of, sections
 
-FULL, SHORT = "engine under grace at 70", "engine under uffizi at 70"
+FULL = "engine under grace at 70"
+SHORT = "engine under uffizi at 70"
 
 
 def measured() -> tuple[Section, ...]:
     """The samples, as the sections that the summary reads."""
     full = sections()[0]
-    parts = Table("", (Column("part"), SHARE), (("noise", 0.01), ("parts together", 0.5), ("total, measured", 0.0971)))
+    parts = Table(
+        "",
+        (Column("part"), SHARE),
+        (("noise", 0.01), ("parts together", 0.5), ("total, measured", 0.0971)),
+    )
     headline = Table("The frame", (SHARE, Column("bake", "seconds")), ((0.0971, 12.3),))
     told = {"split": parts, "summary": headline, "convergence": full.tables[0]}
     return tuple(replace(full, key=key, tables=(table,)) for key, table in told.items())
@@ -32,7 +39,9 @@ def found(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Measur
     for name, done in ((FULL, measured()), (SHORT, ())):
         (place / name).mkdir()
         notes = () if done else ("Stopped by hand.",)
-        write_report(place / name, report_of(small_scene, [Entry(section, 1.0) for section in done], notes))
+        write_report(
+            place / name, report_of(small_scene, [Entry(section, 1.0) for section in done], notes)
+        )
     return summary_of({name: place / name for name in (FULL, SHORT)})
 
 
@@ -41,7 +50,10 @@ def test_it_begins_with_the_parts_of_all_subjects(found: Measurement) -> None:
     assert lines[1] == "| scene | total, % | noise, % | bake, s |"
     assert lines[3] == f"| {FULL} | 9.7 | 1.0 | 12.3 |"
     assert "24 × 24 pixels" in lines[4]
-    assert found.figures[f"{FULL}: noise, %"] == pytest.approx(1.0) and found.figures[f"{FULL}: bake, s"] == 12.3
+    assert (
+        found.figures[f"{FULL}: noise, %"] == pytest.approx(1.0)
+        and found.figures[f"{FULL}: bake, s"] == 12.3
+    )
     assert lines[5:7] == ["Not measured:", f"- {SHORT}: Stopped by hand."]
 
 

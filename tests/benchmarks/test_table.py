@@ -29,7 +29,9 @@ FOUND = Measured(
 
 
 def bench_of(light: str, folder: Path) -> Bench:
-    scene = load_scene("demo:orbital", lattice=0.4, bounces=1, target_error=0.2, lights=[{"type": light}])
+    scene = load_scene(
+        "demo:orbital", lattice=0.4, bounces=1, target_error=0.2, lights=[{"type": light}]
+    )
     return Bench(scene.with_settings(projected=True), view_of(scene, 16), folder)
 
 
@@ -45,7 +47,8 @@ def test_the_papers_pictures_are_trilinear_in_their_own_texels(tmp_path: Path) -
     bench = bench_of("constant", tmp_path)
     papers = PapersBake(bench)
     papers.grow(1e-9)
-    radiance, frame = papers.radiance(bench.view), papers.bake.frame()
+    radiance = papers.radiance(bench.view)
+    frame = papers.bake.frame()
     np.testing.assert_allclose(radiance, frame.radiance, rtol=1e-5, atol=1e-7)
     assert radiance.max() > 0.0 and papers.seconds > 0.0
 
@@ -58,9 +61,12 @@ def test_the_papers_light_turns(tmp_path: Path) -> None:
     assert abs(papers.radiance(bench.view) - papers.radiance(turned)).max() > 0.01
 
 
-@pytest.mark.parametrize(("light", "rmse", "within"), [("grace", 0.029, "yes"), ("grace", 0.031, "no")])
+@pytest.mark.parametrize(
+    ("light", "rmse", "within"), [("grace", 0.029, "yes"), ("grace", 0.031, "no")]
+)
 def test_the_worst_turn_is_held_against_the_goal(light: str, rmse: float, within: str) -> None:
-    case, found = Case(Subject("engine", 70, light)), replace(FOUND, rmse=[0.01, rmse])
+    case = Case(Subject("engine", 70, light))
+    found = replace(FOUND, rmse=[0.01, rmse])
     line = cells(case, found)
     assert within in line and f"**{100 * rmse:.2f} (9.0)**" in line and "20.00 (50.0)" in line
     figures = figures_of({case: found})
@@ -76,5 +82,12 @@ def test_under_a_sun_more_is_allowed() -> None:
 
 def test_a_scene_with_more_settings_has_its_own_name_and_folder() -> None:
     subject = Subject("carp", 110, "uffizi")
-    assert Case(subject, FINER).name == "carp under uffizi at 110, `lattice = 2`, `order = 10`, `target_error = 0.01`"
-    assert Case(subject, FINER).folder(64, 8) != Case(subject).folder(64, 8) == f"{subject.folder}-64-8"
+    assert (
+        Case(subject, FINER).name
+        == "carp under uffizi at 110, `lattice = 2`, `order = 10`, `target_error = 0.01`"
+    )
+    assert (
+        Case(subject, FINER).folder(64, 8)
+        != Case(subject).folder(64, 8)
+        == f"{subject.folder}-64-8"
+    )

@@ -18,8 +18,16 @@ from tests.loaded import load_scene
 
 SKY = {"type": "sky"}
 CONSTANT = {"type": "constant", "radiance": 1.0}
-SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY], "lobes": 0}
-"""39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
+SETTINGS: dict[str, Any] = {
+    "lattice": 0.4,
+    "bounces": 1,
+    "target_error": 0.5,
+    "lights": [SKY],
+    "lobes": 0,
+}
+"""39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between
+voxels.
+"""
 
 TEXELS = DEFAULT_CHUNK_SIDE**3
 """Texels of each of these chunks."""
@@ -27,17 +35,28 @@ TEXELS = DEFAULT_CHUNK_SIDE**3
 ORDERS = {"order": 2, "indirect_order": 2}
 """What makes layers of as many bytes of direct and indirect light; of no use to constant light."""
 
-PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 3, 2, 1.0, 4096)
+PLAN = ScenePlan(
+    "transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 3, 2, 1.0, 4096
+)
 """A plan of two layers that differ in all that they can."""
 
 
 def spec_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings: Any) -> BakeSpec:
-    """A look at a small scene of two layers, direct and indirect light of order 2, unless told otherwise."""
-    orders = {} if settings.get("lights") == [CONSTANT] else ORDERS
-    return spec_for(PreparedScene(load_scene(target, **{**SETTINGS, **orders, **settings})), shading)
+    """A look at a small scene of two layers, direct and indirect light of order 2, unless told
+    otherwise.
+    """
+    if settings.get("lights") == [CONSTANT]:
+        orders = {}
+    else:
+        orders = ORDERS
+    return spec_for(
+        PreparedScene(load_scene(target, **{**SETTINGS, **orders, **settings})), shading
+    )
 
 
-def baked(spec: BakeSpec, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:
+def baked(
+    spec: BakeSpec, index: Index, texels: int = 40, seed: int = 0, samples: int = 16
+) -> Chunk:
     """A chunk with real light in some of its texels."""
     lattice = spec.prepared.lattice
     inside = lattice.positions(index, np.arange(lattice.texels))

@@ -27,7 +27,9 @@ def part_of(layer: Layer, texels: int, seed: int = 1) -> Part:
     part = Part.dark(layer, texels)
     part.samples[:] = 16 << rng.integers(0, 9, texels)
     part.noise[:] = layer.scale * 2.0 ** rng.integers(-20, 4, part.noise.shape)
-    part.coefficients[:] = round_light(0.3 * layer.scale * rng.normal(size=part.coefficients.shape), layer)
+    part.coefficients[:] = round_light(
+        0.3 * layer.scale * rng.normal(size=part.coefficients.shape), layer
+    )
     return part
 
 
@@ -40,7 +42,8 @@ def test_a_record_gives_back_the_part_that_it_was_made_of(layer: Layer, offsets:
     assert found is not None
     np.testing.assert_array_equal(found[0], places)
     for name in COLUMNS:
-        own, again = getattr(part, name), getattr(found[1], name)
+        own = getattr(part, name)
+        again = getattr(found[1], name)
         assert again.dtype == own.dtype and again.shape == own.shape
         np.testing.assert_array_equal(again, own)
 
@@ -51,21 +54,33 @@ def test_light_beyond_half_floats_is_cut_alike_in_the_store(rounded: bool) -> No
     part = Part.dark(layer, 2)
     part.samples[:] = 64
     light = np.array([1e6, 511.9, -1e9, 0.5, 511.75, 511.74], np.float32).reshape(2, 3, 1)
-    part.coefficients[:] = round_light(light, layer) if rounded else light
-    found = unpack(pack(part, np.array([1, 5], np.int32), TEXELS, BAKE, INDEX), layer, TEXELS, BAKE, INDEX)
+    if rounded:
+        part.coefficients[:] = round_light(light, layer)
+    else:
+        part.coefficients[:] = light
+    found = unpack(
+        pack(part, np.array([1, 5], np.int32), TEXELS, BAKE, INDEX), layer, TEXELS, BAKE, INDEX
+    )
     assert found is not None and np.isfinite(found[1].coefficients).all()
     np.testing.assert_array_equal(found[1].coefficients, round_light(light, layer))
 
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"precision": "single"}, {"lights": [CONSTANT]}, {"albedo": [0.2, 0.5, 0.8], "order": 4, "indirect_order": 1}],
+    [
+        {},
+        {"precision": "single"},
+        {"lights": [CONSTANT]},
+        {"albedo": [0.2, 0.5, 0.8], "order": 4, "indirect_order": 1},
+    ],
 )
 def test_what_was_just_baked_is_read_back_bit_by_bit(settings: dict[str, object]) -> None:
     spec = spec_of(**settings)  # type: ignore[arg-type]
     chunk = baked(spec, (1, 1, 1), samples=128)
     for part in chunk.light.parts:
-        found = unpack(pack(part, chunk.offsets, TEXELS, BAKE, INDEX), part.layer, TEXELS, BAKE, INDEX)
+        found = unpack(
+            pack(part, chunk.offsets, TEXELS, BAKE, INDEX), part.layer, TEXELS, BAKE, INDEX
+        )
         assert found is not None
         for name in COLUMNS:
             assert np.array_equal(getattr(found[1], name), getattr(part, name)), name
@@ -83,11 +98,16 @@ def test_texels_that_are_not_lit_are_left_out_and_void_ones_kept() -> None:
     layer = LAYERS[0]
     part = part_of(layer, 4)
     part.samples[:] = [0, 16, VOID, 32]
-    record = pack(part, np.array([1, 2, 3, 9], np.int32), TEXELS, BAKE, INDEX).view(record_type(layer, TEXELS))[0]
+    record = pack(part, np.array([1, 2, 3, 9], np.int32), TEXELS, BAKE, INDEX).view(
+        record_type(layer, TEXELS)
+    )[0]
     assert np.flatnonzero(record["rung"]).tolist() == [2, 3, 9]
     assert record["rung"][[2, 3, 9]].tolist() == [1, VOID_CODE, 2]
     assert not record["light"][..., 1].any() and not record["noise"][:, 1].any()
-    offsets, again = unpack(record.reshape(1).view(np.uint8), layer, TEXELS, BAKE, INDEX) or (None, None)
+    offsets, again = unpack(record.reshape(1).view(np.uint8), layer, TEXELS, BAKE, INDEX) or (
+        None,
+        None,
+    )
     assert offsets is not None and again is not None
     assert offsets.tolist() == [2, 3, 9] and again.samples.tolist() == [16, VOID, 32]
 
@@ -95,13 +115,20 @@ def test_texels_that_are_not_lit_are_left_out_and_void_ones_kept() -> None:
 def test_dark_texels_are_baked_texels() -> None:
     part = Part.dark(LAYERS[1], 1)
     part.samples[:] = 64
-    found = unpack(pack(part, np.array([7], np.int32), TEXELS, BAKE, INDEX), LAYERS[1], TEXELS, BAKE, INDEX)
+    found = unpack(
+        pack(part, np.array([7], np.int32), TEXELS, BAKE, INDEX), LAYERS[1], TEXELS, BAKE, INDEX
+    )
     assert found is not None
-    assert found[0].tolist() == [7] and found[1].samples.tolist() == [64] and not found[1].coefficients.any()
+    assert (
+        found[0].tolist() == [7]
+        and found[1].samples.tolist() == [64]
+        and not found[1].coefficients.any()
+    )
 
 
 @pytest.mark.parametrize(
-    ("bake", "index"), [("f" * 20, INDEX), (BAKE, (4, 0, 16)), (BAKE[:-1], INDEX), (BAKE, (0, 4, 17))]
+    ("bake", "index"),
+    [("f" * 20, INDEX), (BAKE, (4, 0, 16)), (BAKE[:-1], INDEX), (BAKE, (0, 4, 17))],
 )
 def test_a_record_knows_whose_it_is(bake: str, index: tuple[int, int, int]) -> None:
     record = pack(part_of(LAYERS[0], 3), np.arange(3, dtype=np.int32), TEXELS, BAKE, INDEX)
@@ -109,14 +136,18 @@ def test_a_record_knows_whose_it_is(bake: str, index: tuple[int, int, int]) -> N
 
 
 def test_the_same_part_makes_the_same_bytes_whatever_lay_there() -> None:
-    part, places = part_of(LAYERS[2], 50), np.arange(50, dtype=np.int32)
-    assert np.array_equal(pack(part, places, TEXELS, BAKE, INDEX), pack(part, places, TEXELS, BAKE, INDEX))
+    part = part_of(LAYERS[2], 50)
+    places = np.arange(50, dtype=np.int32)
+    assert np.array_equal(
+        pack(part, places, TEXELS, BAKE, INDEX), pack(part, places, TEXELS, BAKE, INDEX)
+    )
     order = np.random.default_rng(1).permutation(50)
     turned = pack(part.rows(order), places[order], TEXELS, BAKE, INDEX)
     assert np.array_equal(turned, pack(part, places, TEXELS, BAKE, INDEX))
 
 
-# --- chunks in memory -------------------------------------------------------------------------------------------------
+# --- chunks in memory
+# -------------------------------------------------------------------------------------------------
 
 
 def filled(offsets: list[int]) -> Chunk:
@@ -147,7 +178,11 @@ def test_layers_meet_texel_by_texel() -> None:
     indirect.samples[1] = VOID
     found = [(np.array([3, 8, 11]), direct), (np.array([2, 8, 40]), indirect)]
     chunk = Chunk.of_parts((0, 1, 2), found)
-    assert chunk.index == (0, 1, 2) and chunk.offsets.tolist() == [2, 3, 8, 11, 40] and chunk.offsets.dtype == np.int32
+    assert (
+        chunk.index == (0, 1, 2)
+        and chunk.offsets.tolist() == [2, 3, 8, 11, 40]
+        and chunk.offsets.dtype == np.int32
+    )
     for (own, part), whole in zip(found, chunk.light.parts, strict=True):
         rows = chunk.rows_of(own)
         assert same(Light((whole.rows(rows),)), Light((part,)))
@@ -165,9 +200,14 @@ def test_layers_without_texels_make_an_empty_chunk() -> None:
 
 
 def test_texels_of_many_chunks_are_sorted_by_their_places() -> None:
-    """Places count chunks of 64 texels; the second chunk has none, and one layer lacks the third."""
+    """Places count chunks of 64 texels; the second chunk has none, and one layer lacks the
+    third.
+    """
     direct, indirect = filled([3, 8, 2 * 64 + 1, 3 * 64]).light.parts
-    found = [(np.array([3, 8, 129, 192], np.int32), direct), (np.array([3, 9, 192, 255], np.int32), indirect)]
+    found = [
+        (np.array([3, 8, 129, 192], np.int32), direct),
+        (np.array([3, 9, 192, 255], np.int32), indirect),
+    ]
     indices = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (5, 4, 3))
     chunks = Chunks.of_parts(indices, 64, found)
     assert chunks.indices == ((0, 0, 0), (0, 0, 2), (5, 4, 3))

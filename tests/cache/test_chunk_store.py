@@ -1,4 +1,6 @@
-"""The store of a look: its layers side by side, each whole or absent, wherever Zarr can keep them."""
+"""The store of a look: its layers side by side, each whole or absent, wherever Zarr can keep
+them.
+"""
 
 import shutil
 import uuid
@@ -20,8 +22,10 @@ from isogi_core.storage import store as store_module
 from tests.bake.texels import same
 from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, spec_of
 
-INNER, EDGE = (1, 1, 1), (2, 1, 2)
-DIRECT, INDIRECT = 0, 1
+INNER = (1, 1, 1)
+EDGE = (2, 1, 2)
+DIRECT = 0
+INDIRECT = 1
 
 
 @pytest.fixture
@@ -29,19 +33,26 @@ def chunk_store(tmp_path: Path, spec: BakeSpec) -> ChunkStore:
     return ChunkStore(tmp_path, spec)
 
 
-def test_default_store_is_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_default_store_is_in_the_users_cache(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert default_store() == tmp_path / "isogi" / "light"
 
 
-def test_opening_makes_the_layers_before_there_is_any_light(chunk_store: ChunkStore, tmp_path: Path) -> None:
+def test_opening_makes_the_layers_before_there_is_any_light(
+    chunk_store: ChunkStore, tmp_path: Path
+) -> None:
     assert not list(tmp_path.iterdir())
     chunk_store.open()
-    assert {path.parent.name for path in tmp_path.glob("*/zarr.json")} == {layer.digest for layer in chunk_store.layers}
+    assert {path.parent.name for path in tmp_path.glob("*/zarr.json")} == {
+        layer.digest for layer in chunk_store.layers
+    }
     assert chunk_store.read(INNER) is None
 
 
-# --- stores -------------------------------------------------------------------------------------------------------
+# --- stores
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=["folder", "file://", "memory://"])
@@ -71,7 +82,8 @@ def test_every_store_keeps_chunks(anywhere: ChunkStore, spec: BakeSpec) -> None:
     assert all(one != other for one, other in zip(objects(anywhere, EDGE), stored, strict=True))
 
 
-# --- layers apart -------------------------------------------------------------------------------------------------
+# --- layers apart
+# -------------------------------------------------------------------------------------------------
 
 
 def test_only_parts_that_changed_are_written(chunk_store: ChunkStore, spec: BakeSpec) -> None:
@@ -87,7 +99,9 @@ def test_only_parts_that_changed_are_written(chunk_store: ChunkStore, spec: Bake
 
 
 @pytest.mark.parametrize("lost", [DIRECT, INDIRECT])
-@pytest.mark.parametrize("damage", [lambda path: path.unlink(), lambda path: path.write_bytes(path.read_bytes()[:-1])])
+@pytest.mark.parametrize(
+    "damage", [lambda path: path.unlink(), lambda path: path.write_bytes(path.read_bytes()[:-1])]
+)
 def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
     chunk_store: ChunkStore, spec: BakeSpec, damage: Callable[[Path], None], lost: int
 ) -> None:
@@ -98,7 +112,9 @@ def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
     assert np.array_equal(found.offsets, chunk.offsets)
     kept = 1 - lost
     assert same(Light((found.light.parts[kept],)), Light((chunk.light.parts[kept],)))
-    assert not found.light.parts[lost].samples.any() and not found.light.parts[lost].coefficients.any()
+    assert (
+        not found.light.parts[lost].samples.any() and not found.light.parts[lost].coefficients.any()
+    )
     texels = spec.prepared.lattice.positions(INNER, found.offsets)
     climb([found.light.parts[lost]], np.arange(40), locate(texels, spec.prepared, spec.shown), spec)
     chunk_store.save(found, [lost == DIRECT, lost == INDIRECT])
@@ -106,7 +122,9 @@ def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
 
 
 def test_layers_that_scenes_share_are_baked_once(tmp_path: Path, spec: BakeSpec) -> None:
-    """Another albedo, and vicinity shading, have the same direct light; other lights have all of it."""
+    """Another albedo, and vicinity shading, have the same direct light; other lights have all of
+    it.
+    """
     chunk = baked(spec, INNER)
     ChunkStore(tmp_path, spec).save(chunk)
     bright = ChunkStore(tmp_path, spec_of(albedo=0.9)).load(INNER)
@@ -138,7 +156,11 @@ def test_a_deleted_store_is_away_until_a_new_start_makes_it(
     chunk = baked(spec, INNER)
     chunk_store.save(chunk)
     shutil.rmtree(chunk_store.store.url.folder)
-    for use in (lambda: chunk_store.read(INNER), lambda: chunk_store.load(INNER), lambda: chunk_store.save(chunk)):
+    for use in (
+        lambda: chunk_store.read(INNER),
+        lambda: chunk_store.load(INNER),
+        lambda: chunk_store.save(chunk),
+    ):
         with pytest.raises(StoreAwayError, match="is gone"):
             use()
     assert not chunk_store.store.url.folder.exists()
@@ -148,7 +170,8 @@ def test_a_deleted_store_is_away_until_a_new_start_makes_it(
     assert_equal(anew.load(INNER), chunk)
 
 
-# --- many writers -------------------------------------------------------------------------------------------------
+# --- many writers
+# -------------------------------------------------------------------------------------------------
 
 
 def test_a_chunk_that_was_never_lit_is_no_chunk(chunk_store: ChunkStore, spec: BakeSpec) -> None:

@@ -1,4 +1,6 @@
-"""A layer of light as a Zarr array: what it says of itself, who may read it, and what is done about damage."""
+"""A layer of light as a Zarr array: what it says of itself, who may read it, and what is done about
+damage.
+"""
 
 import json
 import os
@@ -26,9 +28,11 @@ from tests.bake.texels import same
 from tests.cache.chunks import TEXELS, baked, file_of, spec_of
 from tests.s3 import S3Server
 
-INNER, EDGE = (1, 1, 1), (2, 1, 2)
+INNER = (1, 1, 1)
+EDGE = (2, 1, 2)
 NOBODY = 65534
-DIRECT, INDIRECT = 0, 1
+DIRECT = 0
+INDIRECT = 1
 
 
 @pytest.fixture
@@ -49,10 +53,13 @@ def save(layer: LayerStore, chunk: Chunk, number: int = INDIRECT) -> None:
 def found(layer: LayerStore, chunk: Chunk, number: int = INDIRECT) -> bool:
     """Whether the store has the part of a chunk bit by bit."""
     offsets, part = layer.decode(chunk.index, layer.read(chunk.index) or b"")
-    return np.array_equal(offsets, chunk.offsets) and same(Light((part,)), Light((chunk.light.parts[number],)))
+    return np.array_equal(offsets, chunk.offsets) and same(
+        Light((part,)), Light((chunk.light.parts[number],))
+    )
 
 
-# --- what it is ---------------------------------------------------------------------------------------------------
+# --- what it is
+# --------------------------------------------------------------------------------------------------
 
 
 def test_the_metadata_keeps_the_promises(layer: LayerStore, spec: BakeSpec) -> None:
@@ -77,12 +84,15 @@ def test_a_layer_of_several_albedos_is_read_as_it_was_written(tmp_path: Path) ->
     save(fixed, baked(spec, INNER), DIRECT)
     older = json.loads(Path(fixed.path, "zarr.json").read_bytes())
     del older["attributes"]["isogi"]["nodes"]
-    assert facts_in(json.dumps(older).encode()).layer == spec.plan.layers[DIRECT], "as it was before there were any"
+    assert facts_in(json.dumps(older).encode()).layer == spec.plan.layers[DIRECT], (
+        "as it was before there were any"
+    )
 
 
 def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, spec: BakeSpec) -> None:
     save(layer, baked(spec, EDGE))
-    store, digest = layer.store.url.folder, spec.prepared.scene.layer_digest(layer.layer)
+    store = layer.store.url.folder
+    digest = spec.prepared.scene.layer_digest(layer.layer)
     files = {path.relative_to(store).as_posix() for path in store.rglob("*") if path.is_file()}
     assert files == {"isogi.json", f"{digest}/zarr.json", f"{digest}/c/2/1/2/0"}
     assert sorted(layer.store.keys(digest)) == [f"{digest}/c/2/1/2/0", f"{digest}/zarr.json"]
@@ -91,7 +101,10 @@ def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, spec: BakeSp
 
 def test_the_attributes_say_whose_light_it_is(tmp_path: Path, spec: BakeSpec) -> None:
     scene = spec.prepared.scene
-    facts = [layer_of(tmp_path, spec, number).array.attrs.asdict()["isogi"] for number in (DIRECT, INDIRECT)]
+    facts = [
+        layer_of(tmp_path, spec, number).array.attrs.asdict()["isogi"]
+        for number in (DIRECT, INDIRECT)
+    ]
     for own, layer in zip(facts, spec.plan.layers, strict=True):
         assert own["volume_digest"] == scene.volume.digest
         assert own["texels"] == [39, 39, 39] and own["step"] == spec.prepared.step.tolist()
@@ -102,9 +115,12 @@ def test_the_attributes_say_whose_light_it_is(tmp_path: Path, spec: BakeSpec) ->
 
 
 @pytest.mark.parametrize("chunk", [8, 32])
-def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, spec: BakeSpec, chunk: int) -> None:
+def test_light_in_chunks_of_another_size_lies_elsewhere(
+    tmp_path: Path, spec: BakeSpec, chunk: int
+) -> None:
     other = spec_of(chunk=chunk)
-    layer, baked_one = layer_of(tmp_path, other), baked(other, (1, 0, 1))
+    layer = layer_of(tmp_path, other)
+    baked_one = baked(other, (1, 0, 1))
     save(layer, baked_one)
     assert found(layer, baked_one) and layer.path != layer_of(tmp_path, spec).path
     assert layer.array.shape == (*[-(-39 // chunk)] * 3, layer.size)
@@ -113,9 +129,15 @@ def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, spec: Ba
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"precision": "single", "albedo": [0.2, 0.5, 0.8]}, {"precision": "bytes", "order": 4, "indirect_order": 3}],
+    [
+        {},
+        {"precision": "single", "albedo": [0.2, 0.5, 0.8]},
+        {"precision": "bytes", "order": 4, "indirect_order": 3},
+    ],
 )
-def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings: dict[str, Any]) -> None:
+def test_plain_numpy_reads_what_the_attributes_describe(
+    tmp_path: Path, settings: dict[str, Any]
+) -> None:
     """A reader that has Zarr and NumPy and no isogi."""
     spec = spec_of(**settings)
     chunk = baked(spec, EDGE, samples=64)
@@ -128,7 +150,8 @@ def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings
     part = chunk.light.parts[INDIRECT]
     assert (record["bake"].decode(), record["index"].tolist()) == (layer.digest, list(EDGE))
     assert np.flatnonzero(record["rung"]).tolist() == chunk.offsets.tolist()
-    codes, rungs = facts["codes"], record["rung"][chunk.offsets].astype(int)
+    codes = facts["codes"]
+    rungs = record["rung"][chunk.offsets].astype(int)
     assert (rungs != codes["void"]).all()
     assert np.array_equal(codes["first_rung"] << (rungs - 1), part.samples)
     low, high = (record[name][:, :, chunk.offsets] for name in ("light", "high"))
@@ -141,11 +164,15 @@ def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings
     assert high.any() == (facts["coarse"] is not None)
     quiet = record["noise"][:, chunk.offsets].T
     noise = codes["noisiest"] * record["scale"] * 2.0 ** (quiet / -codes["steps"])
-    np.testing.assert_allclose(np.where(quiet == codes["silent"], 0.0, noise), part.noise, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.where(quiet == codes["silent"], 0.0, noise), part.noise, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("index", [INNER, EDGE])
-def test_empty_chunks_are_written_too(layer: LayerStore, spec: BakeSpec, index: tuple[int, int, int]) -> None:
+def test_empty_chunks_are_written_too(
+    layer: LayerStore, spec: BakeSpec, index: tuple[int, int, int]
+) -> None:
     for used in (layer, layer_of(layer.store.url, spec)):
         save(used, Chunk.empty(index, spec.plan))
         assert found(used, Chunk.empty(index, spec.plan))
@@ -153,7 +180,8 @@ def test_empty_chunks_are_written_too(layer: LayerStore, spec: BakeSpec, index: 
         assert used.read(index) is None
 
 
-# --- damage -------------------------------------------------------------------------------------------------------
+# --- damage
+# --------------------------------------------------------------------------------------------------
 
 Damage = Callable[[bytes], bytes]
 DAMAGES: dict[str, Damage] = {
@@ -198,18 +226,23 @@ def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, spec: 
             layer.decode(index, layer.read(index) or b"")
 
 
-# --- many at once -------------------------------------------------------------------------------------------------
+# --- many at once
+# -------------------------------------------------------------------------------------------------
 
 MANY: tuple[Index, ...] = (INNER, EDGE, (0, 0, 0), (0, 1, 2), (1, 0, 0))
 
 
-def decoded(layer: LayerStore, stored: list[bytes | None]) -> tuple[list[tuple[Index, np.ndarray, Part]], list[str]]:
+def decoded(
+    layer: LayerStore, stored: list[bytes | None]
+) -> tuple[list[tuple[Index, np.ndarray, Part]], list[str]]:
     """What is found in objects of MANY together, chunk by chunk, and what is told of them."""
     raised: list[str] = []
     places, part = layer.decode_all(MANY, stored, lambda error: raised.append(str(error)))
     assert places.dtype == np.int32 and (np.diff(places) > 0).all()
     number, offset = np.divmod(places, TEXELS)
-    return [(MANY[i], offset[number == i], part.rows(number == i)) for i in range(len(MANY))], raised
+    return [
+        (MANY[i], offset[number == i], part.rows(number == i)) for i in range(len(MANY))
+    ], raised
 
 
 @pytest.mark.parametrize("number", [DIRECT, INDIRECT])
@@ -220,7 +253,9 @@ def test_many_chunks_are_decoded_as_each_alone(
     layer = layer_of(tmp_path, spec, number)
     for i, index in enumerate(MANY):
         save(layer, baked(spec, index, texels=30 + i, seed=i), number)
-    found, raised = decoded(layer, [None if i in absent else layer.read(index) for i, index in enumerate(MANY)])
+    found, raised = decoded(
+        layer, [None if i in absent else layer.read(index) for i, index in enumerate(MANY)]
+    )
     assert not raised
     for i, (index, offsets, part) in enumerate(found):
         alone, own = layer.decode(index, layer.read(index) or b"")
@@ -229,7 +264,9 @@ def test_many_chunks_are_decoded_as_each_alone(
 
 
 @pytest.mark.parametrize("damaged", [(0,), (4,), (1, 3), range(5)])
-@pytest.mark.parametrize("damage", [*DAMAGES.values(), "shorter", "another's"], ids=[*DAMAGES, "shorter", "another's"])
+@pytest.mark.parametrize(
+    "damage", [*DAMAGES.values(), "shorter", "another's"], ids=[*DAMAGES, "shorter", "another's"]
+)
 def test_damaged_chunks_among_many_are_reported_and_left_out(
     layer: LayerStore, spec: BakeSpec, damage: Damage | str, damaged: Sequence[int]
 ) -> None:
@@ -239,15 +276,21 @@ def test_damaged_chunks_among_many_are_reported_and_left_out(
     stored: list[bytes | None] = [*whole]
     for i in damaged:
         if damage == "shorter":
-            stored[i] = packed(np.asarray(zarr.open_array(layer.path, mode="r")[(*MANY[i], slice(None))])[:-10])
+            stored[i] = packed(
+                np.asarray(zarr.open_array(layer.path, mode="r")[(*MANY[i], slice(None))])[:-10]
+            )
+        elif isinstance(damage, str):
+            stored[i] = whole[i - 1]
         else:
-            stored[i] = whole[i - 1] if isinstance(damage, str) else damage(whole[i])
+            stored[i] = damage(whole[i])
     found, raised = decoded(layer, stored)
     assert [str(MANY[i]) in why for i, why in zip(damaged, raised, strict=True)]
     for i, (index, offsets, part) in enumerate(found):
         alone, own = layer.decode(index, whole[i])
         assert np.array_equal(offsets, [] if i in damaged else alone)
-        assert same(Light((part,)), Light((own.rows(np.arange(0 if i in damaged else len(alone))),)))
+        assert same(
+            Light((part,)), Light((own.rows(np.arange(0 if i in damaged else len(alone))),))
+        )
 
 
 def packed(record: np.ndarray) -> bytes:
@@ -261,20 +304,31 @@ def test_left_over_partial_files_are_ignored(layer: LayerStore, spec: BakeSpec) 
     save(layer, chunk)
     for index in (INNER, EDGE):
         file_of(layer, index).parent.mkdir(parents=True, exist_ok=True)
-        file_of(layer, index).with_suffix(f".{uuid.uuid4().hex}.partial").write_bytes(b"half a chunk")
+        file_of(layer, index).with_suffix(f".{uuid.uuid4().hex}.partial").write_bytes(
+            b"half a chunk"
+        )
     assert layer.read(EDGE) is None
     assert found(layer, chunk)
 
 
-# --- metadata -----------------------------------------------------------------------------------------------------
+# --- metadata
+# --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"zarr_format": 3, "node_ty', "[]", "null", "\0\0\0", '{"zarr_format": 3}'])
-def test_cut_metadata_is_refused_in_one_sentence(layer: LayerStore, spec: BakeSpec, text: str) -> None:
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"zarr_format": 3, "node_ty', "[]", "null", "\0\0\0", '{"zarr_format": 3}']
+)
+def test_cut_metadata_is_refused_in_one_sentence(
+    layer: LayerStore, spec: BakeSpec, text: str
+) -> None:
     save(layer, baked(spec, INNER))
     Path(layer.path, "zarr.json").write_text(text)
     again = layer_of(layer.store.url, spec)
-    for use in (lambda: again.array, lambda: again.read(INNER), lambda: save(again, baked(spec, INNER))):
+    for use in (
+        lambda: again.array,
+        lambda: again.read(INNER),
+        lambda: save(again, baked(spec, INNER)),
+    ):
         with pytest.raises(StoreError) as caught:
             use()
         assert layer.path in str(caught.value)
@@ -312,7 +366,8 @@ def test_metadata_of_something_else_is_refused(
         layer_of(layer.store.url, spec).read(INNER)
 
 
-# --- who may write, and who writes at once ------------------------------------------------------------------------
+# --- who may write, and who writes at once
+# ------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -335,7 +390,8 @@ def sealed(spec: BakeSpec) -> Iterator[Path]:
 
 
 def test_a_store_that_cannot_be_written_is_read(sealed: Path, spec: BakeSpec) -> None:
-    layer, chunk = layer_of(sealed, spec), baked(spec, INNER)
+    layer = layer_of(sealed, spec)
+    chunk = baked(spec, INNER)
     assert found(layer, chunk)
     with pytest.raises(StoreError, match=r"Cannot write .*/c/2/1/2/0 .*Permission denied"):
         save(layer, Chunk.empty(EDGE, spec.plan))
@@ -356,11 +412,15 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> StoreUrl:
 
 @pytest.mark.parametrize("stale", [16, 64])
 def test_two_writers_do_not_undo_each_other(place: StoreUrl, spec: BakeSpec, stale: int) -> None:
-    """One reads, the other writes more samples and other texels, and the first writes after that."""
-    mine, theirs = baked(spec, EDGE, samples=stale), baked(spec, EDGE, texels=60, seed=1, samples=32)
+    """One reads, the other writes more samples and other texels, and the first writes after
+    that.
+    """
+    mine = baked(spec, EDGE, samples=stale)
+    theirs = baked(spec, EDGE, texels=60, seed=1, samples=32)
     slow, quick = (LayerStore(place, spec.prepared, spec.plan.layers[INDIRECT]) for _ in range(2))
     save(slow, baked(spec, EDGE))
-    get, late = slow.store.get, [theirs]
+    get = slow.store.get
+    late = [theirs]
 
     def get_and_wait(key: str) -> StoredObject | None:
         read = get(key)
@@ -373,7 +433,8 @@ def test_two_writers_do_not_undo_each_other(place: StoreUrl, spec: BakeSpec, sta
     offsets, part = slow.decode(EDGE, slow.read(EDGE) or b"")
     assert np.array_equal(offsets, np.union1d(mine.offsets, theirs.offsets))
     for chunk in (mine, theirs):
-        own, rows = chunk.light.parts[INDIRECT], np.searchsorted(offsets, chunk.offsets)
+        own = chunk.light.parts[INDIRECT]
+        rows = np.searchsorted(offsets, chunk.offsets)
         assert (part.samples[rows] >= own.samples).all()
         kept = part.samples[rows] == own.samples
         assert same(Light((part.rows(rows[kept]),)), Light((own.rows(kept),))) and kept.any()
@@ -389,7 +450,8 @@ def test_light_that_is_there_already_is_not_written(
 
 
 def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, spec: BakeSpec) -> None:
-    layer, chunk = layer_of(s3.url, spec), baked(spec, EDGE)
+    layer = layer_of(s3.url, spec)
+    chunk = baked(spec, EDGE)
     layer.open()
     faults = iter(["lost"])
     s3.fault = lambda call: next(faults, None) if call.method == "PUT" else None  # type: ignore[return-value]
@@ -399,8 +461,10 @@ def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, spec: BakeSpe
 
 def test_void_texels_stay_void_whoever_comes_last(spec: BakeSpec) -> None:
     part, other = (Part.dark(spec.plan.layers[INDIRECT], 3) for _ in range(2))
-    part.samples[:], other.samples[:] = (VOID, 16, 16), (32, VOID, 8)
-    ours, theirs = np.array([1, 2, 3], np.int32), np.array([1, 2, 4], np.int32)
+    part.samples[:] = (VOID, 16, 16)
+    other.samples[:] = (32, VOID, 8)
+    ours = np.array([1, 2, 3], np.int32)
+    theirs = np.array([1, 2, 4], np.int32)
     for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
         offsets, both = joined(*first, *second)
         assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])

@@ -1,4 +1,6 @@
-"""Loading: light in the store comes into memory once, and no damage or delay stops a frame; caches of a scene."""
+"""Loading: light in the store comes into memory once, and no damage or delay stops a frame; caches
+of a scene.
+"""
 
 import hashlib
 import itertools
@@ -76,11 +78,15 @@ def transfer(loader: Loader, index: Index) -> np.ndarray | None:
     """What a frame would read of a chunk."""
     with loader.pool.hold([index]) as (slots, _):
         rows = loader.pool.table[slots[0]]
-        return loader.pool.transfer[rows[rows >= 0]].copy() if slots[0] >= 0 else None
+        if slots[0] >= 0:
+            return loader.pool.transfer[rows[rows >= 0]].copy()
+        return None
 
 
 def brought(loader: Loader, *chunks: Index) -> tuple[str, ...]:
-    """Marks of the chunks' light in memory after they were asked for together, "" where there is none."""
+    """Marks of the chunks' light in memory after they were asked for together, "" where there is
+    none.
+    """
     loader.ensure(chunks)
     found = (transfer(loader, index) for index in chunks)
     return tuple("" if light is None else mark(light) for light in found)
@@ -93,10 +99,14 @@ def test_light_comes_from_the_store(loader: Loader) -> None:
     assert transfer(loader, C) is None
 
 
-def test_what_is_in_memory_is_not_read_again(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_in_memory_is_not_read_again(
+    loader: Loader, monkeypatch: pytest.MonkeyPatch
+) -> None:
     light = bake(loader, A)
     loader.ensure([A])
-    monkeypatch.setattr(loader.chunk_store, "read", lambda index: pytest.fail("the store was asked"))
+    monkeypatch.setattr(
+        loader.chunk_store, "read", lambda index: pytest.fail("the store was asked")
+    )
     assert brought(loader, A) == (light,)
 
 
@@ -126,8 +136,12 @@ def test_new_light_is_read_after_refresh(loader: Loader) -> None:
 def test_light_that_comes_while_older_is_read_is_read_next(
     begun: bool, loader: Loader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A worker writes, and tells so, between the reading of what was there, or of nothing, and its use."""
-    first, read, newest = bake(loader, A) if begun else "", loader.chunk_store.objects, list[str]()
+    """A worker writes, and tells so, between the reading of what was there, or of nothing, and its
+    use.
+    """
+    first = bake(loader, A) if begun else ""
+    read = loader.chunk_store.objects
+    newest = list[str]()
 
     def objects(index: Index) -> Any:
         found = read(index)
@@ -141,7 +155,9 @@ def test_light_that_comes_while_older_is_read_is_read_next(
     assert brought(loader, A, B) == (newest[0], "")
 
 
-def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
+def test_damage_counts_as_absence_and_is_logged(
+    loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
     light = bake(loader, A)
     paths = [file_of(layer, A) for layer in loader.chunk_store.layers]
     whole = [path.read_bytes() for path in paths]
@@ -171,15 +187,22 @@ def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> Non
     loader.refresh(B)
     loader.refresh(A)
     loader.ensure([A, B])
-    assert loader.pool.missing([A, B]) == [A], "what is in memory is shown, and known to be outdated"
+    assert loader.pool.missing([A, B]) == [A], (
+        "what is in memory is shown, and known to be outdated"
+    )
     np.testing.assert_array_equal(transfer(loader, B), stored(loader, B))
 
 
-def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, spec: BakeSpec) -> None:
-    """And go into the pool as those of a folder do: all there are, in order; absent ones are asked for later."""
+def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(
+    s3: S3Server, spec: BakeSpec
+) -> None:
+    """And go into the pool as those of a folder do: all there are, in order; absent ones are asked
+    for later.
+    """
     loader = Loader(ChunkStore(s3.url, spec), PagePool(spec, 1 << 22))
     marks = {index: bake(loader, index) for index in (A, B, C)}
-    together, missing = threading.Barrier(4, timeout=60.0), (2, 2, 2)
+    together = threading.Barrier(4, timeout=60.0)
+    missing = (2, 2, 2)
 
     chunks = itertools.count()
 
@@ -189,7 +212,8 @@ def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, sp
 
     s3.fault = meet  # type: ignore[assignment]
     assert brought(loader, A, missing, B, C) == (marks[A], "", marks[B], marks[C])
-    s3.fault, asked = lambda call: None, len(s3.calls)
+    asked = len(s3.calls)
+    s3.fault = lambda call: None
     assert brought(loader, A, missing, B, C) == (marks[A], "", marks[B], marks[C])
     assert len(s3.calls) == asked
 
@@ -242,10 +266,13 @@ def test_a_view_that_is_given_up_has_no_more_brought_for_it() -> None:
         assert list(ahead(hands, lambda item: 3 * item, range(100))) == list(range(0, 300, 3))
 
 
-def test_a_frame_that_nobody_waits_for_stops_loading(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_that_nobody_waits_for_stops_loading(
+    loader: Loader, monkeypatch: pytest.MonkeyPatch
+) -> None:
     marks = [bake(loader, index) for index in (A, B, C)]
     monkeypatch.setattr(loading, "BATCH_BYTES", 1)
-    cancelled, insert = threading.Event(), loader.pool.insert
+    cancelled = threading.Event()
+    insert = loader.pool.insert
 
     def insert_and_leave(*args: Any) -> None:
         insert(*args)
@@ -268,7 +295,9 @@ def test_no_more_than_a_few_batches_wait_in_memory() -> None:
             assert hands._work_queue.qsize() <= MAX_BATCHES_AHEAD
 
 
-def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: BakeSpec, clock: Clock) -> None:
+def test_a_view_that_does_not_fit_the_memory_is_an_error(
+    tmp_path: Path, spec: BakeSpec, clock: Clock
+) -> None:
     small = Loader(ChunkStore(tmp_path, spec), PagePool(spec, 0))
     bake(small, A, texels=40)
     bake(small, B, texels=40)
@@ -278,7 +307,8 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: B
         small.ensure([A, B])
 
 
-# --- caches of a scene ------------------------------------------------------------------------------------------------
+# --- caches of a scene
+# ------------------------------------------------------------------------------------------------
 
 
 BUDGET = 1 << 22
@@ -313,7 +343,9 @@ def test_each_spec_is_opened_once_with_a_pool_of_its_own(tmp_path: Path) -> None
 def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
     caches = Caches(spec_of().prepared, tmp_path, BUDGET)
     pools = [caches.of(name).pool for name in SPECS]
-    sizes = [sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools]
+    sizes = [
+        sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools
+    ]
     assert 0.95 * BUDGET < sum(sizes) <= BUDGET
     rows = [len(pool.scatter) for pool in pools]
     assert max(rows) - min(rows) <= PAGE_TEXELS

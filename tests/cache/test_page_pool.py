@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import deviations, path_deviation, relative_error, scatter, standard_error
+from isogi_core.bake.noise import (
+    deviations,
+    path_deviation,
+    relative_error,
+    scatter,
+    standard_error,
+)
 from isogi_core.bake.texel_light import VOID, Light, Part, level_codes
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.page_pool import (
@@ -36,7 +42,9 @@ from tests.cache.chunks import CONSTANT, TEXELS, spec_of
 
 
 def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 3 * PAGE_TEXELS) -> Chunks:
-    """A chunk alone whose every number is ``level``, but for the 16 samples of each texel and layer."""
+    """A chunk alone whose every number is ``level``, but for the 16 samples of each texel and
+    layer.
+    """
     offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))
     chunk = Chunk.empty(index, spec.plan).with_texels(offsets)
     for part in chunk.light.parts:
@@ -55,7 +63,10 @@ def pool_of(spec: BakeSpec, pages: int) -> PagePool:
     """A pool with room for so many pages."""
     budgets = range(0, 1 << 24, 1024)
     pool = PagePool(
-        spec, budgets[bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))]
+        spec,
+        budgets[
+            bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))
+        ],
     )
     assert len(pool.stamp) == pages * PAGE_TEXELS
     return pool
@@ -80,7 +91,8 @@ def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
         part.coefficients[:] = rng.random(part.coefficients.shape)
         part.samples[[3, 77]] = VOID
     for part in chunk.light.parts:
-        part.samples[50], part.coefficients[50] = MIN_SAMPLES, 0.0
+        part.samples[50] = MIN_SAMPLES
+        part.coefficients[50] = 0.0
     pool.insert(chunk)
     with pool.hold([(1, 0, 2)]) as (slots, _):
         table = pool.table[slots[0]]
@@ -93,7 +105,9 @@ def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
         noise = np.sqrt((deviations(chunk.light, spec) ** 2).sum(axis=0))
         scatter = noise[lit] / path_deviation(chunk.light, spec)[lit]
         np.testing.assert_allclose(pool.scatter[rows], scatter, rtol=1e-6)
-        np.testing.assert_allclose(pool.error[rows], relative_error(chunk.light, spec)[lit], rtol=1e-6)
+        np.testing.assert_allclose(
+            pool.error[rows], relative_error(chunk.light, spec)[lit], rtol=1e-6
+        )
         assert (fewest_samples(pool.stamp[rows], 2) == 16).all()
 
 
@@ -108,8 +122,12 @@ def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
         ({"lobes": 1, "order": 3, "albedo": [0.1, 0.2, 0.3]}, (3, 13)),
     ],
 )
-def test_a_pool_keeps_what_frames_of_its_spec_read_alone(settings: dict[str, Any], shape: tuple[int, int]) -> None:
-    """Vicinity shading reads band 0 alone, out of a layer that has more; layers stand side by side."""
+def test_a_pool_keeps_what_frames_of_its_spec_read_alone(
+    settings: dict[str, Any], shape: tuple[int, int]
+) -> None:
+    """Vicinity shading reads band 0 alone, out of a layer that has more; layers stand side by
+    side.
+    """
     spec = spec_of(**settings)
     pool = PagePool(spec, 1 << 22)
     chunk = chunk_of(spec, (0, 0, 0), 1.0, texels=20)
@@ -118,7 +136,9 @@ def test_a_pool_keeps_what_frames_of_its_spec_read_alone(settings: dict[str, Any
     pool.insert(chunk)
     assert pool.transfer.shape[1:] == shape
     with pool.hold([(0, 0, 0)]) as (slots, _):
-        np.testing.assert_array_equal(pool.transfer[rows_of(pool, slots[0])], chunk.light.columns(spec.terms))
+        np.testing.assert_array_equal(
+            pool.transfer[rows_of(pool, slots[0])], chunk.light.columns(spec.terms)
+        )
 
 
 def test_an_absent_chunk_has_no_slot_and_an_empty_one_is_unlit(spec: BakeSpec) -> None:
@@ -230,7 +250,8 @@ def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
     pool.insert(chunk_of(spec, wanted[1], 2.0), wanted)
     assert pool.missing([(2, 2, 2)])
     with pytest.raises(
-        StoreError, match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$"
+        StoreError,
+        match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$",
     ):
         pool.insert(chunk_of(spec, wanted[2], 3.0), wanted)
     assert pool.missing(wanted) == [wanted[2]]
@@ -306,7 +327,8 @@ def test_the_age_tells_when_what_was_looked_up_may_have_changed(spec: BakeSpec) 
     assert pool.missing([index]) == [index]
 
 
-# --- rows -------------------------------------------------------------------------------------------------------------
+# --- rows
+# --------------------------------------------------------------------------------------------------
 
 
 PLANS = (
@@ -335,8 +357,11 @@ def light_of(samples: list[list[int]], spec: BakeSpec = SPEC) -> Light:
 
 
 def random_light(spec: BakeSpec, texels: int) -> Light:
-    """Light of every kind of texel: void, without samples or with few in any part, and dark in any."""
-    rng, light = np.random.default_rng(7), Light.dark(spec.plan, texels)
+    """Light of every kind of texel: void, without samples or with few in any part, and dark in
+    any.
+    """
+    rng = np.random.default_rng(7)
+    light = Light.dark(spec.plan, texels)
     for part in light.parts:
         part.samples[:] = rng.choice([VOID, 0, 16, 32, MIN_SAMPLES, 8 * MIN_SAMPLES], texels)
         part.noise[:] = rng.random(part.noise.shape) ** 4
@@ -355,13 +380,19 @@ def filled(light: Light, spec: BakeSpec = SPEC) -> tuple[Rows, np.ndarray]:
 def stamps_of(light: Light) -> np.ndarray:
     """How far each texel is baked, in NumPy."""
     weights = MAX_SAMPLE_LEVELS ** np.arange(len(light.parts))
-    rungs = weights @ [np.where(part.samples == VOID, 0, level_codes(part.samples)) for part in light.parts]
+    rungs = weights @ [
+        np.where(part.samples == VOID, 0, level_codes(part.samples)) for part in light.parts
+    ]
     shown = sum(shown_bits(part) for part in light.parts)
-    return np.asarray(rungs + MAX_SAMPLE_LEVELS ** len(light.parts) * (shown % SHOWN_CHECKSUMS), np.float32)
+    return np.asarray(
+        rungs + MAX_SAMPLE_LEVELS ** len(light.parts) * (shown % SHOWN_CHECKSUMS), np.float32
+    )
 
 
 def shown_bits(part: Part) -> np.ndarray:
-    """The bits of coefficients as numbers, summed, of texels that have no samples; 0 of the others."""
+    """The bits of coefficients as numbers, summed, of texels that have no samples; 0 of the
+    others.
+    """
     sums = part.coefficients.view(np.int32).sum(axis=(1, 2), dtype=np.int64)
     return np.where(part.samples == 0, sums, 0)
 
@@ -382,14 +413,17 @@ def test_rows_are_what_numpy_makes_of_the_light(spec: BakeSpec) -> None:
     rows, places = filled(light, spec)
     np.testing.assert_array_equal(rows.transfer, light.columns(spec.terms))
     np.testing.assert_allclose(rows.error, relative_error(light, spec), rtol=1e-6)
-    np.testing.assert_allclose(rows.scatter, scatter(standard_error(light, spec), light, spec), rtol=2e-6)
+    np.testing.assert_allclose(
+        rows.scatter, scatter(standard_error(light, spec), light, spec), rtol=2e-6
+    )
     np.testing.assert_array_equal(rows.stamp, stamps_of(light))
     np.testing.assert_array_equal(places, places_of(light))
     assert {UNLIT_ROW, VOID_ROW} <= {*places.tolist()} and (places >= 0).any()
 
 
 def test_only_the_given_rows_are_written() -> None:
-    light, rows = random_light(SPEC, 50), new_rows(SPEC, 120)
+    light = random_light(SPEC, 50)
+    rows = new_rows(SPEC, 120)
     for column in rows:
         column[:] = -7.0
     numbers = np.random.default_rng(3).permutation(120)[:50].astype(np.int32)
@@ -407,7 +441,8 @@ def test_no_texels_are_no_rows() -> None:
     assert len(rows.transfer) == 0 and places.size == 0 and places.dtype == np.int32
 
 
-# --- stamps -------------------------------------------------------------------------------------------------------
+# --- stamps
+# --------------------------------------------------------------------------------------------------
 
 
 def test_stamps_tell_any_two_states_of_a_texel_apart() -> None:
@@ -423,12 +458,19 @@ def test_stamps_change_with_light_that_is_shown_without_samples() -> None:
     """Frames of an earlier plan's light, which may grow, must not pass for the same."""
     light = light_of([[0, 0, 0, 64], [64, 0, 0, 64]])
     dark = filled(light)[0].stamp
-    rng, seen = np.random.default_rng(1), [dark[:3]]
+    rng = np.random.default_rng(1)
+    seen = [dark[:3]]
     for part in light.parts * 10:
         part.coefficients[:] = rng.normal(size=part.coefficients.shape).astype(np.float16)
         seen.append(filled(light)[0].stamp[:3])
-    assert all((one != other).any() for one, other in pairwise(seen)) and len(set(np.ravel(seen).tolist())) > 30
-    assert np.array_equal(fewest_samples(seen[-1], 2), [0, 0, 0]) and filled(light)[0].stamp[3] == dark[3]
+    assert (
+        all((one != other).any() for one, other in pairwise(seen))
+        and len(set(np.ravel(seen).tolist())) > 30
+    )
+    assert (
+        np.array_equal(fewest_samples(seen[-1], 2), [0, 0, 0])
+        and filled(light)[0].stamp[3] == dark[3]
+    )
     assert np.max(seen) < 2**24, "single floats count no further"
 
 
@@ -437,7 +479,8 @@ def test_texels_without_a_row_have_no_samples() -> None:
     assert fewest_samples(marks, 2).tolist() == [0, 0, 0]
 
 
-# --- texels without a row -----------------------------------------------------------------------------------------
+# --- texels without a row
+# -----------------------------------------------------------------------------------------
 
 
 def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:

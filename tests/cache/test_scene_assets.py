@@ -1,4 +1,6 @@
-"""Parcels: a scene from the store alone is the scene that its files make, fetched once, and never a damaged one."""
+"""Parcels: a scene from the store alone is the scene that its files make, fetched once, and never a
+damaged one.
+"""
 
 import shutil
 from dataclasses import replace
@@ -62,12 +64,21 @@ def test_a_scene_from_the_store_is_the_scene(scene: Scene, tmp_path: Path) -> No
     assets = send_assets(scene, Store(tmp_path / "store"))
     shutil.rmtree(tmp_path / "base")
     other = received(scene, assets, tmp_path / "store")
-    assert (other.digest, other.bake_digest, other.id) == (scene.digest, scene.bake_digest, scene.id)
+    assert (other.digest, other.bake_digest, other.id) == (
+        scene.digest,
+        scene.bake_digest,
+        scene.id,
+    )
     np.testing.assert_array_equal(other.volume.voxels, scene.volume.voxels)
-    facts = [{k: v for k, v in vars(each.volume.counted()).items() if k != "voxels"} for each in (scene, other)]
+    facts = [
+        {k: v for k, v in vars(each.volume.counted()).items() if k != "voxels"}
+        for each in (scene, other)
+    ]
     assert facts[0] == facts[1]
     assert (other.isovalue, other.isovalues) == (scene.isovalue, scene.isovalues)
-    assert [light.name for light in other.lighting.lights] == [light.name for light in scene.lighting.lights]
+    assert [light.name for light in other.lighting.lights] == [
+        light.name for light in scene.lighting.lights
+    ]
 
 
 def test_what_was_fetched_is_not_asked_for_again(scene: Scene, tmp_path: Path) -> None:
@@ -79,14 +90,20 @@ def test_what_was_fetched_is_not_asked_for_again(scene: Scene, tmp_path: Path) -
 
 def test_what_is_there_is_not_written_again(scene: Scene, tmp_path: Path) -> None:
     first = send_assets(scene, Store(tmp_path / "store"))
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "store").rglob("*") if path.is_file()}
+    before = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "store").rglob("*") if path.is_file()
+    }
     assert len(before) == 1 + 2 + 3 * 2 * 3 + 1
     assert send_assets(scene, Store(tmp_path / "store")) == first
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
-def test_half_written_assets_are_written_again(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, written, put = Store(tmp_path / "store"), [], Store.put
+def test_half_written_assets_are_written_again(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path / "store")
+    written = []
+    put = Store.put
 
     def fails_late(self: Store, key: str, data: bytes, former: StoredObject | None) -> None:
         written.append(key)
@@ -98,7 +115,9 @@ def test_half_written_assets_are_written_again(scene: Scene, tmp_path: Path, mon
         patch.setattr(Store, "put", fails_late)
         with pytest.raises(StoreError, match="gone"):
             send_assets(scene, store)
-    with pytest.raises(StoreError, match=r"The workers need volumes/.* which lacks it: restart the server"):
+    with pytest.raises(
+        StoreError, match=r"The workers need volumes/.* which lacks it: restart the server"
+    ):
         room.fetch_volume(scene.volume.digest, store)
     (tmp_path / "store" / written[4]).write_bytes(b"of a server that was killed")
     assets = send_assets(scene, store)
@@ -111,14 +130,23 @@ def test_it_is_a_plain_zarr_array(scene: Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(array[:], scene.volume.voxels)
 
 
-def test_a_damaged_asset_is_refused_and_never_copied(scene: Scene, tmp_path: Path, copies: Path) -> None:
+def test_a_damaged_asset_is_refused_and_never_copied(
+    scene: Scene, tmp_path: Path, copies: Path
+) -> None:
     assets = send_assets(scene, Store(tmp_path / "store"))
     chunk = next((tmp_path / "store" / "volumes").rglob("c/1/0/1"))
     whole = chunk.read_bytes()
     other = (chunk.parent / "0").read_bytes()
-    for data, raised in ((whole[:-1], "checksum"), (b"", "checksum"), (other, "another volume"), (None, "is missing")):
+    for data, raised in (
+        (whole[:-1], "checksum"),
+        (b"", "checksum"),
+        (other, "another volume"),
+        (None, "is missing"),
+    ):
         chunk.unlink() if data is None else chunk.write_bytes(data)
-        with pytest.raises(StoreError, match=rf"is damaged \(.*{raised}.*\): delete it, and restart the server"):
+        with pytest.raises(
+            StoreError, match=rf"is damaged \(.*{raised}.*\): delete it, and restart the server"
+        ):
             received(scene, assets, tmp_path / "store")
     assert not list(copies.glob("*.voxels")) and not list(copies.glob("*.partial"))
     chunk.write_bytes(whole)

@@ -1,4 +1,6 @@
-"""Looking after a store: audits, repair, census and pruning, what bakes cost, and claims of bakers."""
+"""Looking after a store: audits, repair, census and pruning, what bakes cost, and claims of
+bakers.
+"""
 
 import errno
 import json
@@ -40,7 +42,8 @@ from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec
 from tests.worker.clock import Clock
 
 PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))
-DIRECT, INDIRECT = 0, 1
+DIRECT = 0
+INDIRECT = 1
 DAY = 86400.0
 
 
@@ -62,13 +65,20 @@ def audit_of(chunk_store: ChunkStore) -> Audit:
 
 
 def key_of(chunk_store: ChunkStore, index: Index, layer: int = DIRECT) -> str:
-    return file_of(chunk_store.layers[layer], index).relative_to(chunk_store.store.url.folder).as_posix()
+    return (
+        file_of(chunk_store.layers[layer], index)
+        .relative_to(chunk_store.store.url.folder)
+        .as_posix()
+    )
 
 
 def contents(chunk_store: ChunkStore) -> dict[str, bytes]:
     """All files by their keys."""
     files = [path for path in chunk_store.store.url.folder.rglob("*") if path.is_file()]
-    return {path.relative_to(chunk_store.store.url.folder).as_posix(): path.read_bytes() for path in files}
+    return {
+        path.relative_to(chunk_store.store.url.folder).as_posix(): path.read_bytes()
+        for path in files
+    }
 
 
 def put(chunk_store: ChunkStore, index: Index, field: str, value: float) -> None:
@@ -84,7 +94,8 @@ def age(path: Path, seconds: float) -> None:
     os.utime(path, (time.time() - seconds,) * 2)
 
 
-# --- audit --------------------------------------------------------------------------------------------------------
+# --- audit
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_sound_store_is_sound_and_is_left_as_it_is(chunk_store: ChunkStore) -> None:
@@ -124,9 +135,12 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_each_damage_is_found_reported_and_moved(chunk_store: ChunkStore, chunks: list[Chunk], damage: str) -> None:
+def test_each_damage_is_found_reported_and_moved(
+    chunk_store: ChunkStore, chunks: list[Chunk], damage: str
+) -> None:
     do, why = DAMAGES[damage]
-    key, path = key_of(chunk_store, PLACES[0]), file_of(chunk_store.layers[DIRECT], PLACES[0])
+    key = key_of(chunk_store, PLACES[0])
+    path = file_of(chunk_store.layers[DIRECT], PLACES[0])
     do(chunk_store, path)
     content = path.read_bytes()
     audit = audit_of(chunk_store)
@@ -142,21 +156,31 @@ def test_each_damage_is_found_reported_and_moved(chunk_store: ChunkStore, chunks
     assert_equal(chunk_store.load(PLACES[0]), chunks[0])
 
 
-def test_layers_that_disagree_on_void_texels_are_both_moved(chunk_store: ChunkStore, chunks: list[Chunk]) -> None:
+def test_layers_that_disagree_on_void_texels_are_both_moved(
+    chunk_store: ChunkStore, chunks: list[Chunk]
+) -> None:
     wrong = chunks[1].light.parts[INDIRECT].rows(np.arange(40))
-    wrong.samples[7], wrong.coefficients[7], wrong.noise[7] = VOID, 0.0, 0.0
+    wrong.samples[7] = VOID
+    wrong.coefficients[7] = 0.0
+    wrong.noise[7] = 0.0
     chunk_store.layers[INDIRECT].save(PLACES[1], chunks[1].offsets, wrong)
     keys = {key_of(chunk_store, PLACES[1], layer) for layer in (DIRECT, INDIRECT)}
     assert {damage.key for damage in audit_of(chunk_store).damages} == keys
-    assert set(repair_store(chunk_store.store, delete=True).moved.items()) == {(key, None) for key in keys}
+    assert set(repair_store(chunk_store.store, delete=True).moved.items()) == {
+        (key, None) for key in keys
+    }
     assert chunk_store.read(PLACES[1]) is None
     assert audit_of(chunk_store).sound and not list(chunk_store.store.url.folder.glob("quarantine"))
 
 
-def test_a_part_that_was_not_written_yet_is_no_quarrel(chunk_store: ChunkStore, chunks: list[Chunk]) -> None:
+def test_a_part_that_was_not_written_yet_is_no_quarrel(
+    chunk_store: ChunkStore, chunks: list[Chunk]
+) -> None:
     """A kill between two layers: one has void texels, the other nothing of them yet."""
     void = chunks[2].light.parts[DIRECT].rows(np.arange(40))
-    void.samples[:], void.coefficients[:], void.noise[:] = VOID, 0.0, 0.0
+    void.samples[:] = VOID
+    void.coefficients[:] = 0.0
+    void.noise[:] = 0.0
     chunk_store.layers[DIRECT].save(PLACES[2], chunks[2].offsets, void)
     file_of(chunk_store.layers[INDIRECT], PLACES[2]).unlink()
     assert audit_of(chunk_store).sound
@@ -172,7 +196,9 @@ def test_damaged_metadata_is_reported_and_its_light_is_kept(
     if text == "missing":
         file.unlink()
     audit = audit_of(chunk_store)
-    assert [damage.key for damage in audit.damages] == [f"{chunk_store.layers[INDIRECT].digest}/zarr.json"]
+    assert [damage.key for damage in audit.damages] == [
+        f"{chunk_store.layers[INDIRECT].digest}/zarr.json"
+    ]
     assert (audit.unread, audit.whole) == (4, 4)
     repair_store(chunk_store.store)
     again = ChunkStore(chunk_store.store, chunk_store.spec)
@@ -186,14 +212,17 @@ def test_an_object_outside_of_the_lattice_is_damage(chunk_store: ChunkStore) -> 
     path = file_of(chunk_store.layers[DIRECT], (3, 1, 1))
     path.parent.mkdir(parents=True)
     shutil.copy(file_of(chunk_store.layers[DIRECT], PLACES[0]), path)
-    assert [(found.key, "no such place" in found.why) for found in audit_of(chunk_store).damages] == [
-        (key_of(chunk_store, (3, 1, 1)), True)
-    ]
+    assert [
+        (found.key, "no such place" in found.why) for found in audit_of(chunk_store).damages
+    ] == [(key_of(chunk_store, (3, 1, 1)), True)]
 
 
 def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> None:
-    folder, store = file_of(chunk_store.layers[DIRECT], PLACES[0]).parent, chunk_store.store.url.folder
-    old, fresh, probe = folder / "0.12ab.partial", folder / "0.34cd.partial", store / "probe.12ab.partial"
+    folder = file_of(chunk_store.layers[DIRECT], PLACES[0]).parent
+    store = chunk_store.store.url.folder
+    old = folder / "0.12ab.partial"
+    fresh = folder / "0.34cd.partial"
+    probe = store / "probe.12ab.partial"
     claim = store / CLAIMS_FOLDER / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
     claim.parent.mkdir()
     for path in (old, fresh, probe, claim, store / "notes.txt"):
@@ -205,15 +234,22 @@ def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> N
     assert [found.key for found in audit.inventory.foreign] == ["notes.txt"]
     removed = {found.key for found in repair_store(chunk_store.store).removed}
     assert removed == {path.relative_to(store).as_posix() for path in (old, probe, claim)}
-    assert not any(path.exists() for path in (old, probe, claim)) and fresh.exists() and (store / "notes.txt").exists()
+    assert (
+        not any(path.exists() for path in (old, probe, claim))
+        and fresh.exists()
+        and (store / "notes.txt").exists()
+    )
 
 
-# --- census and pruning -------------------------------------------------------------------------------------------
+# --- census and pruning
+# -------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def two(chunk_store: ChunkStore) -> ChunkStore:
-    """The store, with light of another albedo besides, which shares the direct layer, and the costs of both."""
+    """The store, with light of another albedo besides, which shares the direct layer, and the costs
+    of both.
+    """
     other = ChunkStore(chunk_store.store, spec_of(albedo=0.5))
     other.save(baked(other.spec, PLACES[0]))
     for number, each in enumerate((chunk_store, other), 1):
@@ -228,14 +264,23 @@ def two(chunk_store: ChunkStore) -> ChunkStore:
 
 def test_the_census_tells_texels_and_costs(two: ChunkStore, chunk_store: ChunkStore) -> None:
     census = census_of(chunk_store.store)
-    shared, own, other = (
-        chunk_store.layers[DIRECT].digest,
-        chunk_store.layers[INDIRECT].digest,
-        two.layers[INDIRECT].digest,
-    )
-    assert {digest: len(count.files.chunks) for digest, count in census.counts.items()} == {shared: 4, own: 4, other: 1}
-    assert [census.counts[own].lit, census.counts[own].paths, census.counts[other].lit] == [160, 2560, 40]
-    assert {layers: cost.seconds for layers, cost in census.costs.items()} == {(shared, own): 1.0, (shared, other): 2.0}
+    shared = chunk_store.layers[DIRECT].digest
+    own = chunk_store.layers[INDIRECT].digest
+    other = two.layers[INDIRECT].digest
+    assert {digest: len(count.files.chunks) for digest, count in census.counts.items()} == {
+        shared: 4,
+        own: 4,
+        other: 1,
+    }
+    assert [census.counts[own].lit, census.counts[own].paths, census.counts[other].lit] == [
+        160,
+        2560,
+        40,
+    ]
+    assert {layers: cost.seconds for layers, cost in census.costs.items()} == {
+        (shared, own): 1.0,
+        (shared, other): 2.0,
+    }
     assert not census_of(chunk_store.store, texels=False).counts[own].samples
 
 
@@ -243,7 +288,9 @@ def wanted(chunk_store: ChunkStore, rule: PruneRule) -> set[str]:
     """Digests of the layers that go."""
     return {
         count.files.digest
-        for count in plan_prune(census_of(chunk_store.store, False), rule, chunk_store.store.now()).going
+        for count in plan_prune(
+            census_of(chunk_store.store, False), rule, chunk_store.store.now()
+        ).going
     }
 
 
@@ -253,11 +300,15 @@ def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, chunk_store: Chun
     assert wanted(chunk_store, PruneRule(older_than=5 * DAY)) == old
     assert wanted(chunk_store, PruneRule(older_than=1 * DAY)) == every
     assert (
-        wanted(chunk_store, PruneRule(older_than=20 * DAY)) == wanted(chunk_store, PruneRule(scene="nobody")) == set()
+        wanted(chunk_store, PruneRule(older_than=20 * DAY))
+        == wanted(chunk_store, PruneRule(scene="nobody"))
+        == set()
     )
     assert wanted(chunk_store, PruneRule(scene="orbital")) == every
     size = sum(
-        len(content) for key, content in contents(chunk_store).items() if not key.startswith(("costs", "isogi.json"))
+        len(content)
+        for key, content in contents(chunk_store).items()
+        if not key.startswith(("costs", "isogi.json"))
     )
     assert wanted(chunk_store, PruneRule(keep=size)) == set()
     assert wanted(chunk_store, PruneRule(keep=size - 1)) == old
@@ -267,11 +318,20 @@ def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, chunk_store: Chun
     assert wanted(chunk_store, PruneRule(empty=True)) == {chunk_store.layers[INDIRECT].digest}
 
 
-def test_pruning_deletes_layers_with_their_costs_alone(two: ChunkStore, chunk_store: ChunkStore) -> None:
-    census, before = census_of(chunk_store.store, False), contents(chunk_store)
-    delete_layers(chunk_store.store, census, plan_prune(census, PruneRule(older_than=5 * DAY), chunk_store.store.now()))
+def test_pruning_deletes_layers_with_their_costs_alone(
+    two: ChunkStore, chunk_store: ChunkStore
+) -> None:
+    census = census_of(chunk_store.store, False)
+    before = contents(chunk_store)
+    delete_layers(
+        chunk_store.store,
+        census,
+        plan_prune(census, PruneRule(older_than=5 * DAY), chunk_store.store.now()),
+    )
     gone = (two.layers[INDIRECT].digest, f"costs/{two.spec.digest}")
-    assert contents(chunk_store) == {key: content for key, content in before.items() if not key.startswith(gone)}
+    assert contents(chunk_store) == {
+        key: content for key, content in before.items() if not key.startswith(gone)
+    }
     assert not Path(two.layers[INDIRECT].path).exists()
     assert audit_of(chunk_store).sound
 
@@ -279,7 +339,9 @@ def test_pruning_deletes_layers_with_their_costs_alone(two: ChunkStore, chunk_st
 def test_light_written_or_read_just_now_stays(two: ChunkStore, chunk_store: ChunkStore) -> None:
     old = two.layers[INDIRECT]
     age(file_of(old, PLACES[0]), BUSY_SECONDS / 2)
-    plan = plan_prune(census_of(chunk_store.store, False), PruneRule(scene="orbital"), chunk_store.store.now())
+    plan = plan_prune(
+        census_of(chunk_store.store, False), PruneRule(scene="orbital"), chunk_store.store.now()
+    )
     assert [count.files.digest for count in plan.busy] == [old.digest] and len(plan.going) == 2
     age(file_of(old, PLACES[0]), 10 * DAY)
     UseStamps(chunk_store.store, [old.digest])._stamp()
@@ -287,7 +349,8 @@ def test_light_written_or_read_just_now_stays(two: ChunkStore, chunk_store: Chun
 
 
 def test_light_is_stamped_when_it_is_shown_and_seldom_again(chunk_store: ChunkStore) -> None:
-    now, stamped = [0.0], []
+    now = [0.0]
+    stamped = []
     use = UseStamps(chunk_store.store, ["0" * 20], lambda: now[0])
     use._stamp = lambda: stamped.append(now[0])  # type: ignore[method-assign]
     for now[0] in (0.0, 1.0, STAMP_EVERY - 1.0, STAMP_EVERY, STAMP_EVERY + 1.0):
@@ -297,24 +360,29 @@ def test_light_is_stamped_when_it_is_shown_and_seldom_again(chunk_store: ChunkSt
         time.sleep(0.01)
     assert stamped == [0.0, STAMP_EVERY]
     shown(chunk_store, PLACES[0])
-    digests, used = {layer.digest for layer in chunk_store.layers}, chunk_store.store.url.folder / "used"
+    digests = {layer.digest for layer in chunk_store.layers}
+    used = chunk_store.store.url.folder / "used"
     while not (used.exists() and {path.name for path in used.iterdir()} == digests):
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, chunk_store: ChunkStore) -> None:
+def test_a_store_that_tells_no_ages_is_pruned_of_nothing(
+    two: ChunkStore, chunk_store: ChunkStore
+) -> None:
     census = census_of(chunk_store.store, False)
     for count in census.counts.values():
         count.files.chunks = {
-            index: found._replace(written=float("nan")) for index, found in count.files.chunks.items()
+            index: found._replace(written=float("nan"))
+            for index, found in count.files.chunks.items()
         }
         count.files.metadata = None
     with pytest.raises(StoreError, match="does not know when"):
         plan_prune(census, PruneRule(older_than=DAY), 0.0)
 
 
-# --- claims -----------------------------------------------------------------------------------------------------------
+# --- claims
+# --------------------------------------------------------------------------------------------------
 
 
 NAME = "0123456789abcdef0123.1.2.3"
@@ -359,9 +427,12 @@ def test_a_claim_ends_with_work_that_fails(store: Store) -> None:
     assert not left(store)
 
 
-def test_claims_end_a_while_after_the_last_contention(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_end_a_while_after_the_last_contention(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = Clock()
-    lonely, met = Claims(store, clock), someone(store, clock)
+    lonely = Claims(store, clock)
+    met = someone(store, clock)
     clock.now += CONTENDED_SECONDS + 1.0
     for asked in ("get", "put", "delete"):
         monkeypatch.setattr(Folder, asked, lambda *_: pytest.fail("the store was asked"))
@@ -436,7 +507,9 @@ def test_of_two_that_insist_one_has_it(store: Store, monkeypatch: pytest.MonkeyP
         assert not theirs
 
 
-def test_a_claim_that_ends_at_this_moment_is_free(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_claim_that_ends_at_this_moment_is_free(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     killed = someone(store).on(NAME, "killed")
     killed.__enter__()
     monkeypatch.setattr(store, "get", store.delete)
@@ -444,7 +517,8 @@ def test_a_claim_that_ends_at_this_moment_is_free(store: Store, monkeypatch: pyt
         assert theirs
 
 
-# --- costs ------------------------------------------------------------------------------------------------------------
+# --- costs
+# --------------------------------------------------------------------------------------------------
 
 
 GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": %s}'
@@ -506,7 +580,10 @@ def test_they_are_written_now_and_then(tmp_path: Path) -> None:
         "{",
         "[]",
         GROUP % "{}",
-        *(GROUP % f'{{"chunks": {chunks}}}' for chunks in ("[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}')),
+        *(
+            GROUP % f'{{"chunks": {chunks}}}'
+            for chunks in ("[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}')
+        ),
     ],
 )
 def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
@@ -515,8 +592,11 @@ def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
     assert read(tmp_path).total == Cost()
 
 
-def test_what_could_not_be_kept_is_logged_and_kept_later(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    now, place = 0.0, tmp_path / "light"
+def test_what_could_not_be_kept_is_logged_and_kept_later(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = 0.0
+    place = tmp_path / "light"
     place.write_text("not a folder")
     costs = Costs(Store(place, clock=lambda: now), "digest", lambda: now)
     costs.read()
@@ -533,9 +613,13 @@ def test_what_could_not_be_kept_is_logged_and_kept_later(tmp_path: Path, caplog:
 
 
 def test_the_common_rate_is_the_median_however_chunks_change() -> None:
-    rng, costs, kept = np.random.default_rng(4), Costs("memory://median", "digest"), {}
+    rng = np.random.default_rng(4)
+    costs = Costs("memory://median", "digest")
+    kept = {}
     for index in rng.integers(0, 9, 40):
         cost = Cost(float(rng.random()), int(rng.integers(1, 100)))
         costs.add((0, 0, int(index)), cost)
         kept[int(index)] = kept.get(int(index), Cost()).plus(cost)
-        assert costs.rate((9, 9, 9)) == pytest.approx(np.median([each.rate for each in kept.values()]))
+        assert costs.rate((9, 9, 9)) == pytest.approx(
+            np.median([each.rate for each in kept.values()])
+        )

@@ -1,4 +1,6 @@
-"""A live server with a token, whose light is baked on a thread, and whose answers fail as a test plans it."""
+"""A live server with a token, whose light is baked on a thread, and whose answers fail as a test
+plans it.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +24,8 @@ TOKEN = "a token of the tests"
 
 @dataclass(eq=False)
 class Faults:
-    """What is going to fail: so many ``refusals`` (503), and so many event streams ``cut`` after their first event.
+    """What is going to fail: so many ``refusals`` (503), and so many event streams ``cut`` after
+    their first event.
 
     ``asked`` are the requests that came, each its path and its headers.
     """
@@ -36,7 +39,8 @@ class Faulty:
     """ASGI middleware that has answers fail."""
 
     def __init__(self, app: ASGIApp, faults: Faults) -> None:
-        self.app, self.faults = app, faults
+        self.app = app
+        self.faults = faults
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or not scope["path"].startswith("/v1"):
@@ -57,7 +61,8 @@ class Torn:
     """Sends the head and the first event, and breaks the connection then."""
 
     def __init__(self, send: Send) -> None:
-        self.send, self.bodies = send, 0
+        self.send = send
+        self.bodies = 0
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.body":
@@ -79,7 +84,10 @@ class Lab:
 class Broken:
     """A pool whose tasks all fail."""
 
-    room, together, workers, trouble = 2, 1, 1, ""
+    room = 2
+    together = 1
+    workers = 1
+    trouble = ""
 
     def submit(self, task: Any, done: Any) -> None:
         done(None, RuntimeError("The texels are cursed."))
@@ -91,8 +99,12 @@ class Broken:
 @contextmanager
 def lab_of(scene: Path, store: Path, bakes: bool = True, port: int = 0) -> Iterator[Lab]:
     """Such a server of a scene, which ``bakes`` or has nobody to."""
-    baker, faults, pool = Baker(), Faults(), InlinePool()
-    app = create_app(EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN))
+    baker = Baker()
+    faults = Faults()
+    pool = InlinePool()
+    app = create_app(
+        EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN)
+    )
     app.add_middleware(Faulty, faults=faults)
     if bakes:
         baker.employ(cast(WorkerPool, pool))

@@ -1,4 +1,6 @@
-"""The client against a live server: views, waits and jobs, what it does while a server is away, and what it raises."""
+"""The client against a live server: views, waits and jobs, what it does while a server is away, and
+what it raises.
+"""
 
 import ast
 import io
@@ -64,7 +66,12 @@ def isogi(lab: Lab) -> Iterator[Isogi]:
 
 def test_it_needs_no_other_part_of_isogi() -> None:
     tree = ast.parse(Path(isogi_client.__file__).read_text(encoding="utf-8"))
-    names = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    names = [
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    ]
     names += [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     others = {name.split(".")[0] for name in names} - set(sys.stdlib_module_names)
     assert others == {"httpx", "httpx_retries", "httpx_sse", "numpy", "PIL"}
@@ -86,10 +93,14 @@ def test_a_frame_comes_at_once_and_says_how_good_it_is(isogi: Isogi) -> None:
 
 def test_a_final_frame_is_the_one_that_the_server_has_in_the_end(isogi: Isogi) -> None:
     told: list[Facts] = []
-    frame = isogi.frame("small", wait="final", progress=told.append, f="npy", antialias="off", azimuth=50, **VIEW)
+    frame = isogi.frame(
+        "small", wait="final", progress=told.append, f="npy", antialias="off", azimuth=50, **VIEW
+    )
     assert not frame.facts.provisional
     assert told[-1] == frame.facts
-    assert [facts.coverage["final"] for facts in told] == sorted(facts.coverage["final"] for facts in told)
+    assert [facts.coverage["final"] for facts in told] == sorted(
+        facts.coverage["final"] for facts in told
+    )
     again = isogi.frame("small", f="npy", azimuth=50, **VIEW)
     assert again.content == frame.content
     planes = frame.planes
@@ -109,11 +120,15 @@ def test_waiting_some_seconds_asks_until_then(isogi: Isogi, faults: Faults) -> N
 
 
 def test_a_path_traced_frame_is_asked_for_once(isogi: Isogi, faults: Faults) -> None:
-    frame = isogi.frame("small", wait=60, shading="path_traced", samples=8, max_error=0.0001, **VIEW)
+    frame = isogi.frame(
+        "small", wait=60, shading="path_traced", samples=8, max_error=0.0001, **VIEW
+    )
     assert frame.facts.provisional and frame.facts.error > 0.0001
     assert len(faults.asked) == 1
     with pytest.raises(NotFinalError, match="ask for more samples"):
-        isogi.frame("small", wait="final", shading="path_traced", samples=8, max_error=0.0001, **VIEW)
+        isogi.frame(
+            "small", wait="final", shading="path_traced", samples=8, max_error=0.0001, **VIEW
+        )
 
 
 @pytest.mark.parametrize(("f", "suffix"), [("png", ".png"), ("jpeg", ".jpg"), ("webp", ".webp")])
@@ -177,14 +192,19 @@ def test_a_server_that_is_not_ready_is_asked_again(isogi: Isogi, faults: Faults)
 
 def test_patience_ends(lab: Lab, faults: Faults) -> None:
     faults.refusals = 1000
-    with Isogi(lab.url, TOKEN, patience=0.2) as hurried, pytest.raises(BusyError, match="Not yet") as caught:
+    with (
+        Isogi(lab.url, TOKEN, patience=0.2) as hurried,
+        pytest.raises(BusyError, match="Not yet") as caught,
+    ):
         hurried.scenes()
     faults.refusals = 0
     assert caught.value.status == 503
     assert len(faults.asked) < 5
 
 
-def test_a_token_is_shown_and_its_lack_is_told(lab: Lab, faults: Faults, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_is_shown_and_its_lack_is_told(
+    lab: Lab, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Isogi(lab.url) as stranger, pytest.raises(TokenError, match="token") as caught:
         stranger.scenes()
     assert caught.value.status == 401
@@ -207,11 +227,16 @@ def test_what_is_refused_says_why(isogi: Isogi) -> None:
 
 
 def test_where_nobody_answers_that_is_said_at_once() -> None:
-    with Isogi("http://127.0.0.1:9", patience=60) as lost, pytest.raises(UnreachableError, match="Does it run"):
+    with (
+        Isogi("http://127.0.0.1:9", patience=60) as lost,
+        pytest.raises(UnreachableError, match="Does it run"),
+    ):
         lost.scenes()
 
 
-def test_a_view_that_cannot_become_final_ends_with_the_reason(small_scene: Path, tmp_path: Path) -> None:
+def test_a_view_that_cannot_become_final_ends_with_the_reason(
+    small_scene: Path, tmp_path: Path
+) -> None:
     with lab_of(small_scene, tmp_path, bakes=False) as lab, Isogi(lab.url, TOKEN) as isogi:
         lab.baker.employ(cast(WorkerPool, Broken()))
         with pytest.raises(NotFinalError, match="cursed"):
@@ -224,7 +249,9 @@ def test_waiting_goes_on_through_a_restart(small_scene: Path, tmp_path: Path) ->
     with ThreadPoolExecutor(1) as waiting:
         with lab_of(small_scene, tmp_path, bakes=False) as first:
             isogi = Isogi(first.url, TOKEN)
-            asked = waiting.submit(isogi.frame, "small", wait="final", progress=lambda _: listening.set(), **VIEW)
+            asked = waiting.submit(
+                isogi.frame, "small", wait="final", progress=lambda _: listening.set(), **VIEW
+            )
             assert listening.wait(60)
         assert not asked.done()
         with isogi, lab_of(small_scene, tmp_path, port=urlsplit(first.url).port or 0):
@@ -243,23 +270,44 @@ def test_an_error_above_what_was_asked_for_is_told(isogi: Isogi) -> None:
 
 
 def test_facts_tell_the_tail_of_the_errors() -> None:
-    facts = {"isogi-provisional": "?0", "isogi-coverage": "final=1.000", "isogi-chunks": "needed=3, final=3"}
+    facts = {
+        "isogi-provisional": "?0",
+        "isogi-coverage": "final=1.000",
+        "isogi-chunks": "needed=3, final=3",
+    }
     error = "0.018; noise=0.006; low=0.015; high=0.021; controls=256"
-    known = Facts.of_headers({**facts, "isogi-error": f"{error}; p99=0.062; p99-low=0.051; p99-high=0.079"})
-    assert (known.p99, known.p99_interval, known.interval) == (0.062, (0.051, 0.079), (0.015, 0.021))
+    known = Facts.of_headers(
+        {**facts, "isogi-error": f"{error}; p99=0.062; p99-low=0.051; p99-high=0.079"}
+    )
+    assert (known.p99, known.p99_interval, known.interval) == (
+        0.062,
+        (0.051, 0.079),
+        (0.015, 0.021),
+    )
     unknown = Facts.of_headers({**facts, "isogi-error": error})
     assert (unknown.p99, unknown.p99_interval, unknown.controls) == (None, None, 256)
 
 
 def test_facts_for_a_person() -> None:
-    facts = Facts(True, {"final": 0.7}, 0.0183, {"needed": 240, "final": 182}, TimeLeft(20.0, 39.6, 80.0))
+    facts = Facts(
+        True, {"final": 0.7}, 0.0183, {"needed": 240, "final": 182}, TimeLeft(20.0, 39.6, 80.0)
+    )
     assert str(facts) == "182 of 240 chunks final, error about 1.8 %, about 40 s"
-    assert str(Facts(False, {"final": 1.0}, 1.0, {"needed": 1, "final": 1})) == "1 of 1 chunks final, error about 100 %"
+    assert (
+        str(Facts(False, {"final": 1.0}, 1.0, {"needed": 1, "final": 1}))
+        == "1 of 1 chunks final, error about 100 %"
+    )
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(70, "70"), (0.1, "0.1"), (np.float64(2.5), "2.5"), ((1, 2, 3), "1,2,3"), (np.array([0.5, 1.0]), "0.5,1.0")],
+    [
+        (70, "70"),
+        (0.1, "0.1"),
+        (np.float64(2.5), "2.5"),
+        ((1, 2, 3), "1,2,3"),
+        (np.array([0.5, 1.0]), "0.5,1.0"),
+    ],
 )
 def test_values_are_written_as_the_server_reads_them(value: Any, text: str) -> None:
     assert isogi_client.query({"eye": value, "up": None}) == {"eye": text}
@@ -267,7 +315,8 @@ def test_values_are_written_as_the_server_reads_them(value: Any, text: str) -> N
 
 def test_an_upload_is_sent_again_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server is busy at first."""
-    volume, bodies = tmp_path / "a.nrrd", []
+    volume = tmp_path / "a.nrrd"
+    bodies = []
     volume.write_bytes(np.random.default_rng(1).bytes((5 << 20) // 2))
 
     def answer(request: httpx.Request) -> httpx.Response:
@@ -297,7 +346,12 @@ def test_arrays_are_sent_as_nrrd(tmp_path: Path) -> None:
         nrrd_of(np.ones((2, 2, 2)), (1, 0, 1))
 
 
-ORDER: dict[str, Any] = {"isovalues": [0.75, "0.76:0.78:0.02"], "views": 2, "width": 24, "height": 20}
+ORDER: dict[str, Any] = {
+    "isovalues": [0.75, "0.76:0.78:0.02"],
+    "views": 2,
+    "width": 24,
+    "height": 20,
+}
 """Of isovalues that no other test of this module looks at."""
 
 
@@ -307,11 +361,20 @@ def test_a_prewarm_is_asked_about_and_waited_for(isogi: Isogi) -> None:
     told: list[Progress] = []
     job = isogi.prewarm("small", **ORDER)
     summary = job.wait(told.append)
-    assert (summary["stopped"], summary["final"], summary["texels"]) == ("target", 1.0, ahead["texels"])
+    assert (summary["stopped"], summary["final"], summary["texels"]) == (
+        "target",
+        1.0,
+        ahead["texels"],
+    )
     assert told[-1] == Progress("successful", "This is done.", 100) and told[-1].over
     assert isogi.job(job.id).summary() == summary
     assert job.address.endswith(f"/v1/jobs/{job.id}")
-    assert not isogi.frame("small", isovalue=0.78, azimuth=0.0, elevation=30.0, width=24, height=20).facts.error > 0.5
+    assert (
+        not isogi.frame(
+            "small", isovalue=0.78, azimuth=0.0, elevation=30.0, width=24, height=20
+        ).facts.error
+        > 0.5
+    )
 
 
 def test_an_export_is_a_file_and_leaves_no_job(isogi: Isogi, tmp_path: Path) -> None:

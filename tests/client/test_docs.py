@@ -1,4 +1,6 @@
-"""docs/client.md and docs/notebook.ipynb: their examples run, against a live server, in their order."""
+"""docs/client.md and docs/notebook.ipynb: their examples run, against a live server, in their
+order.
+"""
 
 import ast
 import contextlib
@@ -63,7 +65,9 @@ def test_shell(own_server: str, tmp_path: Path) -> None:
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     script = "\n".join(f"echo '+++'\n{line}\necho" for line in lines)
     script = script.replace(HERE, own_server).replace("/scenes/engine/", "/scenes/small/")
-    done = subprocess.run(["bash", "-eu", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["bash", "-eu", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     picture, _, events, _, job, jobs, dismissed = done.stdout.split("+++\n")[1:]
     assert "preference-applied: wait=5" in picture.lower()
     assert size_of(tmp_path / "frame.png") == (160, 120, 1)
@@ -86,9 +90,14 @@ def cells() -> list[str]:
 def shown(code: str, names: dict[str, Any]) -> Any:
     """What a cell ends with, once it has run; None where that is no expression."""
     tree = ast.parse(code)
-    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    if isinstance(tree.body[-1], ast.Expr):
+        last = tree.body.pop()
+    else:
+        last = None
     exec(compile(tree, str(NOTEBOOK), "exec"), names)
-    return None if last is None else eval(compile(ast.Expression(last.value), str(NOTEBOOK), "eval"), names)
+    if last is None:
+        return None
+    return eval(compile(ast.Expression(last.value), str(NOTEBOOK), "eval"), names)
 
 
 def test_the_cells_run(own_server: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,8 @@ async def joins(*where):
 
 def looks(port):
     try:
-        return urllib.request.urlopen(f"http://127.0.0.1:{port}/json/identity.json", timeout=patience).status == 200
+        address = f"http://127.0.0.1:{port}/json/identity.json"
+        return urllib.request.urlopen(address, timeout=patience).status == 200
     except Exception:
         return False
 
@@ -66,7 +67,9 @@ if os.getuid() == 0:
 print(json.dumps(asyncio.run(main(json.loads(sys.argv[1])))), flush=True)
 os._exit(0)
 """
-"""Where the tests run as root, another user; else a client without the key. It tells the ports that let it in."""
+"""Where the tests run as root, another user; else a client without the key. It tells the ports that
+let it in.
+"""
 
 PATIENCE = 5
 """Seconds in which a port that lets anybody in would have said so, also on a slow machine."""
@@ -84,5 +87,7 @@ def fallen(ports: list[int]) -> list[int]:
     command = [sys.executable, "-c", ATTACK, json.dumps(ports), str(PATIENCE)]
     paths = os.pathsep.join((str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])))
     given = {**os.environ, "PYTHONPATH": paths}
-    told = subprocess.run(command, cwd="/", env=given, capture_output=True, text=True, check=True, timeout=LONG)
+    told = subprocess.run(
+        command, cwd="/", env=given, capture_output=True, text=True, check=True, timeout=LONG
+    )
     return list(json.loads(told.stdout))

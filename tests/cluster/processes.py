@@ -21,9 +21,14 @@ from worker.pool import show_certificate, temporary_security
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0
-"""Seconds within which a process has started, baked or noticed something, also on a slow machine."""
+"""Seconds within which a process has started, baked or noticed something, also on a slow
+machine.
+"""
 
-HEALTH = {f"DASK_DISTRIBUTED__{who}__HTTP__ROUTES": '["distributed.http.health"]' for who in ("SCHEDULER", "WORKER")}
+HEALTH = {
+    f"DASK_DISTRIBUTED__{who}__HTTP__ROUTES": '["distributed.http.health"]'
+    for who in ("SCHEDULER", "WORKER")
+}
 """By default Dask's health pages tell everybody of workers and tasks too."""
 
 QUIET = ("--no-dashboard", "--dashboard-address", "127.0.0.1:0")
@@ -40,7 +45,9 @@ Started = subprocess.Popen[bytes]
 
 
 def write_certificates(folder: Path) -> None:
-    """Files of a new authority, a certificate and its key: by the commands of docs/cluster.md, where openssl is."""
+    """Files of a new authority, a certificate and its key: by the commands of docs/cluster.md,
+    where openssl is.
+    """
     if shutil.which("openssl"):
         for command in re.findall(r"^openssl .*$", DOCUMENTED, re.MULTILINE):
             subprocess.run(shlex.split(command), cwd=folder, check=True, capture_output=True)
@@ -52,7 +59,11 @@ def write_certificates(folder: Path) -> None:
 
 def named(options: Sequence[str], certificates: Path) -> list[str]:
     """Options that name the certificates in a folder."""
-    return [part for option, name in zip(options, FILES, strict=True) for part in (option, str(certificates / name))]
+    return [
+        part
+        for option, name in zip(options, FILES, strict=True)
+        for part in (option, str(certificates / name))
+    ]
 
 
 def free_port() -> int:
@@ -62,7 +73,9 @@ def free_port() -> int:
 
 
 def until(condition: Callable[[], Any], seconds: float = LONG, pause: float = 0.1) -> Any:
-    """What the condition tells once it is true; it is asked with a ``pause`` between, in seconds."""
+    """What the condition tells once it is true; it is asked with a ``pause`` between, in
+    seconds.
+    """
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, "it did not come true"
@@ -106,11 +119,15 @@ class Cluster:
         """The processes that were started and have not ended."""
         return [psutil.Process(each.pid) for each in self._running if each.poll() is None]
 
-    def run(self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any) -> Started:
+    def run(
+        self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any
+    ) -> Started:
         """Start a command of the environment that the tests run in."""
         program = shutil.which(command[0], path=self.environment["PATH"])
         process = subprocess.Popen(
-            [program or command[0], *command[1:]], env={**self.environment, **(environment or {})}, **kwargs
+            [program or command[0], *command[1:]],
+            env={**self.environment, **(environment or {})},
+            **kwargs,
         )
         self._running.append(process)
         return process
@@ -119,23 +136,52 @@ class Cluster:
         """Start the scheduler."""
         where = ("--host", self.address.rpartition(":")[0], "--port", str(self.port))
         started = self.run(
-            "dask", "scheduler", *where, *named(DASK, self.certificates), *QUIET, stderr=subprocess.DEVNULL
+            "dask",
+            "scheduler",
+            *where,
+            *named(DASK, self.certificates),
+            *QUIET,
+            stderr=subprocess.DEVNULL,
         )
         until(lambda: listens(self.port))
         return started
 
     def worker(self, *known: str, **kwargs: Any) -> Started:
-        """Start a worker; it joins when it has loaded its kernels. Others than its own options may say who it is."""
-        alone = ("--nworkers", "1", "--nthreads", "1", "--host", "127.0.0.1", *QUIET, "--memory-limit", "0")
+        """Start a worker; it joins when it has loaded its kernels. Others than its own options may
+        say who it is.
+        """
+        alone = (
+            "--nworkers",
+            "1",
+            "--nthreads",
+            "1",
+            "--host",
+            "127.0.0.1",
+            *QUIET,
+            "--memory-limit",
+            "0",
+        )
         options = (*alone, *(known or named(DASK, self.certificates)), "--preload", "worker.tasks")
-        return self.run("dask", "worker", self.address, *options, stderr=subprocess.DEVNULL, **kwargs)
+        return self.run(
+            "dask", "worker", self.address, *options, stderr=subprocess.DEVNULL, **kwargs
+        )
 
     def server(self, scene: Path, store: str) -> tuple[Started, httpx.Client]:
         """Start a server, which may not be ready yet."""
         port = free_port()
-        listening = ("--port", str(port), "--store", store, "--scheduler", self.address, *named(OWN, self.certificates))
+        listening = (
+            "--port",
+            str(port),
+            "--store",
+            store,
+            "--scheduler",
+            self.address,
+            *named(OWN, self.certificates),
+        )
         started = self.run("python", "-m", "server", "serve", str(scene), *listening, cwd=ROOT)
-        client = self._clients.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0))
+        client = self._clients.enter_context(
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0)
+        )
         until(lambda: status(client, "/livez") == 200)
         return started, client
 
@@ -161,7 +207,9 @@ def status(client: httpx.Client, path: str, **params: Any) -> int:
 def reasons(client: httpx.Client) -> str:
     """Why a server is not ready; empty where it is."""
     answer = client.get("/readyz").json()
-    return "" if answer.get("ready") else " ".join(answer.get("reasons", ()))
+    if answer.get("ready"):
+        return ""
+    return " ".join(answer.get("reasons", ()))
 
 
 def metric(client: httpx.Client, name: str) -> float:
@@ -171,9 +219,17 @@ def metric(client: httpx.Client, name: str) -> float:
     return float(found[1])
 
 
-def final(client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: float = LONG) -> bytes:
+def final(
+    client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: float = LONG
+) -> bytes:
     """The picture of a view of the scene ``small``, once all of it is final."""
-    params: dict[str, str | float] = {"azimuth": azimuth, "width": size, "height": size, "f": "npy", "wait_ms": 2000}
+    params: dict[str, str | float] = {
+        "azimuth": azimuth,
+        "width": size,
+        "height": size,
+        "f": "npy",
+        "wait_ms": 2000,
+    }
 
     def shown() -> bytes | None:
         answer = client.get("/v1/scenes/small/frame", params=params)
@@ -186,7 +242,10 @@ def final(client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: 
 @contextmanager
 def cluster(workers: int = 1) -> Iterator[Cluster]:
     """A scheduler and workers, which this process may join as well."""
-    with Cluster() as started, show_certificate(*(str(started.certificates / name) for name in FILES)):
+    with (
+        Cluster() as started,
+        show_certificate(*(str(started.certificates / name) for name in FILES)),
+    ):
         started.scheduler()
         for _ in range(workers):
             started.worker()

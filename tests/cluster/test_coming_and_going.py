@@ -1,4 +1,6 @@
-"""Processes of a cluster come and go, and refuse strangers; however many bake, the bytes are the same."""
+"""Processes of a cluster come and go, and refuse strangers; however many bake, the bytes are the
+same.
+"""
 
 from contextlib import closing
 from pathlib import Path
@@ -74,7 +76,9 @@ def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: 
 
 
 def test_the_commands_of_the_documentation_name_them_all() -> None:
-    started = [line for line in DOCUMENTED.splitlines() if line.startswith(("dask ", "isogi serve"))]
+    started = [
+        line for line in DOCUMENTED.splitlines() if line.startswith(("dask ", "isogi serve"))
+    ]
     assert len(started) == 3
     assert all(f"export {name}='{value}'" in DOCUMENTED for name, value in HEALTH.items())
     for line, options in zip(started, (DASK, DASK, OWN), strict=True):
@@ -112,5 +116,7 @@ def test_however_many_bake_the_bytes_are_the_same(
         alone = baked(small_scene, tmp_path / "alone")
     assert alone
     address = "127.0.0.1:0"
-    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=address, silence_logs=50) as others:
+    with LocalCluster(
+        n_workers=WORKERS, threads_per_worker=1, dashboard_address=address, silence_logs=50
+    ) as others:
         assert baked(small_scene, tmp_path / "joined", others.scheduler_address) == alone

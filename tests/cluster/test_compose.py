@@ -37,10 +37,16 @@ def test_only_servers_can_be_reached_and_only_on_loopback() -> None:
 
 def test_foreign_images_are_pinned_and_no_secret_is_in_files() -> None:
     images = [service["image"] for service in SERVICES.values() if "build" not in service]
-    images += re.findall("^FROM (.*)$", (ROOT / "Dockerfile").read_text(encoding="utf-8"), re.MULTILINE)
-    assert len(images) == 2 and all(re.search(r":v?\d+\.\S+@sha256:[0-9a-f]{64}$", image) for image in images)
+    images += re.findall(
+        "^FROM (.*)$", (ROOT / "Dockerfile").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(images) == 2 and all(
+        re.search(r":v?\d+\.\S+@sha256:[0-9a-f]{64}$", image) for image in images
+    )
     for service in SERVICES.values():
-        assert not [name for name in service.get("environment", {}) if re.search("KEY|SECRET|TOKEN", name)]
+        assert not [
+            name for name in service.get("environment", {}) if re.search("KEY|SECRET|TOKEN", name)
+        ]
         assert set(service["secrets"]) <= set(COMPOSE["secrets"])
 
 
@@ -53,10 +59,14 @@ def test_only_servers_have_a_way_out() -> None:
 
 
 def test_the_store_holds_no_key_of_the_cluster() -> None:
-    held = {name: {FILED[secret] for secret in service["secrets"]} for name, service in SERVICES.items()}
+    held = {
+        name: {FILED[secret] for secret in service["secrets"]} for name, service in SERVICES.items()
+    }
     assert not held["store"] & {"ca.pem", "node.pem", "node.key", "token"}
     assert not any("store.key" in files for name, files in held.items() if name != "store")
-    assert not held["scheduler"] & {"s3_key", "s3_secret", "token"} and "token" not in held["worker"]
+    assert (
+        not held["scheduler"] & {"s3_key", "s3_secret", "token"} and "token" not in held["worker"]
+    )
     assert not [file for files in held.values() for file in files if "ca.key" in file]
 
 
@@ -76,6 +86,10 @@ def test_every_service_has_limits_a_health_check_and_no_rights(name: str) -> Non
 
 
 def test_services_speak_tls_alone_to_each_other() -> None:
-    parts = [part for each in SERVICES.values() for part in (*each["command"], *each.get("environment", {}).values())]
+    parts = [
+        part
+        for each in SERVICES.values()
+        for part in (*each["command"], *each.get("environment", {}).values())
+    ]
     assert not [part for part in parts if str(part).startswith(("tcp://", "http://"))]
     assert "--cert" in SERVICES["store"]["command"]

@@ -1,4 +1,6 @@
-"""The commands of README and docs, as they stand on their pages, and what a reader has beside them."""
+"""The commands of README and docs, as they stand on their pages, and what a reader has beside
+them.
+"""
 
 import re
 import shlex
@@ -23,15 +25,25 @@ ELSEWHERE = {
     "curl -LO https://raw": "needs the network: the tests have a file of this name",
     "make serve": "serves until it is stopped: the server of these tests stands for it",
     "make test": "runs these tests",
-    "isogi serve": "serves until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
-    "dask scheduler": "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
-    "dask worker": "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
-    "isogi prewarm engine.toml --continue": "needs one that was stopped: tests/server/prewarm/test_kill.py kills some",
+    "isogi serve": (
+        "serves until it is stopped: tests/cluster/test_coming_and_going.py holds its options"
+    ),
+    "dask scheduler": (
+        "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options"
+    ),
+    "dask worker": (
+        "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options"
+    ),
+    "isogi prewarm engine.toml --continue": (
+        "needs one that was stopped: tests/server/prewarm/test_kill.py kills some"
+    ),
     "docker compose": "needs Docker: tests/cluster/test_compose.py holds its services",
 }
 """How lines begin that are not run here, and why."""
 
-LONG = tuple(f"isogi {name}" for name in ("export", "film", "prewarm", "publish", "reference", "report"))
+LONG = tuple(
+    f"isogi {name}" for name in ("export", "film", "prewarm", "publish", "reference", "report")
+)
 """How lines begin that may take minutes: `make test-long` runs them."""
 
 
@@ -60,7 +72,13 @@ def blocks_of(page: Path) -> list[Block]:
 
 def lines_of(page: Path) -> Iterator[str]:
     """The lines that a reader types into a shell."""
-    return (line for block in blocks_of(page) if block.kind == "sh" for line in block.lines if line.strip())
+    return (
+        line
+        for block in blocks_of(page)
+        if block.kind == "sh"
+        for line in block.lines
+        if line.strip()
+    )
 
 
 def isogi_lines(page: Path) -> list[str]:
@@ -69,7 +87,9 @@ def isogi_lines(page: Path) -> list[str]:
 
 
 def write_files(folder: Path) -> Path:
-    """Write what the pages name into a folder: a volume, a probe, the README's scene, and views; gives the scene."""
+    """Write what the pages name into a folder: a volume, a probe, the README's scene, and views;
+    gives the scene.
+    """
     z, y, x = np.mgrid[:10, :12, :14]
     radii = np.sqrt(((x - 6.5) / 6) ** 2 + ((y - 5.5) / 5) ** 2 + ((z - 4.5) / 4) ** 2)
     engine = np.clip(255 * (1.3 - radii) / 1.3, 0, 255).astype(np.uint8)
@@ -84,5 +104,7 @@ def write_files(folder: Path) -> Path:
 
 def scene_of_the_readme() -> str:
     """The lines that the README says to save as engine.toml."""
-    (text,) = re.findall(r"^```toml\n(.*?)^```\n\nSave these lines as `engine.toml`", README.read_text(), re.M | re.S)
+    (text,) = re.findall(
+        r"^```toml\n(.*?)^```\n\nSave these lines as `engine.toml`", README.read_text(), re.M | re.S
+    )
     return str(text)

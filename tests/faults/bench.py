@@ -18,7 +18,9 @@ LONG = 240.0
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A ``engine`` with one worker behind a ``url``, its ``store``, and the folder whose files arm failpoints."""
+    """A ``engine`` with one worker behind a ``url``, its ``store``, and the folder whose files arm
+    failpoints.
+    """
 
     engine: RenderEngine
     scene: Scene
@@ -28,13 +30,17 @@ class Bench:
     isovalues: Iterator[float]
 
     def view(self) -> View:
-        """A view of an isosurface that nobody saw before: most of its texels are yet to be baked."""
+        """A view of an isosurface that nobody saw before: most of its texels are yet to be
+        baked.
+        """
         camera = self.scene.camera(20.0, 15.0, 3.0, 30.0)
         return View(next(self.isovalues), camera, width=40, height=40)
 
     def demands(self, view: View) -> tuple[Demand, ...]:
         """The light that a view lacks."""
-        return self.engine.survey(self.scene.id, view, self.scene.target_error, enough=MAX_SAMPLES).demands
+        return self.engine.survey(
+            self.scene.id, view, self.scene.target_error, enough=MAX_SAMPLES
+        ).demands
 
     def arm(self, point: str, fault: str, more: str = "once") -> Path:
         """Have a fault at a point."""
@@ -49,9 +55,15 @@ def bake_here(bench: Bench, demands: tuple[Demand, ...], store: Path) -> None:
     Store(store).open()
     for demand in demands:
         what = (bench.scene.source, spec.plan, spec.digest, StoreUrl(str(store)), demand.index)
-        bake(BakeTask(*what, demand.offsets, demand.footprints, MAX_SAMPLES, bench.scene.target_error))
+        bake(
+            BakeTask(
+                *what, demand.offsets, demand.footprints, MAX_SAMPLES, bench.scene.target_error
+            )
+        )
 
 
 def objects_in(store: Path) -> dict[str, bytes]:
     """The objects of all chunks, by their keys."""
-    return {path.relative_to(store).as_posix(): path.read_bytes() for path in store.glob("*/c/*/*/*/0")}
+    return {
+        path.relative_to(store).as_posix(): path.read_bytes() for path in store.glob("*/c/*/*/*/0")
+    }

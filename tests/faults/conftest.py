@@ -17,8 +17,11 @@ from tests.live import live
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
-    store, armed = tmp_path_factory.mktemp("light"), tmp_path_factory.mktemp("failpoints")
+    scene = load_scene(
+        "demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3
+    )
+    store = tmp_path_factory.mktemp("light")
+    armed = tmp_path_factory.mktemp("failpoints")
     preload = {"distributed.worker.preload": ["tests.faults.failpoints"]}
     with pytest.MonkeyPatch.context() as patch, dask.config.set(preload):
         patch.setenv(FOLDER, str(armed))

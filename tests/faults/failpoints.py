@@ -1,8 +1,9 @@
 """Failpoints: places in the life of a chunk at which a worker fails when a test says so.
 
-A Dask preload of the workers of a test. To arm one, a file is put into the folder ``$ISOGI_TEST_FAILPOINTS``: its name
-is a point, a fault and anything, such as ``mid_write.kill.1``; who takes the file away does the fault, once. A file
-whose name ends with ``.always`` stays, and one with ``@1_2_3`` after its fault is for that chunk alone.
+A Dask preload of the workers of a test. To arm one, a file is put into the folder
+``$ISOGI_TEST_FAILPOINTS``: its name is a point, a fault and anything, such as ``mid_write.kill.1``;
+who takes the file away does the fault, once. A file whose name ends with ``.always`` stays, and one
+with ``@1_2_3`` after its fault is for that chunk alone.
 """
 
 import errno
@@ -15,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 POINTS = ("before_bake", "before_write", "mid_write", "after_write", "after_bake")
-"""Before a task reads its chunk; before a layer's object is written, when it is but has not its name yet, and when it
-has; and after the task has written, which nobody hears of then."""
+"""Before a task reads its chunk; before a layer's object is written, when it is but has not its
+name yet, and when it has; and after the task has written, which nobody hears of then."""
 
 ERRORS = ("EIO", "ENOSPC", "EACCES")
 FAULTS = ("kill", *ERRORS, "sleep")
@@ -40,7 +41,10 @@ def dask_setup(worker: Any) -> None:
 
 
 def around(
-    function: Callable[..., Any], chunk_of: Callable[..., tuple[int, ...]], before: str = "", after: str = ""
+    function: Callable[..., Any],
+    chunk_of: Callable[..., tuple[int, ...]],
+    before: str = "",
+    after: str = "",
 ) -> Callable[..., Any]:
     """A function with a point before it and one after, where these have names."""
 

@@ -4,7 +4,14 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-CALENDAR = {"time.time", "datetime.now", "datetime.utcnow", "datetime.today", "time.localtime", "time.gmtime"}
+CALENDAR = {
+    "time.time",
+    "datetime.now",
+    "datetime.utcnow",
+    "datetime.today",
+    "time.localtime",
+    "time.gmtime",
+}
 
 TOLD_TO_PEOPLE = {
     "server/render/jobs.py",  # when a job began and ended, and until when it is known
@@ -19,6 +26,8 @@ def names_in(path: Path) -> set[str]:
 
 
 def test_the_calendar_is_asked_only_for_what_people_are_told() -> None:
-    sources = [path for room in ("isogi_core", "worker", "server") for path in (ROOT / room).rglob("*.py")]
+    sources = [
+        path for room in ("isogi_core", "worker", "server") for path in (ROOT / room).rglob("*.py")
+    ]
     users = {path.relative_to(ROOT).as_posix() for path in sources if names_in(path) & CALENDAR}
     assert users == TOLD_TO_PEOPLE

@@ -1,4 +1,6 @@
-"""A disk that is full: baking waits for room, frames go on, readiness says so, and light comes once there is room."""
+"""A disk that is full: baking waits for room, frames go on, readiness says so, and light comes once
+there is room.
+"""
 
 import subprocess
 from collections.abc import Iterator
@@ -39,10 +41,16 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a thread of this process: what a full disk does to a worker process is a fault of ``test_points.py``."""
+def test_baking_waits_for_room_and_goes_on_by_itself(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a thread of this process: what a full disk does to a worker process is a fault of
+    ``test_points.py``.
+    """
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
+    scene = load_scene(
+        "demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3
+    )
     app = create_app(RenderEngine([scene], str(small_disk), workers=1), Settings())
     with live(app, until="/livez") as url:
         place = f"{url}/v1/scenes/{scene.id}/frame"
@@ -53,7 +61,9 @@ def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path, monkeypat
             return answer
 
         assert wait_for(lambda: httpx.get(place, params=KNOBS).status_code == 200, LONG)
-        assert wait_for(lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text, LONG)
+        assert wait_for(
+            lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text, LONG
+        )
         assert httpx.get(f"{url}/readyz").status_code == 503
         assert frame(wait=0.5).headers["isogi-provisional"] == "?1"
         assert not list(small_disk.rglob("*.partial"))

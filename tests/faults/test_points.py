@@ -14,8 +14,11 @@ from worker.bake_requests import MOST_FAILURES
 pytestmark = pytest.mark.kill
 
 
-def test_every_fault_at_every_point_costs_time_and_nothing_else(bench: Bench, tmp_path: Path) -> None:
-    """Nothing is given up, all views become final, and the store holds what an undisturbed bake leaves.
+def test_every_fault_at_every_point_costs_time_and_nothing_else(
+    bench: Bench, tmp_path: Path
+) -> None:
+    """Nothing is given up, all views become final, and the store holds what an undisturbed bake
+    leaves.
 
     At each point all faults come to one view, each to a chunk of its own.
     """
@@ -43,7 +46,8 @@ def metric(bench: Bench, name: str) -> float:
 
 
 def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
-    view, before = bench.view(), bench.engine.baker.tally()
+    view = bench.view()
+    before = bench.engine.baker.tally()
     kept = set(objects_in(bench.store))
     demands = {demand.index: demand for demand in bench.demands(view)}
     poison = max(demands, key=lambda index: demands[index].weight)
@@ -55,7 +59,10 @@ def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
         last = "".join(answer.iter_text()).strip().split("\n\n")[-1]
     arm.unlink()
     told = f"Chunk {poison} of orbital cannot be baked: the process that was to bake it died."
-    assert "event: failed" in last and told in json.loads(last.split("data: ")[1].splitlines()[0])["detail"]
+    assert (
+        "event: failed" in last
+        and told in json.loads(last.split("data: ")[1].splitlines()[0])["detail"]
+    )
     tally = bench.engine.baker.tally()
     assert (tally.given_up, tally.waiting) == (1, 0)
     beside = len(demands)  # chunks of the same task fail once, and are tried alone
@@ -67,4 +74,6 @@ def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
     assert frame.status_code == 200 and frame.headers["isogi-provisional"] == "?1"
     lacking = bench.engine.survey(bench.scene.id, view, bench.scene.target_error).demands
     assert [demand.index for demand in lacking] == [poison], coverage
-    assert {key.split("/c/")[1] for key in set(objects_in(bench.store)) - kept}.isdisjoint({"/".join(map(str, poison))})
+    assert {key.split("/c/")[1] for key in set(objects_in(bench.store)) - kept}.isdisjoint(
+        {"/".join(map(str, poison))}
+    )

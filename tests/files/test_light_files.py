@@ -43,7 +43,12 @@ def test_ply_has_its_colours_in_srgb() -> None:
     assert b"element vertex 4\n" in head and b"element face 2\n" in head
     points = np.frombuffer(body, [("place", "<f4", 6), ("colour", "u1", 3)], 4)
     np.testing.assert_allclose(points["place"][:, :3], VERTICES, rtol=1e-6)
-    assert points["colour"].tolist() == [[0, 188, 255], [124, 124, 124], [255, 0, 3], [255, 255, 255]]
+    assert points["colour"].tolist() == [
+        [0, 188, 255],
+        [124, 124, 124],
+        [255, 0, 3],
+        [255, 255, 255],
+    ]
     faces = np.frombuffer(body, [("count", "u1"), ("corners", "<i4", 3)], 2, points.nbytes)
     np.testing.assert_array_equal(faces["corners"], MESH.triangles)
 
@@ -55,11 +60,17 @@ def test_glb_is_unlit_linear_and_upright() -> None:
     document = json.loads(data[20 : 20 + length])
     assert document["materials"][0]["extensions"] == {"KHR_materials_unlit": {}}
     binary = data[28 + length :]
-    assert len(binary) == np.frombuffer(data, "<u4", 1, 20 + length)[0] >= document["buffers"][0]["byteLength"]
+    assert (
+        len(binary)
+        == np.frombuffer(data, "<u4", 1, 20 + length)[0]
+        >= document["buffers"][0]["byteLength"]
+    )
 
     def read(number: int, kind: str) -> np.ndarray:
         view = document["bufferViews"][document["accessors"][number]["bufferView"]]
-        return np.frombuffer(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]], kind).reshape(-1, 3)
+        return np.frombuffer(
+            binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]], kind
+        ).reshape(-1, 3)
 
     np.testing.assert_allclose(read(2, "<f4"), np.clip(COLOURS, 0, 1), rtol=1e-6)
     np.testing.assert_array_equal(read(3, "<u4"), MESH.triangles)
@@ -67,7 +78,9 @@ def test_glb_is_unlit_linear_and_upright() -> None:
     turn = np.array([[1, 0, 0], [0, w * w - x * x, -2 * x * w], [0, 2 * x * w, w * w - x * x]])
     assert (y, z) == (0, 0)
     placed = read(0, "<f4") @ turn.T + document["nodes"][0]["translation"]
-    np.testing.assert_allclose(placed, np.column_stack([VERTICES[:, 0], VERTICES[:, 2], -VERTICES[:, 1]]), atol=1e-5)
+    np.testing.assert_allclose(
+        placed, np.column_stack([VERTICES[:, 0], VERTICES[:, 2], -VERTICES[:, 1]]), atol=1e-5
+    )
 
 
 def test_obj_has_its_colours_behind_the_vertices() -> None:
@@ -80,11 +93,14 @@ def test_obj_has_its_colours_behind_the_vertices() -> None:
     assert found["f"] == [["1//1", "2//2", "3//3"], ["1//1", "3//3", "4//4"]]
 
 
-# --- packages of USD --------------------------------------------------------------------------------------------------
+# --- packages of USD
+# --------------------------------------------------------------------------------------------------
 
 
 RNG = np.random.default_rng(7)
-CORNERS = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 0.0, 3.0], [1e5 + 1, 2.0, 3.5], [1e5, 2.0, 7.0], [1e5, 4.0, 7.0]])
+CORNERS = np.array(
+    [[1e5, 0.0, 3.0], [1e5 + 1, 0.0, 3.0], [1e5 + 1, 2.0, 3.5], [1e5, 2.0, 7.0], [1e5, 4.0, 7.0]]
+)
 QUADS = np.array([[0, 1, 2, 3], [3, 2, 4, 4], [0, 3, 2, 1]])
 QUAD_MESH = LitMesh(CORNERS, np.tile([0.0, 0.0, 1.0], (5, 1)), RNG.random((5, 3)), QUADS, "mm")
 
@@ -104,22 +120,28 @@ def test_files_of_a_package_are_stored_and_aligned() -> None:
 def bilinear(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """A texture at places u, v (n, 2) from its lower left, filtered as graphics processors do."""
     height, width = texture.shape[:2]
-    x, y = places[:, 0] * width - 0.5, (1.0 - places[:, 1]) * height - 0.5
+    x = places[:, 0] * width - 0.5
+    y = (1.0 - places[:, 1]) * height - 0.5
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
     a, b = (x - column)[:, None], (y - row)[:, None]
     top = (1 - a) * texture[row, column] + a * texture[row, column + 1]
-    return (1 - b) * top + b * ((1 - a) * texture[row + 1, column] + a * texture[row + 1, column + 1])
+    return (1 - b) * top + b * (
+        (1 - a) * texture[row + 1, column] + a * texture[row + 1, column + 1]
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 37])
 def test_a_texture_has_the_light_of_corners_and_between(count: int) -> None:
     quads = RNG.integers(0, 5, (count, 4))
     mesh = LitMesh(CORNERS, CORNERS, QUAD_MESH.colours, quads)
-    texture, places = light_texture(mesh).astype(float), texture_places(count)
+    texture = light_texture(mesh).astype(float)
+    places = texture_places(count)
     share = QUAD_MESH.colours[quads]
     expected = 255 * np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
     for corner in range(4):
-        np.testing.assert_allclose(bilinear(texture, places[:, corner]), expected[:, corner], atol=0.51)
+        np.testing.assert_allclose(
+            bilinear(texture, places[:, corner]), expected[:, corner], atol=0.51
+        )
     middle = bilinear(texture, places.mean(axis=1))
     np.testing.assert_allclose(middle, expected.mean(axis=1), atol=0.51)
 
@@ -139,14 +161,20 @@ def test_usd_itself_finds_mesh_texture_and_place(tmp_path: Path) -> None:
     stage = usd.Stage.Open(str(tmp_path / "a.usdz"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1e-3 and UsdGeom.GetStageUpAxis(stage) == "Y"
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Isosurface/Surface"))
-    assert UsdGeom.Mesh.ValidateTopology(mesh.GetFaceVertexIndicesAttr().Get(), mesh.GetFaceVertexCountsAttr().Get(), 5)
-    np.testing.assert_array_equal(np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4), QUADS)
+    assert UsdGeom.Mesh.ValidateTopology(
+        mesh.GetFaceVertexIndicesAttr().Get(), mesh.GetFaceVertexCountsAttr().Get(), 5
+    )
+    np.testing.assert_array_equal(
+        np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4), QUADS
+    )
     placing = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(mesh.GetPrim()))
     points = np.column_stack([np.array(mesh.GetPointsAttr().Get(), float), np.ones(5)]) @ placing
     upright = np.column_stack([CORNERS[:, 0], CORNERS[:, 2], -CORNERS[:, 1]])
     np.testing.assert_allclose(points[:, :3], upright, atol=1e-5)
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
-    np.testing.assert_allclose(np.array(places.Get()).reshape(-1, 4, 2), texture_places(3), atol=1e-6)
+    np.testing.assert_allclose(
+        np.array(places.Get()).reshape(-1, 4, 2), texture_places(3), atol=1e-6
+    )
     material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
     texture = UsdShade.Shader(stage.GetPrimAtPath(material.GetPath().AppendChild("Texture")))
     assert texture.GetInput("file").Get().path == "light.png"
@@ -158,7 +186,9 @@ def test_the_validators_of_usd_find_nothing(tmp_path: Path) -> None:
 
     (tmp_path / "a.usdz").write_bytes(usdz_bytes(QUAD_MESH))
     validators = validation.ValidationRegistry().GetOrLoadAllValidators()
-    errors = validation.ValidationContext(validators).Validate(Usd.Stage.Open(str(tmp_path / "a.usdz")))
+    errors = validation.ValidationContext(validators).Validate(
+        Usd.Stage.Open(str(tmp_path / "a.usdz"))
+    )
     assert len(validators) > 20 and [error.GetMessage() for error in errors] == []
 
 
@@ -169,10 +199,12 @@ def test_a_package_holds_the_texture_as_png() -> None:
     np.testing.assert_array_equal(picture, light_texture(QUAD_MESH))
 
 
-# --- volumes ----------------------------------------------------------------------------------------------------------
+# --- volumes
+# --------------------------------------------------------------------------------------------------
 
 
-VALUE, LIGHT = np.arange(24.0).reshape(2, 3, 4), np.random.default_rng(3).random((2, 3, 4, 3))
+VALUE = np.arange(24.0).reshape(2, 3, 4)
+LIGHT = np.random.default_rng(3).random((2, 3, 4, 3))
 AFFINE = np.column_stack([TURN * (1.0, 2.0, 0.5), (5.0, -6.0, 7.0)])
 LIT = LitVolume({"value": VALUE, "light": LIGHT}, AFFINE, "mm")
 TOGETHER = np.concatenate([VALUE[..., None], LIGHT], axis=-1)
@@ -210,7 +242,9 @@ def test_nifti_is_a_vector_image_in_millimetres(tmp_path: Path) -> None:
     nib = pytest.importorskip("nibabel")
     (tmp_path / "a.nii.gz").write_bytes(nifti_bytes(LIT))
     image = nib.load(tmp_path / "a.nii.gz")
-    np.testing.assert_allclose(image.get_fdata()[:, :, :, 0].transpose(2, 1, 0, 3), TOGETHER, rtol=1e-6)
+    np.testing.assert_allclose(
+        image.get_fdata()[:, :, :, 0].transpose(2, 1, 0, 3), TOGETHER, rtol=1e-6
+    )
     np.testing.assert_allclose(image.affine[:3], AFFINE)
     assert image.header.get_intent()[0] == "vector" and image.header.get_xyzt_units()[0] == "mm"
 

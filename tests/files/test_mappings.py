@@ -1,4 +1,6 @@
-"""Mapped files: reads make little more resident than the budget, arrays in files keep what is written to them."""
+"""Mapped files: reads make little more resident than the budget, arrays in files keep what is
+written to them.
+"""
 
 import errno
 import hashlib
@@ -55,7 +57,9 @@ print(sum(1 for _ in Path(sys.argv[1]).iterdir()))
 def run(script: str, path: Path, budget: int) -> str:
     """What a script prints, in a process of its own with a budget of so many megabytes."""
     environment = {**os.environ, "ISOGI_VOLUME_MB": str(budget)}
-    done = subprocess.run([sys.executable, "-c", script, str(path)], env=environment, capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], env=environment, capture_output=True, check=False
+    )
     assert done.returncode == 0, done.stderr.decode()
     assert done.stderr == b""
     return done.stdout.decode()
@@ -64,11 +68,16 @@ def run(script: str, path: Path, budget: int) -> str:
 @pytest.mark.slow
 @pytest.mark.skipif(not file_bytes(), reason="the system does not tell resident pages")
 def test_scattered_reads_stay_near_the_budget(tmp_path: Path) -> None:
-    path, shape = tmp_path / "v.voxels", (64, 1024, 1024)
+    path = tmp_path / "v.voxels"
+    shape = (64, 1024, 1024)
     with new_voxels(path) as draft:
         for z in range(shape[0]):
             first = z * shape[1] * shape[2]
-            draft.write((np.arange(first, first + shape[1] * shape[2]) % 1000003).astype(np.float32).reshape(shape[1:]))
+            draft.write(
+                (np.arange(first, first + shape[1] * shape[2]) % 1000003)
+                .astype(np.float32)
+                .reshape(shape[1:])
+            )
         draft.seal(shape, {})
     before = hashlib.sha256(path.read_bytes()).digest()
     assert int(run(READING, path, 16)) < 40 * MIB, "of 256"
@@ -79,7 +88,9 @@ def test_what_is_written_to_files_outlives_its_pages(tmp_path: Path) -> None:
     assert run(WRITING, tmp_path, 4) == "0\n", "and the files have no names"
 
 
-def test_a_full_disk_leaves_arrays_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_arrays_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "no room")
 

@@ -1,4 +1,6 @@
-"""NRRD: every type, order and encoding as written by pynrrd, axes that are none of space, real and damaged files."""
+"""NRRD: every type, order and encoding as written by pynrrd, axes that are none of space, real and
+damaged files.
+"""
 
 import gzip
 import hashlib
@@ -27,7 +29,9 @@ TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"]
 PLAIN = "type: uint8\ndimension: 3\nsizes: 4 3 2\nencoding: raw\n"
 
 
-def write(folder: Path, fields: str = PLAIN, body: bytes = bytes(range(24)), name: str = "v.nrrd") -> Path:
+def write(
+    folder: Path, fields: str = PLAIN, body: bytes = bytes(range(24)), name: str = "v.nrrd"
+) -> Path:
     """An attached NRRD file of these header lines and bytes."""
     path = folder / name
     path.write_bytes(f"NRRD0004\n{fields}\n".encode() + body)
@@ -60,7 +64,10 @@ def test_wide_integers_are_exact(tmp_path: Path, value: int) -> None:
     [
         ("spacings: 0.5 1 2.25\n", (0.5, 1.0, 2.25)),
         ("space dimension: 3\nspace directions: (0.5,0,0) (0,1,0) (0,0,2.25)\n", (0.5, 1.0, 2.25)),
-        ("space: left-posterior-superior\nspace directions: (0,-3,4) (2,0,0) (0,0,-1)\n", (5.0, 2.0, 1.0)),
+        (
+            "space: left-posterior-superior\nspace directions: (0,-3,4) (2,0,0) (0,0,-1)\n",
+            (5.0, 2.0, 1.0),
+        ),
         ("kinds: domain domain domain\n", (1.0, 1.0, 1.0)),
     ],
 )
@@ -70,7 +77,9 @@ def test_spacing(tmp_path: Path, line: str, expected: tuple[float, float, float]
     assert spacing == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("line", ["spacings: nan 1 1\n", "space directions: none (0,1,0) (0,0,1)\n"])
+@pytest.mark.parametrize(
+    "line", ["spacings: nan 1 1\n", "space directions: none (0,1,0) (0,0,1)\n"]
+)
 def test_unknown_spacing_is_left_to_the_scene(tmp_path: Path, line: str) -> None:
     array, spacing = read_nrrd(write(tmp_path, PLAIN + line))
     with pytest.raises(VolumeError, match="set spacing"):
@@ -80,7 +89,11 @@ def test_unknown_spacing_is_left_to_the_scene(tmp_path: Path, line: str) -> None
 
 @pytest.mark.parametrize(
     ("line", "before"),
-    [("byte skip: 5\n", b"12345"), ("line skip: 2\n", b"a\nbcd\n"), ("byte skip: -1\n", b"any number of bytes")],
+    [
+        ("byte skip: 5\n", b"12345"),
+        ("line skip: 2\n", b"a\nbcd\n"),
+        ("byte skip: -1\n", b"any number of bytes"),
+    ],
 )
 def test_skips(tmp_path: Path, line: str, before: bytes) -> None:
     array, _ = read_nrrd(write(tmp_path, PLAIN + line, before + bytes(range(24))))
@@ -115,7 +128,11 @@ DAMAGES = {
     "block": (PLAIN.replace("uint8", "block"), bytes(24), "block"),
     "no byte order": (PLAIN.replace("uint8", "int16"), bytes(48), "byte order"),
     "2-D": (PLAIN.replace(": 3", ": 2").replace("4 3 2", "8 3"), bytes(24), "2 dimensions"),
-    "4-D": (PLAIN.replace(": 3", ": 4").replace("4 3 2", "2 2 3 2"), bytes(24), "2 channels: choose one by channel"),
+    "4-D": (
+        PLAIN.replace(": 3", ": 4").replace("4 3 2", "2 2 3 2"),
+        bytes(24),
+        "2 channels: choose one by channel",
+    ),
     "dimension lies": (PLAIN.replace("4 3 2", "4 3 2 1"), bytes(24), "dimensions"),
     "colour axis": (PLAIN + "kinds: RGB-color domain domain\n", bytes(24), "RGB-color"),
     "zero size": (PLAIN.replace("4 3 2", "4 0 2"), b"", "cannot be"),
@@ -147,7 +164,11 @@ DAMAGES = {
     "data list elsewhere": (PLAIN + "data file: LIST\na.raw\n../b.raw\n", b"", "outside"),
     "data pattern": (PLAIN + "data file: slice%03d.raw 1 2 1\n", b"", "no file"),
     "endless data pattern": (PLAIN + "data file: slice%03d.raw 1 999999999 1\n", b"", "data files"),
-    "data pattern that goes nowhere": (PLAIN + "data file: slice%03d.raw 1 2 0\n", b"", "0 data files"),
+    "data pattern that goes nowhere": (
+        PLAIN + "data file: slice%03d.raw 1 2 0\n",
+        b"",
+        "0 data files",
+    ),
 }
 
 
@@ -192,7 +213,9 @@ def test_every_flipped_byte_is_read_or_refused(tmp_path: Path, detached: bool) -
 
 
 def listed(folder: Path) -> dict[str, dict[str, str]]:
-    """What the README of the shared data says of each volume: shape, type, spacing, range, digest, hist5."""
+    """What the README of the shared data says of each volume: shape, type, spacing, range, digest,
+    hist5.
+    """
     facts: dict[str, dict[str, str]] = {}
     for line in (folder / "README.md").read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -233,12 +256,23 @@ def attached(fields: str = PLAIN, body: bytes = bytes(range(24)), most: int = 24
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])
 def test_an_attached_file_is_read_as_any(pack: Callable[[bytes], bytes]) -> None:
     encoding = "gzip" if pack is gzip.compress else "raw"
-    np.testing.assert_array_equal(attached(PLAIN.replace("raw", encoding), pack(bytes(range(24)))), RAMP)
+    np.testing.assert_array_equal(
+        attached(PLAIN.replace("raw", encoding), pack(bytes(range(24)))), RAMP
+    )
 
 
 @pytest.mark.parametrize("field", ["data file", "datafile", "Data File", "DATAFILE", " data file"])
 @pytest.mark.parametrize(
-    "name", ["v.raw", "../v.raw", "/etc/passwd", "LIST 2", "v%d.raw 1 2 1", "http://127.0.0.1/v", "data file:=v"]
+    "name",
+    [
+        "v.raw",
+        "../v.raw",
+        "/etc/passwd",
+        "LIST 2",
+        "v%d.raw 1 2 1",
+        "http://127.0.0.1/v",
+        "data file:=v",
+    ],
 )
 def test_no_other_file_is_opened_for_one_that_nobody_vouches_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, field: str, name: str
@@ -262,7 +296,8 @@ def test_voxels_are_counted_before_they_are_read() -> None:
         attached(body=b"", most=23)
 
 
-# --- axes, data files and segmentations -------------------------------------------------------------------------------
+# --- axes, data files and segmentations
+# -------------------------------------------------------------------------------
 
 
 SHORTS = np.arange(24, dtype=np.int16).reshape(2, 3, 4)
@@ -304,8 +339,12 @@ def test_written_floats_are_what_numpy_reads(tmp_path: Path) -> None:
         ((1, 2, 3, 4, 1), None),
     ],
 )
-def test_axes_of_one_element_are_dropped(tmp_path: Path, shape: tuple[int, ...], kinds: Any) -> None:
-    path = written(tmp_path / "v.nrrd", SHORTS.reshape(shape), **({"kinds": kinds} if kinds else {}))
+def test_axes_of_one_element_are_dropped(
+    tmp_path: Path, shape: tuple[int, ...], kinds: Any
+) -> None:
+    path = written(
+        tmp_path / "v.nrrd", SHORTS.reshape(shape), **({"kinds": kinds} if kinds else {})
+    )
     grid = open_file(path, {})
     np.testing.assert_array_equal(grid.whole(), SHORTS)
     assert not grid.unchosen
@@ -314,12 +353,17 @@ def test_axes_of_one_element_are_dropped(tmp_path: Path, shape: tuple[int, ...],
 @pytest.mark.parametrize("last", [True, False])
 def test_one_of_several_numbers_a_voxel_is_chosen(tmp_path: Path, last: bool) -> None:
     fields = np.stack([SHORTS, SHORTS * 2, SHORTS * 3], axis=-1 if last else 0)
-    kinds = ["vector", "domain", "domain", "domain"] if last else ["domain", "domain", "domain", "list"]
+    if last:
+        kinds = ["vector", "domain", "domain", "domain"]
+    else:
+        kinds = ["domain", "domain", "domain", "list"]
     path = written(tmp_path / "v.nrrd", fields, kinds=kinds)
     with pytest.raises(VolumeError, match=r"has 3 channels: choose one by channel = 0 to 2"):
         open_file(path, {})
     for number in range(3):
-        np.testing.assert_array_equal(open_file(path, {"channel": number}).whole(), SHORTS * (number + 1))
+        np.testing.assert_array_equal(
+            open_file(path, {"channel": number}).whole(), SHORTS * (number + 1)
+        )
     with pytest.raises(VolumeError, match="channel = 3 is not in"):
         open_file(path, {"channel": 3})
 
@@ -337,7 +381,9 @@ def test_an_axis_without_direction_is_a_channel(tmp_path: Path) -> None:
 
 def test_an_axis_of_time_is_a_series(tmp_path: Path) -> None:
     fields = np.stack([SHORTS, SHORTS + 1, SHORTS + 2])
-    path = written(tmp_path / "v.nrrd", fields, kinds=["domain", "domain", "domain", "time"], encoding="gzip")
+    path = written(
+        tmp_path / "v.nrrd", fields, kinds=["domain", "domain", "domain", "time"], encoding="gzip"
+    )
     grid = open_file(path, {})
     assert (grid.moment, grid.unchosen) == ((0, 3), True)
     np.testing.assert_array_equal(grid.whole(), SHORTS)
@@ -349,7 +395,12 @@ def test_an_axis_of_time_is_a_series(tmp_path: Path) -> None:
 def test_a_list_of_slicer_that_is_time_is_a_series(tmp_path: Path) -> None:
     fields = np.stack([SHORTS, SHORTS + 1], axis=-1)
     path = tmp_path / "v.seq.nrrd"
-    written(path, fields, kinds=["list", "domain", "domain", "domain"], **{"axis 0 index type": "numeric"})
+    written(
+        path,
+        fields,
+        kinds=["list", "domain", "domain", "domain"],
+        **{"axis 0 index type": "numeric"},
+    )
     assert open_file(path, {}).moment == (0, 2)
     np.testing.assert_array_equal(open_file(path, {"time": 1}).whole(), SHORTS + 1)
 
@@ -382,7 +433,10 @@ SLICES = {
 @pytest.mark.parametrize("encoding", ["raw", "gzip"])
 @pytest.mark.parametrize("way", SLICES)
 def test_voxels_in_several_files_are_read_in_order(tmp_path: Path, way: str, encoding: str) -> None:
-    pack = gzip.compress if encoding == "gzip" else bytes
+    if encoding == "gzip":
+        pack = gzip.compress
+    else:
+        pack = bytes
     for number, layer in enumerate(SHORTS if way != "backwards" else SHORTS[::-1], 1):
         (tmp_path / f"sl{number:03}.raw").write_bytes(pack(layer.astype(BIG).tobytes()))
     path = detached(tmp_path, f"encoding: {encoding}\n{SLICES[way]}")
@@ -435,13 +489,21 @@ def slicer(path: Path, array: np.ndarray, **more: Any) -> Path:
 
 def test_a_segmentation_of_slicer_names_its_labels(tmp_path: Path) -> None:
     grid = open_file(slicer(tmp_path / "v.seg.nrrd", SHORTS % 4), {})
-    assert grid.labels == (LabelName(1, "left kidney", "#8000ff"), LabelName(3, "tumour", "#05adff"))
+    assert grid.labels == (
+        LabelName(1, "left kidney", "#8000ff"),
+        LabelName(3, "tumour", "#05adff"),
+    )
     assert open_file(written(tmp_path / "v.nrrd", SHORTS), {}).labels is None
 
 
 def test_layers_of_a_segmentation_are_chosen(tmp_path: Path) -> None:
     layers = np.stack([SHORTS % 2, SHORTS % 3], axis=-1)
-    path = slicer(tmp_path / "v.seg.nrrd", layers, kinds=["list", "domain", "domain", "domain"], Segment1_Layer="1")
+    path = slicer(
+        tmp_path / "v.seg.nrrd",
+        layers,
+        kinds=["list", "domain", "domain", "domain"],
+        Segment1_Layer="1",
+    )
     grid = open_file(path, {})
     np.testing.assert_array_equal(grid.whole(), SHORTS % 2)
     assert grid.labels == (LabelName(1, "left kidney", "#8000ff"),)

@@ -1,4 +1,6 @@
-"""OME-Zarr as others write it and as isogi does: what is read back is what was there, where it was."""
+"""OME-Zarr as others write it and as isogi does: what is read back is what was there, where it
+was.
+"""
 
 from itertools import permutations
 from pathlib import Path
@@ -25,18 +27,25 @@ def axis(name: str, unit: str = "micrometer") -> dict[str, str]:
     return {"name": name, "type": "space", "unit": unit}
 
 
-def image(path: Path, array: np.ndarray, axes: list[Any], *steps: Any, version: str = "0.5", **more: Any) -> Path:
+def image(
+    path: Path, array: np.ndarray, axes: list[Any], *steps: Any, version: str = "0.5", **more: Any
+) -> Path:
     """An image of one array, at level 0, placed by these steps."""
     group = zarr.open_group(path, mode="w")
     saved = zarr.create_array(
-        path / "0", shape=array.shape, dtype=array.dtype, chunks=tuple(min(4, n) for n in array.shape)
+        path / "0",
+        shape=array.shape,
+        dtype=array.dtype,
+        chunks=tuple(min(4, n) for n in array.shape),
     )
     saved[:] = array
     dataset = {"path": "0", "coordinateTransformations": list(steps)}
     if version >= "0.6":
         for step in steps[:1]:
             step.update(input="0", output="world")
-        multiscales = [{"coordinateSystems": [{"name": "world", "axes": axes}], "datasets": [dataset]}]
+        multiscales = [
+            {"coordinateSystems": [{"name": "world", "axes": axes}], "datasets": [dataset]}
+        ]
     else:
         multiscales = [{"axes": axes, "datasets": [dataset]}]
     group.attrs.update({"ome": {"version": version, "multiscales": multiscales, **more}})
@@ -56,7 +65,9 @@ def translation(*steps: float) -> dict[str, Any]:
 def test_axes_of_space_may_have_any_order(tmp_path: Path, names: str, version: str) -> None:
     turned = FIELD.transpose([("zyx").index(name) for name in names])
     steps = [{"z": 2.0, "y": 1.5, "x": 0.5}[name] for name in names]
-    path = image(tmp_path / "v.zarr", turned, [axis(name) for name in names], scale(*steps), version=version)
+    path = image(
+        tmp_path / "v.zarr", turned, [axis(name) for name in names], scale(*steps), version=version
+    )
     grid = open_zarr(path)
     for _ in range(2):
         np.testing.assert_array_equal(grid.whole(), FIELD)
@@ -72,7 +83,9 @@ def test_a_channel_may_stand_anywhere(tmp_path: Path) -> None:
 
 def test_a_translation_says_where_the_first_voxel_lies(tmp_path: Path) -> None:
     axes = [axis("z", "millimeter"), axis("y"), axis("x", "micrometre")]
-    grid = open_zarr(image(tmp_path / "v.zarr", FIELD, axes, scale(2, 1.5, 0.5), translation(3, 20, 10)))
+    grid = open_zarr(
+        image(tmp_path / "v.zarr", FIELD, axes, scale(2, 1.5, 0.5), translation(3, 20, 10))
+    )
     assert grid.affine is not None and grid.unit == "µm"
     np.testing.assert_allclose(grid.affine.origin, (10.0, 20.0, 3000.0))
     np.testing.assert_allclose(grid.spacing, (0.5, 1.5, 2000.0))
@@ -106,7 +119,10 @@ def test_coordinate_systems_are_read_as_far_as_they_are_affine(tmp_path: Path) -
 
 
 def test_an_axis_may_be_mapped_to_another(tmp_path: Path) -> None:
-    mapped = {"type": "sequence", "transformations": [{"type": "mapAxis", "mapAxis": [2, 1, 0]}, scale(2, 1.5, 0.5)]}
+    mapped = {
+        "type": "sequence",
+        "transformations": [{"type": "mapAxis", "mapAxis": [2, 1, 0]}, scale(2, 1.5, 0.5)],
+    }
     path = image(tmp_path / "v.zarr", FIELD.transpose(2, 1, 0), ZYX, mapped, version="0.6")
     grid = open_zarr(path)
     np.testing.assert_array_equal(grid.whole(), FIELD)
@@ -138,7 +154,10 @@ def plate(path: Path, wells: dict[str, list[str]]) -> Path:
     for well, fields in wells.items():
         zarr.open_group(path / well.split("/")[0], mode="a")
         held = zarr.open_group(path / well, mode="w")
-        held.attrs["ome"] = {"version": "0.5", "well": {"images": [{"path": each} for each in fields]}}
+        held.attrs["ome"] = {
+            "version": "0.5",
+            "well": {"images": [{"path": each} for each in fields]},
+        }
         for each in fields:
             image(path / well / each, FIELD + number, ZYX, scale(2, 1, 1))
             number += 1
@@ -153,7 +172,13 @@ def test_a_plate_shows_the_first_field_of_its_first_well(tmp_path: Path) -> None
         "The plate has 2 wells: A/1 is shown, and #B/2 chooses another.",
         "The well has 2 fields: 0 is shown, and #A/1/1 chooses another.",
     )
-    for part, first in (("A/1/0", 0.0), ("A/1/1", 1.0), ("B/2", 2.0), ("B/2/0", 2.0), ("B/2/0/0", 2.0)):
+    for part, first in (
+        ("A/1/0", 0.0),
+        ("A/1/1", 1.0),
+        ("B/2", 2.0),
+        ("B/2/0", 2.0),
+        ("B/2/0/0", 2.0),
+    ):
         assert load_scene(f"{path}#{part}").volume.value_range[0] == first
     (tmp_path / "s.toml").write_text('volume = "p.zarr#B/2/0"\n')
     assert load_scene(tmp_path / "s.toml").volume.name == "p-B-2-0"
@@ -181,37 +206,62 @@ def test_of_several_images_in_a_file_the_first_is_shown(tmp_path: Path) -> None:
 
 def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
     about = {
-        "colors": [{"label-value": 1, "rgba": [255, 0, 16, 255]}, {"label-value": 0, "rgba": [0, 0, 0, 0]}],
+        "colors": [
+            {"label-value": 1, "rgba": [255, 0, 16, 255]},
+            {"label-value": 0, "rgba": [0, 0, 0, 0]},
+        ],
         "properties": [{"label-value": 1, "class": "nucleus"}, {"label-value": 2, "name": "cell"}],
     }
     path = image(tmp_path / "v.zarr", FIELD % 3, ZYX, scale(1, 1, 1), **{"image-label": about})
     assert open_zarr(path).labels == (LabelName(1, "nucleus", "#ff0010"), LabelName(2, "cell"))
     colours = load_scene(path).surfaces.colours
-    assert colours is not None and [each.name for each in colours.scale.labels] == ["nucleus", "cell"]
+    assert colours is not None and [each.name for each in colours.scale.labels] == [
+        "nucleus",
+        "cell",
+    ]
 
 
-# --- written images ---------------------------------------------------------------------------------------------------
+# --- written images
+# --------------------------------------------------------------------------------------------------
 
 
 def grid_of(array: np.ndarray, placed: Any = None, letters: str = "", **more: Any) -> Grid:
     """An array as a grid in slabs of five layers, placed by an affine."""
-    affine = None if placed is None else Affine.of(placed, letters)
-    steps = (1.0, 1.0, 1.0) if placed is None else tuple(np.linalg.norm(placed[:3, :3], axis=0).tolist())
+    if placed is None:
+        affine = None
+    else:
+        affine = Affine.of(placed, letters)
+    if placed is None:
+        steps = (1.0, 1.0, 1.0)
+    else:
+        steps = tuple(np.linalg.norm(placed[:3, :3], axis=0).tolist())
     parts = range(0, len(array), 5)
-    return Grid(array.shape, array.dtype, steps, lambda: (array[z : z + 5] for z in parts), affine=affine, **more)
+    return Grid(
+        array.shape,
+        array.dtype,
+        steps,
+        lambda: (array[z : z + 5] for z in parts),
+        affine=affine,
+        **more,
+    )
 
 
 @pytest.mark.parametrize("way", WAYS[::5], ids=str)
 def test_what_is_written_lies_where_it_was(tmp_path: Path, way: Any) -> None:
     array, placed = lying(*way)
-    assert not write_image(grid_of(array, placed, "RAS", unit="mm"), tmp_path / "v.zarr", no_progress)
+    assert not write_image(
+        grid_of(array, placed, "RAS", unit="mm"), tmp_path / "v.zarr", no_progress
+    )
     read = open_zarr(tmp_path / "v.zarr")
     grid = on_right_angles(read)
-    voxels, orientation = grid.whole(), Orientation.of(grid)
+    voxels = grid.whole()
+    orientation = Orientation.of(grid)
     assert (grid.unit, orientation.letters) == ("mm", "RAS")
     assert np.allclose(orientation.matrix, np.eye(3)), "axes of the file ascend in the world"
     for index, place in zip(landmarks(), world(landmarks()), strict=True):
-        x, y, z = np.rint(np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)).astype(int)
+        x, y, z = np.rint(
+            np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)
+        ).astype(int)
         assert voxels[z, y, x] == letter()[tuple(index[::-1])]
 
 
@@ -223,10 +273,15 @@ def test_numbers_of_all_types_are_kept(tmp_path: Path, kind: str) -> None:
     coarse = open_zarr(tmp_path / "v.zarr", level=1)
     assert coarse.shape == (35, 5, 65) and tuple(coarse.spacing) == (2.0, 2.0, 2.0)
     inside = array[:, :8].astype(float).reshape(35, 2, 4, 2, 65, 2).mean(axis=(1, 3, 5))
-    expected = np.rint(inside) if np.dtype(kind).kind != "f" else inside
+    if np.dtype(kind).kind != "f":
+        expected = np.rint(inside)
+    else:
+        expected = inside
     np.testing.assert_allclose(coarse.whole()[:, :4].astype(float), expected, rtol=1e-6)
     last = open_zarr(tmp_path / "v.zarr", level=2)
-    assert last.shape == (18, 5, 33) and tuple(last.spacing) == (4.0, 2.0, 4.0), "thin sides are not halved"
+    assert last.shape == (18, 5, 33) and tuple(last.spacing) == (4.0, 2.0, 4.0), (
+        "thin sides are not halved"
+    )
     with pytest.raises(VolumeError, match="levels 0 to 2"):
         open_zarr(tmp_path / "v.zarr", level=3)
 
@@ -252,7 +307,9 @@ def test_labels_are_never_mixed_and_keep_their_names(tmp_path: Path) -> None:
 def test_a_turned_volume_is_written_without_its_place(tmp_path: Path) -> None:
     turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
     placed = np.column_stack([turn * np.sign(np.linalg.det(turn)), [1.0, 2.0, 3.0]])
-    assert write_image(grid_of(letter(), placed, "RAS"), tmp_path / "v.zarr", no_progress) == (TURNED_AXES_NOTE,)
+    assert write_image(grid_of(letter(), placed, "RAS"), tmp_path / "v.zarr", no_progress) == (
+        TURNED_AXES_NOTE,
+    )
     grid = open_zarr(tmp_path / "v.zarr")
     np.testing.assert_array_equal(grid.whole(), letter())
     assert grid.affine is None
@@ -288,4 +345,6 @@ def test_progress_counts_the_layers_of_all_levels(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     array = np.zeros((70, 70, 70), np.uint8)
     write_image(grid_of(array), tmp_path / "v.zarr", lambda done, total: seen.append((done, total)))
-    assert seen[-1] == (105, 105) and [done for done, _ in seen] == sorted({done for done, _ in seen})
+    assert seen[-1] == (105, 105) and [done for done, _ in seen] == sorted(
+        {done for done, _ in seen}
+    )

@@ -1,4 +1,6 @@
-"""What stored numbers mean: CF's vocabulary against values worked out by hand, and fill values that no header names."""
+"""What stored numbers mean: CF's vocabulary against values worked out by hand, and fill values that
+no header names.
+"""
 
 import base64
 import struct
@@ -47,7 +49,9 @@ def zarr_array(path: Path, array: np.ndarray, **attributes: Any) -> Grid:
         key: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
         for key, value in attributes.items()
     }
-    saved = zarr.create_array(path / "v.zarr", shape=array.shape, dtype=array.dtype, chunks=(2, 8, 8))
+    saved = zarr.create_array(
+        path / "v.zarr", shape=array.shape, dtype=array.dtype, chunks=(2, 8, 8)
+    )
     saved[:] = array
     saved.attrs.update(plain)
     return open_zarr(path / "v.zarr")
@@ -71,14 +75,22 @@ def test_all_marks_of_a_list_are_holes(tmp_path: Path, write: Any) -> None:
     array = np.arange(256, dtype=np.int16).reshape(4, 8, 8)
     array[0, 0, :3] = -1, -2000, -3
     grid = write(
-        tmp_path, array, missing_value=np.array([-1, -2000], np.int16), _FillValue=np.int16(-3), scale_factor=0.5
+        tmp_path,
+        array,
+        missing_value=np.array([-1, -2000], np.int16),
+        _FillValue=np.int16(-3),
+        scale_factor=0.5,
     )
     np.testing.assert_array_equal(grid.whole()[0, 0, :4], [NAN, NAN, NAN, 1.5])
 
 
 @pytest.mark.parametrize("write", WRITERS)
 def test_unsigned_holes_range_scale_and_offset_in_this_order(tmp_path: Path, write: Any) -> None:
-    facts = {"_Unsigned": "true", "_FillValue": np.int8(-1), "valid_range": np.array([1, -3], np.int8)}
+    facts = {
+        "_Unsigned": "true",
+        "_FillValue": np.int8(-1),
+        "valid_range": np.array([1, -3], np.int8),
+    }
     grid = write(tmp_path, BYTES, **facts, scale_factor=2.0, add_offset=10.0)
     stored = BYTES.view(np.uint8).astype(float)
     expected = np.where((stored == 255) | (stored < 1) | (stored > 253), NAN, 2 * stored + 10)
@@ -90,7 +102,9 @@ def test_unsigned_holes_range_scale_and_offset_in_this_order(tmp_path: Path, wri
 
 
 def test_signed_bytes_that_are_unsigned_are_0_to_253(tmp_path: Path) -> None:
-    found = hdf5(tmp_path, BYTES, _Unsigned="true", missing_value=np.array([-1, -2], np.int8)).whole()
+    found = hdf5(
+        tmp_path, BYTES, _Unsigned="true", missing_value=np.array([-1, -2], np.int8)
+    ).whole()
     assert (np.nanmin(found), np.nanmax(found), np.isnan(found).sum()) == (0.0, 253.0, 2)
     found = hdf5(tmp_path, BYTES.view(np.uint8), _Unsigned=b"false").whole()
     np.testing.assert_array_equal(found, BYTES)
@@ -102,12 +116,18 @@ def test_signed_bytes_that_are_unsigned_are_0_to_253(tmp_path: Path) -> None:
         ({"valid_min": np.int16(5)}, 5, 255),
         ({"valid_max": np.int16(200)}, 0, 200),
         ({"valid_range": np.array([5, 200], np.int16), "scale_factor": 0.1}, 5, 200),
-        ({"valid_range": np.array([5.0, 20.0]), "scale_factor": 0.1}, 50, 200),  # of values, as its type is theirs
+        (
+            {"valid_range": np.array([5.0, 20.0]), "scale_factor": 0.1},
+            50,
+            200,
+        ),  # of values, as its type is theirs
         ({"valid_range": np.array([200, 5], np.int16)}, 0, 255),  # no range
         ({"valid_range": np.array([-32768, 32767], np.int16)}, 0, 255),  # all that there may be
     ],
 )
-def test_a_valid_range_is_of_stored_numbers_or_of_values(facts: dict[str, Any], low: int, high: int) -> None:
+def test_a_valid_range_is_of_stored_numbers_or_of_values(
+    facts: dict[str, Any], low: int, high: int
+) -> None:
     stored = np.arange(256, dtype=np.int16)
     packing = climate_packing(facts, stored.dtype)
     found = packing.apply(stored)
@@ -131,7 +151,12 @@ def test_marks_of_xarray_in_zarr_are_holes(tmp_path: Path, mark: float) -> None:
     text = base64.standard_b64encode(struct.pack("<d", float(np.float32(mark)))).decode()
     assert np.isnan(zarr_array(tmp_path, array, _FillValue=text).whole()[0]).all()
     second = zarr.create_array(
-        tmp_path / "w.zarr", shape=array.shape, dtype="f4", chunks=(2, 8, 8), zarr_format=2, fill_value=mark
+        tmp_path / "w.zarr",
+        shape=array.shape,
+        dtype="f4",
+        chunks=(2, 8, 8),
+        zarr_format=2,
+        fill_value=mark,
     )
     second[:] = array
     assert (open_zarr(tmp_path / "w.zarr").whole()[0] == np.float32(mark)).all()
@@ -158,7 +183,9 @@ def test_numbers_without_attributes_stay_as_they_are() -> None:
     for kind in ("u1", ">i2", "<f4", "?", "<c8"):
         stored = np.ones(4, kind)
         packing = climate_packing({}, stored.dtype, stored[0])
-        assert packing.apply(stored) is stored and packing.dtype == stored.dtype and not packing.notes
+        assert (
+            packing.apply(stored) is stored and packing.dtype == stored.dtype and not packing.notes
+        )
 
 
 @pytest.mark.parametrize("kind", ["u1", ">i2", "<i4", "<f2", ">f4", "<f8"])
@@ -170,7 +197,8 @@ def test_numbers_of_every_type_are_scaled(kind: str) -> None:
     assert found.dtype == packing.dtype
 
 
-# --- fill values ------------------------------------------------------------------------------------------------------
+# --- fill values
+# --------------------------------------------------------------------------------------------------
 
 
 Z, Y, X = np.mgrid[:12, :48, :48]
@@ -197,19 +225,29 @@ def test_what_lies_outside_of_a_round_scan_is_a_hole(fill: int, kind: str) -> No
 
 
 def test_a_scan_that_is_cut_out_of_a_turned_box_has_holes() -> None:
-    array = np.where(np.abs(X - 23.5) + np.abs(Y - 23.5) + Z > 36, -2048.0, scan(-1024.0)).round().astype(np.int16)
+    array = (
+        np.where(np.abs(X - 23.5) + np.abs(Y - 23.5) + Z > 36, -2048.0, scan(-1024.0))
+        .round()
+        .astype(np.int16)
+    )
     assert find_fill(Grid.of(array)) == -2048
 
 
 def test_slabs_make_no_difference_to_a_fill_value() -> None:
     array = scan(-2000.0).round().astype(np.int16)
-    grid = Grid(array.shape, array.dtype, (1.0, 1.0, 1.0), lambda: (array[z : z + 5] for z in range(0, 12, 5)))
+    grid = Grid(
+        array.shape,
+        array.dtype,
+        (1.0, 1.0, 1.0),
+        lambda: (array[z : z + 5] for z in range(0, 12, 5)),
+    )
     assert find_fill(grid) == -2000
 
 
 def test_holes_of_a_file_stay_beside_a_fill_value() -> None:
     array = scan(-2000.0)
-    array[4, 20, 20:24], array[0, 0, 0] = np.nan, np.nan
+    array[4, 20, 20:24] = np.nan
+    array[0, 0, 0] = np.nan
     assert find_fill(Grid.of(array)) == -2000.0
 
 
@@ -222,11 +260,15 @@ OBJECTS = {
     "a noisy cylinder in exact air": SHELL,
     "the same cylinder with a bone in it": SHELL + np.where(RADIUS < 5, 900.0, 0.0),
     "a skull in exact air": np.where(BALL < 18, np.where(BALL > 15, 1200.0, 40.0) + NOISE, -1000.0),
-    "a body that was cut out along its skin": np.where(BALL + 3 * np.sin(X) < 18, 20.0 + BALL + NOISE, -2000.0),
+    "a body that was cut out along its skin": np.where(
+        BALL + 3 * np.sin(X) < 18, 20.0 + BALL + NOISE, -2000.0
+    ),
     "a distance that is cut off": np.maximum(18.0 - BALL, -4.0),
     "noise around zero with one low corner": np.where(X + Y + Z == 0, -9999.0, NOISE),
     "air that is no darker than its fill value": scan(-1024.0),
-    "a room that is cold along its walls": np.where((X % 47 == 0) | (Y % 47 == 0), -5.0, 20.0 + NOISE / 100),
+    "a room that is cold along its walls": np.where(
+        (X % 47 == 0) | (Y % 47 == 0), -5.0, 20.0 + NOISE / 100
+    ),
     "a single value": np.full((4, 5, 6), -3.0),
 }
 

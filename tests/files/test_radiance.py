@@ -22,7 +22,9 @@ def quads(height: int, width: int, seed: int = 1) -> np.ndarray:
 
 
 def radiance_of(rgbe: np.ndarray) -> np.ndarray:
-    """The format's own definition, in float64: mantissa · 2^(exponent - 136), black where exponent is 0."""
+    """The format's own definition, in float64: mantissa · 2^(exponent - 136), black where exponent
+    is 0.
+    """
     exponent = rgbe[..., 3:].astype(int)
     return np.where(exponent > 0, rgbe[..., :3] * 2.0 ** (exponent - 136), 0.0)
 
@@ -34,7 +36,8 @@ def flat(rgbe: np.ndarray) -> bytes:
 
 def old_runs(rgbe: np.ndarray) -> bytes:
     """Old coding: a pixel, then (1, 1, 1, n) for n repeats, low byte first over several quads."""
-    out, pixels = bytearray(), [bytes(quad) for quad in rgbe.reshape(-1, 4)]
+    out = bytearray()
+    pixels = [bytes(quad) for quad in rgbe.reshape(-1, 4)]
     at = 0
     while at < len(pixels):
         end = at
@@ -50,7 +53,9 @@ def old_runs(rgbe: np.ndarray) -> bytes:
 
 
 def new_runs(rgbe: np.ndarray) -> bytes:
-    """New coding: per line a mark, then each component in runs and dumps of at most 127 and 128 bytes."""
+    """New coding: per line a mark, then each component in runs and dumps of at most 127 and 128
+    bytes.
+    """
     out = bytearray()
     for line in rgbe:
         out += bytes([2, 2, len(line) >> 8, len(line) & 255])
@@ -61,12 +66,16 @@ def new_runs(rgbe: np.ndarray) -> bytes:
 
 def coded(values: bytes) -> bytes:
     """One component of one line."""
-    out, at = bytearray(), 0
+    out = bytearray()
+    at = 0
     while at < len(values):
         run = 1
         while at + run < len(values) and run < 127 and values[at + run] == values[at]:
             run += 1
-        out += bytes([128 + run, values[at]]) if run > 2 else bytes([1, values[at]])
+        if run > 2:
+            out += bytes([128 + run, values[at]])
+        else:
+            out += bytes([1, values[at]])
         at += run if run > 2 else 1
     return bytes(out)
 
@@ -91,7 +100,9 @@ def test_every_coding_gives_the_same_pixels(
 
 @pytest.mark.parametrize("encode", [flat, old_runs])
 @pytest.mark.parametrize("width", [1, 7, 40000])
-def test_widths_that_new_coding_cannot_hold(tmp_path: Path, encode: Callable[[np.ndarray], bytes], width: int) -> None:
+def test_widths_that_new_coding_cannot_hold(
+    tmp_path: Path, encode: Callable[[np.ndarray], bytes], width: int
+) -> None:
     rgbe = quads(2, width)
     picture = read_hdr(write(tmp_path, 2, width, encode(rgbe)))
     np.testing.assert_array_equal(picture, radiance_of(rgbe).astype(np.float32))
@@ -122,7 +133,9 @@ def test_exposure_is_divided_out(tmp_path: Path, lines: bytes, gain: tuple[float
 def test_what_is_written_is_read_to_eight_bits(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     rgb = random.random((16, 32, 3)) * 10.0 ** random.uniform(-6, 6, (16, 32, 1))
-    rgb[0, 0], rgb[0, 1], rgb[0, 2] = 0.0, (1.0, 0.0, 0.5), (0.9999, 0.1, 0.0)
+    rgb[0, 0] = 0.0
+    rgb[0, 1] = (1.0, 0.0, 0.5)
+    rgb[0, 2] = (0.9999, 0.1, 0.0)
     write_hdr(tmp_path / "p.hdr", rgb)
     again = read_hdr(tmp_path / "p.hdr")
     assert (np.abs(again - rgb) <= rgb.max(axis=-1, keepdims=True) / 255.0).all()

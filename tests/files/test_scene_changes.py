@@ -56,7 +56,10 @@ def test_what_only_reflects_is_left_behind() -> None:
     wax = {"volume": "a.nrrd", "albedo": 0.9, "material": "subsurface"}
     assert put_material(paint, {"material": "subsurface"}) == wax
     assert put_material(paint, {"material": "diffuse"}) == paint
-    assert put_material({**wax, "mean_free_path": 2.0}, {"material": "diffuse"}) == {**wax, "material": "diffuse"}
+    assert put_material({**wax, "mean_free_path": 2.0}, {"material": "diffuse"}) == {
+        **wax,
+        "material": "diffuse",
+    }
 
 
 def test_numbers_of_the_same_material_stay() -> None:

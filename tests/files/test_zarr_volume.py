@@ -1,4 +1,6 @@
-"""Zarr volumes: both formats, images with their resolutions, units and axes, and what is refused."""
+"""Zarr volumes: both formats, images with their resolutions, units and axes, and what is
+refused.
+"""
 
 import threading
 from collections.abc import Callable
@@ -26,17 +28,24 @@ SPACE = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"
 def save(path: Path, array: np.ndarray, form: Any = 3, chunks: Any = None, **more: Any) -> Any:
     """An array of these values, in chunks that do not divide it."""
     chunks = chunks or tuple(min(4, n) for n in array.shape)
-    made = zarr.create_array(path, shape=array.shape, dtype=array.dtype, chunks=chunks, zarr_format=form, **more)
+    made = zarr.create_array(
+        path, shape=array.shape, dtype=array.dtype, chunks=chunks, zarr_format=form, **more
+    )
     made[:] = array
     return made
 
 
-def image(path: Path, arrays: list[np.ndarray], axes: list[Any], form: Any = 3, **more: Any) -> None:
+def image(
+    path: Path, arrays: list[np.ndarray], axes: list[Any], form: Any = 3, **more: Any
+) -> None:
     """An OME-Zarr image of these resolutions, each half as fine as the one before."""
     group = zarr.open_group(path, mode="w", zarr_format=form)
     for level, array in enumerate(arrays):
         save(path / str(level), array, form)
-    steps = [[1.0] * (array.ndim - 3) + [2.0**n * step for step in (2.0, 1.0, 0.5)] for n, array in enumerate(arrays)]
+    steps = [
+        [1.0] * (array.ndim - 3) + [2.0**n * step for step in (2.0, 1.0, 0.5)]
+        for n, array in enumerate(arrays)
+    ]
     datasets = [
         {"path": str(n), "coordinateTransformations": [{"type": "scale", "scale": step}]}
         for n, step in enumerate(steps)
@@ -61,12 +70,16 @@ def test_bare_arrays_of_all_types(tmp_path: Path, kind: str, form: int) -> None:
     save(tmp_path / "v.zarr", values, form)
     grid = open_zarr(tmp_path / "v.zarr")
     check(grid, values)
-    assert grid.dtype == values.dtype or grid.dtype.newbyteorder("=") == values.dtype.newbyteorder("=")
+    assert grid.dtype == values.dtype or grid.dtype.newbyteorder("=") == values.dtype.newbyteorder(
+        "="
+    )
     assert tuple(grid.spacing) == (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("chunks", [(1, 5, 6), (7, 1, 1), (3, 2, 5), (100, 100, 100)])
-def test_slabs_follow_the_chunks_and_hold_all(tmp_path: Path, chunks: tuple[int, ...], monkeypatch: Any) -> None:
+def test_slabs_follow_the_chunks_and_hold_all(
+    tmp_path: Path, chunks: tuple[int, ...], monkeypatch: Any
+) -> None:
     monkeypatch.setattr("isogi_core.files.grid.SLAB_BYTES", 1)
     save(tmp_path / "v.zarr", FIELD, chunks=chunks)
     grid = open_zarr(tmp_path / "v.zarr")
@@ -74,7 +87,9 @@ def test_slabs_follow_the_chunks_and_hold_all(tmp_path: Path, chunks: tuple[int,
     assert len(next(grid.slabs())) == min(chunks[0], 7)
 
 
-def test_a_layer_of_chunks_too_large_for_memory_is_read_in_parts(tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_layer_of_chunks_too_large_for_memory_is_read_in_parts(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
     monkeypatch.setattr("isogi_core.files.grid.SLAB_BYTES", 1)
     monkeypatch.setattr("isogi_core.files.zarr_volume.MAX_LAYER_BYTES", 1000)
     save(tmp_path / "v.zarr", FIELD, chunks=(7, 5, 6))
@@ -92,7 +107,12 @@ def test_shards_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", [2, 3])
 def test_chunks_that_are_missing_hold_the_fill_value(tmp_path: Path, form: Any) -> None:
     made = zarr.create_array(
-        tmp_path / "v.zarr", shape=(4, 4, 4), chunks=(2, 4, 4), dtype="f4", fill_value=np.nan, zarr_format=form
+        tmp_path / "v.zarr",
+        shape=(4, 4, 4),
+        chunks=(2, 4, 4),
+        dtype="f4",
+        fill_value=np.nan,
+        zarr_format=form,
     )
     made[:2] = 3.0
     grid = open_zarr(tmp_path / "v.zarr").whole()
@@ -103,7 +123,9 @@ def test_chunks_that_are_missing_hold_the_fill_value(tmp_path: Path, form: Any) 
 def test_images_are_read_at_their_finest_or_at_a_level(tmp_path: Path, form: Any) -> None:
     path = tmp_path / "v.zarr"
     image(path, [FIELD, FIELD[::2, ::2, ::2]], SPACE, form)
-    finest, coarse, named = open_zarr(path), open_zarr(path, level=1), open_zarr(path / "1")
+    finest = open_zarr(path)
+    coarse = open_zarr(path, level=1)
+    named = open_zarr(path / "1")
     check(finest, FIELD)
     assert tuple(finest.spacing) == (0.5, 1.0, 2.0)
     for grid in (coarse, named):
@@ -113,7 +135,10 @@ def test_images_are_read_at_their_finest_or_at_a_level(tmp_path: Path, form: Any
 
 def test_scales_of_the_whole_image_and_units_count(tmp_path: Path) -> None:
     axes = [dict(SPACE[0], unit="millimeter"), SPACE[1], dict(SPACE[2], unit="micrometre")]
-    whole = [{"type": "scale", "scale": [3.0, 3.0, 3.0]}, {"type": "translation", "translation": [9.0, 9.0, 9.0]}]
+    whole = [
+        {"type": "scale", "scale": [3.0, 3.0, 3.0]},
+        {"type": "translation", "translation": [9.0, 9.0, 9.0]},
+    ]
     image(tmp_path / "v.zarr", [FIELD], axes, coordinateTransformations=whole)
     np.testing.assert_allclose(open_zarr(tmp_path / "v.zarr").spacing, (1.5, 3.0, 6000.0))
 
@@ -127,7 +152,10 @@ def test_one_channel_and_time_are_chosen(tmp_path: Path) -> None:
     check(first, values[0, 0])
     assert (first.moment, first.unchosen) == ((0, 2), True)
     assert not open_zarr(tmp_path / "v.zarr", channel=0, time=0).unchosen
-    with pytest.raises(VolumeError, match=r"has 3 elements along its axis 'c': set channel in the scene, from 0 to 2"):
+    with pytest.raises(
+        VolumeError,
+        match=r"has 3 elements along its axis 'c': set channel in the scene, from 0 to 2",
+    ):
         open_zarr(tmp_path / "v.zarr", time=0)
     with pytest.raises(VolumeError, match=r"channel = 3 is not in .*, which has 0 to 2"):
         open_zarr(tmp_path / "v.zarr", channel=3, time=0)
@@ -146,7 +174,11 @@ def test_dimensions_may_have_names_of_their_own(tmp_path: Path) -> None:
 
 
 def test_an_array_whose_first_dimension_is_time_is_a_series(tmp_path: Path) -> None:
-    save(tmp_path / "v.zarr", np.stack([FIELD, FIELD + 1]), dimension_names=["time", "depth", "lat", "lon"])
+    save(
+        tmp_path / "v.zarr",
+        np.stack([FIELD, FIELD + 1]),
+        dimension_names=["time", "depth", "lat", "lon"],
+    )
     first = open_zarr(tmp_path / "v.zarr")
     check(first, FIELD)
     assert (first.moment, first.unchosen) == ((0, 2), True)
@@ -175,7 +207,9 @@ def bad_link(path: Path) -> None:
 
 def bad_chunk(path: Path) -> None:
     save(path, FIELD)
-    next(each for each in sorted((path / "c").rglob("*")) if each.is_file()).write_bytes(b"no chunk")
+    next(each for each in sorted((path / "c").rglob("*")) if each.is_file()).write_bytes(
+        b"no chunk"
+    )
 
 
 def bad_codec(path: Path) -> None:
@@ -225,7 +259,9 @@ def huge(path: Path) -> None:
         (lambda path: image(path, [FIELD], SPACE, datasets=[{}]), "OME metadata .* is damaged"),
     ],
 )
-def test_unreadable_files_are_errors(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
+def test_unreadable_files_are_errors(
+    tmp_path: Path, make: Callable[[Path], object], told: str
+) -> None:
     make(tmp_path / "v.zarr")
     with pytest.raises(VolumeError, match=told):
         open_zarr(tmp_path / "v.zarr").whole()
@@ -245,12 +281,17 @@ def bucket(s3: S3Server, tmp_path: Path) -> str:
     image(tmp_path / "v.zarr", [FIELD, FIELD[::2, ::2, ::2]], SPACE)
     for path in (tmp_path / "v.zarr").rglob("*"):
         if path.is_file():
-            s3.objects[f"{s3.prefix}/v.zarr/{path.relative_to(tmp_path / 'v.zarr')}"] = path.read_bytes()
+            s3.objects[f"{s3.prefix}/v.zarr/{path.relative_to(tmp_path / 'v.zarr')}"] = (
+                path.read_bytes()
+            )
     return f"{s3.url}/v.zarr"
 
 
 def test_images_are_read_from_urls(bucket: str, s3: S3Server) -> None:
-    for grid, values in ((open_zarr(bucket), FIELD), (open_zarr(f"{bucket}/1"), FIELD[::2, ::2, ::2])):
+    for grid, values in (
+        (open_zarr(bucket), FIELD),
+        (open_zarr(f"{bucket}/1"), FIELD[::2, ::2, ::2]),
+    ):
         check(grid, values)
     assert tuple(open_zarr(f"{bucket}/1").spacing) == (1.0, 2.0, 4.0)
     with pytest.raises(VolumeError, match="has no array '7'"):
@@ -290,7 +331,13 @@ def test_scenes_and_the_command_line_name_urls(bucket: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "url", ["s3://user:word@isogi/v.zarr", "s3://isogi/v.zarr?key=1", "file:///v.zarr", "github://a/v.zarr"]
+    "url",
+    [
+        "s3://user:word@isogi/v.zarr",
+        "s3://isogi/v.zarr?key=1",
+        "file:///v.zarr",
+        "github://a/v.zarr",
+    ],
 )
 def test_urls_that_hold_secrets_or_lead_elsewhere_are_refused(url: str) -> None:
     with pytest.raises(VolumeError, match="must begin with s3://"):

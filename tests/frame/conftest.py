@@ -1,4 +1,6 @@
-"""Scenes of formulas, and light baked in this process: a renderer with a store of its own, and no workers."""
+"""Scenes of formulas, and light baked in this process: a renderer with a store of its own, and no
+workers.
+"""
 
 import os
 from collections.abc import Callable
@@ -40,7 +42,9 @@ MIDDLE = 16.0
 
 
 def shell(hollow: float = 6.0, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
-    """A ball of radius 12 voxels about the MIDDLE, with a hollow: solid where the field is above 0."""
+    """A ball of radius 12 voxels about the MIDDLE, with a hollow: solid where the field is above
+    0.
+    """
     z, y, x = np.mgrid[:33, :33, :33] - MIDDLE
     r = np.sqrt(x**2 + y**2 + z**2)
     return make_volume(np.minimum(12.0 - r, r - hollow).astype(np.float32), spacing)
@@ -60,29 +64,48 @@ class Workbench:
         """Everything built anew over the same store, as after a restart."""
         return Workbench(self.scene, self.folder)
 
-    def view(self, azimuth: float = 40.0, elevation: float = 30.0, size: int = 64, **settings: Any) -> View:
-        """A square view round the middle of the volume, at the scene's own isovalue unless given."""
+    def view(
+        self, azimuth: float = 40.0, elevation: float = 30.0, size: int = 64, **settings: Any
+    ) -> View:
+        """A square view round the middle of the volume, at the scene's own isovalue unless
+        given.
+        """
         camera = self.scene.camera(azimuth, elevation, settings.pop("distance", 3.0), 30.0)
-        return View(settings.pop("isovalue", self.scene.isovalue), camera, width=size, height=size, **settings)
+        return View(
+            settings.pop("isovalue", self.scene.isovalue),
+            camera,
+            width=size,
+            height=size,
+            **settings,
+        )
 
     def bake(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all that `view` demands, and render its final frame."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MAX_SAMPLES)
+        rung = FIRST_LEVEL
+        frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
                 loader = self.caches.of(view.shading)
-                list(threads.map(partial(refine_chunk, loader, rung, target or self.scene.target_error), frame.demands))
-                rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
+                list(
+                    threads.map(
+                        partial(refine_chunk, loader, rung, target or self.scene.target_error),
+                        frame.demands,
+                    )
+                )
+                rung = 2 * rung
+                frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 
     def project(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all projected texels that a baked view demands, and render it."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MAX_SAMPLES)
+        rung = FIRST_LEVEL
+        frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
         while frame.quality.projection and frame.quality.projection.demands:
             loader = self.caches.projected(frame.gbuffer.isovalue)
             given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
             list(map(given, frame.quality.projection.demands))
-            rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
+            rung = 2 * rung
+            frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 
     def settled(self, view: View, target: float | None = None) -> Frame:
@@ -123,7 +146,9 @@ def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
 def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """The orbital under a sky; `view()` is baked to a tenth."""
     bench = Workbench(
-        load_scene("demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2, target_error=LOOSE),
+        load_scene(
+            "demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2, target_error=LOOSE
+        ),
         tmp_path_factory.mktemp("orbital"),
     )
     bench.bake(bench.view())
@@ -132,10 +157,14 @@ def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
 
 @pytest.fixture(scope="session")
 def evenly_lit(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
-    """The orbital under constant light, white as snow, its direct and indirect light apart; `view()` is baked."""
+    """The orbital under constant light, white as snow, its direct and indirect light apart;
+    `view()` is baked.
+    """
     kept = {"representation": "transfer", "order": 1}
     bench = Workbench(
-        load_scene("demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE, **kept),
+        load_scene(
+            "demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE, **kept
+        ),
         tmp_path_factory.mktemp("evenly_lit"),
     )
     bench.bake(bench.view())
@@ -149,7 +178,9 @@ def workbench(tmp_path: Path) -> Callable[[Scene], Workbench]:
 
 
 def soft_probe(folder: Path) -> dict[str, Any]:
-    """A probe of radiance 1 + ω·a, twice as bright as the mean at its pole a and black opposite: no lamp to miss."""
+    """A probe of radiance 1 + ω·a, twice as bright as the mean at its pole a and black opposite: no
+    lamp to miss.
+    """
     falling = 1.0 + pixel_directions(32, 64) @ np.array([0.48, 0.6, 0.64])
     write_hdr(folder / "soft.hdr", np.repeat(falling[..., None], 3, axis=-1).astype(np.float32))
     return {"type": "probe", "file": str(folder / "soft.hdr")}
@@ -161,8 +192,12 @@ def scene_of(volume: Volume, isovalue: float, **settings: Any) -> Scene:
     return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range)
 
 
-def ball(size: int = 40, radius: float = 12.0, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
-    """Distance from a ball's skin, positive inside: a cube of side `size` in world units, sampled with `spacing`."""
+def ball(
+    size: int = 40, radius: float = 12.0, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> Volume:
+    """Distance from a ball's skin, positive inside: a cube of side `size` in world units, sampled
+    with `spacing`.
+    """
     x, y, z = (np.arange(round(size / step) + 1) * step - size / 2 for step in spacing)
     away = np.sqrt(x[None, None, :] ** 2 + y[None, :, None] ** 2 + z[:, None, None] ** 2)
     return make_volume((radius - away).astype(np.float32), spacing, name="ball")
@@ -181,7 +216,9 @@ def relative_rmse(frame: Frame, reference: Frame) -> float:
 
 
 def rmse_of_colours(frame: Frame, other: Frame) -> float:
-    """RMSE of the worst channel over the surface, over the other's mean of its brightest channel."""
+    """RMSE of the worst channel over the surface, over the other's mean of its brightest
+    channel.
+    """
     on = (frame.state > 0) & (other.state > 0)
     wrong = (frame.radiance[on] - other.radiance[on]).astype(np.float64)
     return float(np.sqrt((wrong**2).mean(axis=0)).max() / other.radiance[on].mean(axis=0).max())
@@ -190,4 +227,8 @@ def rmse_of_colours(frame: Frame, other: Frame) -> float:
 def chunks_of(folder: Path, digest: str) -> dict[str, bytes]:
     """The chunk objects of a layer."""
     layer = folder / digest
-    return {str(path.relative_to(layer)): path.read_bytes() for path in (layer / "c").rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(layer)): path.read_bytes()
+        for path in (layer / "c").rglob("*")
+        if path.is_file()
+    }

@@ -46,7 +46,11 @@ def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
     """A ball at the box's edge, and not a range of values, which may glow anywhere in its box."""
     ball = {"sphere": [85.0, 12.0, 47.0, 8.0]}
     views = []
-    for name, glow in (("none", {}), ("ball", {"glow": [ball]}), ("mist", {"glow": [{"values": [0.003, 0.03]}]})):
+    for name, glow in (
+        ("none", {}),
+        ("ball", {"glow": [ball]}),
+        ("mist", {"glow": [{"values": [0.003, 0.03]}]}),
+    ):
         bench = Workbench(load_scene("demo:orbital", **glow), tmp_path / name)
         found = fitted(bench.renderer, bench.view(size=16), 30.0, 20.0)
         assert found is not None
@@ -61,26 +65,45 @@ def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
 
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:
-    cube, long, wide = (front_of(make_volume(np.zeros(shape)), False) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80)))
+    cube, long, wide = (
+        front_of(make_volume(np.zeros(shape)), False)
+        for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80))
+    )
     assert cube == FRONT and long[0] < cube[0] and wide == (SKEW_AZIMUTHS[1], FRONT[1])
 
 
-def edges_of(bench: Workbench, view: View, stand: Stand, found: tuple[Vector, float], projection: str) -> np.ndarray:
-    """How far the surface reaches in the picture of a camera at a ``stand``, 1 at its edges: left, right, down, up."""
-    camera = orbit(found[0], bench.scene.volume.radius, stand.azimuth, stand.elevation, found[1], view.camera.fov)
+def edges_of(
+    bench: Workbench, view: View, stand: Stand, found: tuple[Vector, float], projection: str
+) -> np.ndarray:
+    """How far the surface reaches in the picture of a camera at a ``stand``, 1 at its edges: left,
+    right, down, up.
+    """
+    camera = orbit(
+        found[0],
+        bench.scene.volume.radius,
+        stand.azimuth,
+        stand.elevation,
+        found[1],
+        view.camera.fov,
+    )
     seen = bench.renderer.gbuffer(replace(view, camera=bench.scene.in_box(camera, projection)))
     rows, columns = np.nonzero(seen.rows >= 0)
-    x, y = 2.0 * columns / (view.width - 1) - 1.0, 1.0 - 2.0 * rows / (view.height - 1)
+    x = 2.0 * columns / (view.width - 1) - 1.0
+    y = 1.0 - 2.0 * rows / (view.height - 1)
     return np.array([-x.min(), x.max(), -y.min(), y.max()])
 
 
 @pytest.mark.parametrize("projection", PROJECTIONS)
 def test_from_many_sides_all_is_seen_from_one_distance(projection: str, tmp_path: Path) -> None:
-    """Of two isovalues, from all around and from above: nowhere cut off, and as large as the margin allows."""
+    """Of two isovalues, from all around and from above: nowhere cut off, and as large as the margin
+    allows.
+    """
     bench = Workbench(SCENE, tmp_path)
     views = [replace(bench.view(size=120), isovalue=isovalue) for isovalue in (0.01, 0.03)]
     stands = [
-        Stand(view, azimuth, elevation) for view in views for azimuth, elevation in ((0, 0), (120, 30), (250, 70))
+        Stand(view, azimuth, elevation)
+        for view in views
+        for azimuth, elevation in ((0, 0), (120, 30), (250, 70))
     ]
     found = fitted_to_all(bench.renderer, stands, projection)
     assert found is not None
@@ -93,7 +116,9 @@ def test_from_many_sides_all_is_seen_from_one_distance(projection: str, tmp_path
 
 
 def test_a_surface_of_a_pixel_or_two_is_seen_in_the_whole_volume(tmp_path: Path) -> None:
-    """Of a single point the camera would be at no distance: two specks at the ends of a long box."""
+    """Of a single point the camera would be at no distance: two specks at the ends of a long
+    box.
+    """
     voxels = np.zeros((160, 8, 8), np.float32)
     voxels[1, 3:5, 3:5] = voxels[-2, 3:5, 3:5] = 1.0
     np.save(tmp_path / "v.npy", voxels)
@@ -103,11 +128,14 @@ def test_a_surface_of_a_pixel_or_two_is_seen_in_the_whole_volume(tmp_path: Path)
     assert found is None or found[1] > 0.05
 
 
-# --- parallel rays ----------------------------------------------------------------------------------------------------
+# --- parallel rays
+# --------------------------------------------------------------------------------------------------
 
 
 SIZE = 64
-TURNED = Orientation(((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS")
+TURNED = Orientation(
+    ((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS"
+)
 WAYS = [(0.0, 0.0), (35.0, 28.0), (-140.0, -65.0), (90.0, 90.0)]
 
 
@@ -117,7 +145,9 @@ def bench(workbench: Callable[[Scene], Workbench]) -> Workbench:
     return workbench(scene_of(replace(ball(spacing=(1.0, 0.5, 2.0)), orientation=TURNED), 0.0))
 
 
-def perspective(bench: Workbench, azimuth: float, elevation: float, distance: float = 1.2) -> Camera:
+def perspective(
+    bench: Workbench, azimuth: float, elevation: float, distance: float = 1.2
+) -> Camera:
     """A camera of the world, near the ball, that looks past its middle."""
     volume = bench.scene.volume
     x, y, z = volume.world_centre
@@ -125,8 +155,12 @@ def perspective(bench: Workbench, azimuth: float, elevation: float, distance: fl
 
 
 def seen_by(bench: Workbench, camera: Camera, projection: str) -> tuple[GBuffer, np.ndarray]:
-    """What a camera of the world sees, and the places of its pixels from the middle, right and up, in pixels."""
-    view = View(0.0, bench.scene.in_box(camera, projection), width=SIZE, height=SIZE, shading="lambert")
+    """What a camera of the world sees, and the places of its pixels from the middle, right and up,
+    in pixels.
+    """
+    view = View(
+        0.0, bench.scene.in_box(camera, projection), width=SIZE, height=SIZE, shading="lambert"
+    )
     gbuffer = bench.renderer.gbuffer(view)
     row, column = np.divmod(gbuffer.pixels.astype(np.int64), SIZE)
     return gbuffer, np.column_stack([column + 0.5 - SIZE / 2, SIZE / 2 - row - 0.5])
@@ -137,17 +171,28 @@ def world(gbuffer: GBuffer) -> np.ndarray:
     return TURNED.to_world(gbuffer.points.astype(np.float64) * gbuffer.spacing)
 
 
-def parallel_rays(bench: Workbench, azimuth: float, elevation: float) -> tuple[GBuffer, np.ndarray, np.ndarray]:
-    """What an orthographic camera sees, and the rays of these pixels: origins (m, 3), and their one direction."""
+def parallel_rays(
+    bench: Workbench, azimuth: float, elevation: float
+) -> tuple[GBuffer, np.ndarray, np.ndarray]:
+    """What an orthographic camera sees, and the rays of these pixels: origins (m, 3), and their one
+    direction.
+    """
     camera = perspective(bench, azimuth, elevation)
     gbuffer, places = seen_by(bench, camera, "orthographic")
     right, up, forward = camera.basis()
-    pixel = 2.0 * np.linalg.norm(np.subtract(camera.target, camera.eye)) * np.tan(np.radians(20.0)) / SIZE
+    pixel = (
+        2.0
+        * np.linalg.norm(np.subtract(camera.target, camera.eye))
+        * np.tan(np.radians(20.0))
+        / SIZE
+    )
     return gbuffer, camera.target + pixel * places @ np.stack([right, up]), forward
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
-def test_points_lie_on_parallel_rays_through_pixels(bench: Workbench, azimuth: float, elevation: float) -> None:
+def test_points_lie_on_parallel_rays_through_pixels(
+    bench: Workbench, azimuth: float, elevation: float
+) -> None:
     gbuffer, origins, forward = parallel_rays(bench, azimuth, elevation)
     away = world(gbuffer) - origins
     assert len(away) > 500
@@ -155,13 +200,16 @@ def test_points_lie_on_parallel_rays_through_pixels(bench: Workbench, azimuth: f
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
-def test_the_nearest_point_of_the_ball_is_seen(bench: Workbench, azimuth: float, elevation: float) -> None:
+def test_the_nearest_point_of_the_ball_is_seen(
+    bench: Workbench, azimuth: float, elevation: float
+) -> None:
     gbuffer, origins, forward = parallel_rays(bench, azimuth, elevation)
     origins -= bench.scene.volume.world_centre
     b = origins @ forward
     inside = 12.0**2 - (origins**2).sum(axis=1) + b**2
     hit = origins + (-b - np.sqrt(np.maximum(inside, 0.0)))[:, None] * forward
-    found, clear = world(gbuffer) - bench.scene.volume.world_centre, inside > 20.0
+    found = world(gbuffer) - bench.scene.volume.world_centre
+    clear = inside > 20.0
     assert clear.sum() > 400
     assert np.linalg.norm(found - hit, axis=1)[clear].max() < 0.15
 
@@ -174,14 +222,19 @@ def off_affine(gbuffer: GBuffer, places: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
-def test_lines_that_are_parallel_stay_parallel(bench: Workbench, azimuth: float, elevation: float) -> None:
+def test_lines_that_are_parallel_stay_parallel(
+    bench: Workbench, azimuth: float, elevation: float
+) -> None:
     camera = perspective(bench, azimuth, elevation)
     assert off_affine(*seen_by(bench, camera, "orthographic")) < 1e-3
     assert off_affine(*seen_by(bench, camera, "perspective")) > 1.0
 
 
 def test_distance_is_scale_alone(bench: Workbench) -> None:
-    near, far = (seen_by(bench, perspective(bench, 35.0, 28.0, distance), "orthographic")[0] for distance in (0.6, 1.2))
+    near, far = (
+        seen_by(bench, perspective(bench, 35.0, 28.0, distance), "orthographic")[0]
+        for distance in (0.6, 1.2)
+    )
     pixels = {int(pixel): point for pixel, point in zip(far.pixels, world(far), strict=True)}
     camera = perspective(bench, 35.0, 28.0)
     right, up, _ = camera.basis()

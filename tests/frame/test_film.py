@@ -32,7 +32,9 @@ STATES = (0, PROVISIONAL, CONVERGING, FINAL)
 
 
 def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
-    """Twelve columns each of background, provisional, converging and final; ``error`` is of each row."""
+    """Twelve columns each of background, provisional, converging and final; ``error`` is of each
+    row.
+    """
     state = np.repeat(np.array(STATES, np.uint8), 12)[None].repeat(len(error), axis=0)
     radiance = np.full((*state.shape, 3), light, np.float32)
     return SimpleNamespace(
@@ -59,11 +61,13 @@ def test_each_overlay_marks_its_pixels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("background", "codes"), [("light", (226, 228, 230)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
+    ("background", "codes"),
+    [("light", (226, 228, 230)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))],
 )
 def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
     frame = frame_of(np.full(24, 0.05))
-    picture, dark = develop(frame, 1.0, "none", background), develop(frame, 1.0)
+    picture = develop(frame, 1.0, "none", background)
+    dark = develop(frame, 1.0)
     assert (picture[frame.state == 0] == codes).all()
     assert (picture[frame.state > 0] == dark[frame.state > 0]).all()
 
@@ -72,11 +76,14 @@ def test_a_transparent_picture_covers_its_surface() -> None:
     frame = frame_of(np.full(24, 0.05))
     picture = develop(frame, 1.0, "error", "transparent")
     assert picture.shape[-1] == 4
-    assert ((picture[..., 3] == 255) == (frame.state > 0)).all() and set(np.unique(picture[..., 3])) == {0, 255}
+    assert ((picture[..., 3] == 255) == (frame.state > 0)).all() and set(
+        np.unique(picture[..., 3])
+    ) == {0, 255}
 
 
 def test_samples_of_a_pixel_are_averaged_as_light() -> None:
-    frame, on = frame_of(np.full(2, 0.05)), np.array([[True, False], [True, True]])
+    frame = frame_of(np.full(2, 0.05))
+    on = np.array([[True, False], [True, True]])
     frame.edges = EdgeSamples(np.array([0, 95], np.uint32), np.full((2, 2, 3), 0.5, np.float32), on)
     picture = develop(frame, 1.0, "none", "#ffffff")
     shown = film.linear_of(int(picture[1, 47, 0]) / 255)
@@ -84,7 +91,9 @@ def test_samples_of_a_pixel_are_averaged_as_light() -> None:
     clear = develop(frame, 1.0, "none", "transparent")
     assert clear[0, 0, 3] == 128 and clear[1, 47, 3] == 255
     assert clear[0, 0, 0] == clear[1, 47, 0], "what is not covered has no colour"
-    assert (develop(frame, 1.0, "provisional")[1, 47] == develop(frame, 1.0, "provisional")[0, 47]).all()
+    assert (
+        develop(frame, 1.0, "provisional")[1, 47] == develop(frame, 1.0, "provisional")[0, 47]
+    ).all()
 
 
 def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:
@@ -105,7 +114,10 @@ def test_equal_factors_of_error_are_equal_steps_of_the_scale() -> None:
 
 
 def test_the_form_shows_through_the_colours() -> None:
-    dark, bright = (develop(frame_of(np.full(2, 0.03), light), 1.0, "error")[0, 30].astype(int) for light in (0, 1))
+    dark, bright = (
+        develop(frame_of(np.full(2, 0.03), light), 1.0, "error")[0, 30].astype(int)
+        for light in (0, 1)
+    )
     assert ((bright - dark) > 20).all() and ((bright - dark) < 70).all()
 
 
@@ -113,7 +125,9 @@ def test_the_table_is_viridis_and_its_lightness_rises_evenly() -> None:
     matplotlib = pytest.importorskip("matplotlib")
     viridis = 255 * matplotlib.colormaps["viridis"](np.arange(256))[:, :3]
     assert np.abs(film.colour_table() - viridis).mean() < 2
-    linear = np.vectorize(lambda code: ((code / 255 + 0.055) / 1.055) ** 2.4 if code > 10 else code / 255 / 12.92)
+    linear = np.vectorize(
+        lambda code: ((code / 255 + 0.055) / 1.055) ** 2.4 if code > 10 else code / 255 / 12.92
+    )
     luminance = linear(film.colour_table()) @ [0.2126, 0.7152, 0.0722]
     lightness = 116 * np.cbrt(luminance) - 16
     assert (np.diff(lightness[::8]) > 1).all()
@@ -127,7 +141,8 @@ def test_developing_errors_leaves_the_frame_as_it_was() -> None:
     assert np.array_equal(frame.state, state)
 
 
-# --- smooth edges -----------------------------------------------------------------------------------------------------
+# --- smooth edges
+# --------------------------------------------------------------------------------------------------
 
 
 SIZE = 224
@@ -144,7 +159,8 @@ def test_samples_are_spread_evenly_over_the_pixel(count: int) -> None:
 
 
 def test_edges_are_silhouettes_and_contrasts_and_nothing_else() -> None:
-    state, picture = np.zeros((200, 200), np.uint8), np.full((200, 200, 3), 90, np.uint8)
+    state = np.zeros((200, 200), np.uint8)
+    picture = np.full((200, 200, 3), 90, np.uint8)
     state[10:30, 10:30] = 3
     picture[10:30, 20:] = 130
     edges, count = find_edges(picture, state)
@@ -179,7 +195,8 @@ def test_smooth_edges_are_four_times_nearer_to_the_true_ones(
 ) -> None:
     view = orbital.view(size=SIZE, smooth=True)
     exposure = orbital.scene.default_exposure
-    frame, plain = orbital.renderer.render(view), orbital.renderer.render(replace(view, smooth=False))
+    frame = orbital.renderer.render(view)
+    plain = orbital.renderer.render(replace(view, smooth=False))
     assert frame.edges is not None and plain.edges is None
     pixels = frame.edges.pixels
     monkeypatch.setattr(film, "find_edges", lambda *_: (pixels, TRUE))
@@ -188,14 +205,20 @@ def test_smooth_edges_are_four_times_nearer_to_the_true_ones(
     partly = (true.covered[:, 3] > 0.0) & (true.covered[:, 3] < 1.0)
     wanted = linear_table()[averaged(true, exposure, BACKGROUND, clear=False)][partly]
     smooth, stairs = (
-        np.sqrt(np.mean((linear_table()[develop(each, exposure).reshape(-1, 3)[pixels[partly]]] - wanted) ** 2))
+        np.sqrt(
+            np.mean(
+                (linear_table()[develop(each, exposure).reshape(-1, 3)[pixels[partly]]] - wanted)
+                ** 2
+            )
+        )
         for each in (frame, plain)
     )
     assert smooth < stairs / 4
     inside = np.ones(SIZE**2, np.bool_)
     inside[pixels] = False
     assert np.array_equal(
-        develop(frame, exposure).reshape(-1, 3)[inside], develop(plain, exposure).reshape(-1, 3)[inside]
+        develop(frame, exposure).reshape(-1, 3)[inside],
+        develop(plain, exposure).reshape(-1, 3)[inside],
     )
 
 
@@ -204,20 +227,24 @@ def test_moving_views_have_no_more_samples(orbital: Workbench) -> None:
 
 
 def test_a_view_of_nothing_has_no_edges(orbital: Workbench) -> None:
-    assert orbital.renderer.render(orbital.view(size=16, distance=1000.0, smooth=True)).edges is None
+    assert (
+        orbital.renderer.render(orbital.view(size=16, distance=1000.0, smooth=True)).edges is None
+    )
 
 
 def test_coverage_is_of_the_samples_on_the_surface(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view(size=64, smooth=True))
     assert frame.edges is not None
-    light, share = frame.edges.covered[:, :3], frame.edges.covered[:, 3]
+    light = frame.edges.covered[:, :3]
+    share = frame.edges.covered[:, 3]
     assert ((share >= 0) & (share <= 1)).all() and ((share > 0) & (share < 1)).any()
     assert (light[share > 0].sum(axis=1) > 0).all() and (light[share == 0] == 0).all()
     clear = develop(frame, 1.0, "none", "transparent").reshape(-1, 4)[frame.edges.pixels, 3]
     np.testing.assert_allclose(clear, 255 * share, atol=0.6)
 
 
-# --- panoramas --------------------------------------------------------------------------------------------------------
+# --- panoramas
+# --------------------------------------------------------------------------------------------------
 
 
 def painted(*lights: Light, width: int = 128) -> np.ndarray:
@@ -227,7 +254,9 @@ def painted(*lights: Light, width: int = 128) -> np.ndarray:
 def brightest(picture: np.ndarray) -> tuple[float, float]:
     """Azimuth and elevation of the middle of the brightest pixels, degrees."""
     height, width = picture.shape[:2]
-    rows, columns = np.nonzero(picture.sum(axis=2, dtype=int) >= picture.sum(axis=2, dtype=int).max())
+    rows, columns = np.nonzero(
+        picture.sum(axis=2, dtype=int) >= picture.sum(axis=2, dtype=int).max()
+    )
     return (columns.mean() + 0.5) / width * 360, 90 - (rows.mean() + 0.5) / height * 180
 
 
@@ -262,7 +291,9 @@ def test_a_directional_light_is_marked_in_its_colour(azimuth: float, elevation: 
 
 def test_a_panorama_without_distant_light_is_black() -> None:
     assert not painted(PointLight((1.0, 2.0, 3.0), (5.0, 5.0, 5.0))).any()
-    assert not painted(ConstantLight((0.0, 0.0, 0.0)), DirectionalLight(irradiance=(0.0, 0.0, 0.0))).any()
+    assert not painted(
+        ConstantLight((0.0, 0.0, 0.0)), DirectionalLight(irradiance=(0.0, 0.0, 0.0))
+    ).any()
 
 
 def test_glare_spreads_a_small_share_and_loses_no_light() -> None:
@@ -271,11 +302,17 @@ def test_glare_spreads_a_small_share_and_loses_no_light() -> None:
     spread = glare(point) - point
     assert spread.sum(axis=(0, 1)) == pytest.approx([GLARE] * 3)
     assert np.unravel_index(spread[..., 0].argmax(), (32, 64)) == (16, 1)
-    assert spread[16, [2, 0]] == pytest.approx(spread[[15, 17], 1]) and spread[16, -2].all(), "round the seam"
+    assert spread[16, [2, 0]] == pytest.approx(spread[[15, 17], 1]) and spread[16, -2].all(), (
+        "round the seam"
+    )
 
 
 def test_tones_keep_their_order_and_their_hue() -> None:
-    radiance = np.geomspace(1e-3, 1e5, 64)[:, None, None] * np.array([1.0, 0.5, 0.25]) * np.ones((64, 8, 1))
+    radiance = (
+        np.geomspace(1e-3, 1e5, 64)[:, None, None]
+        * np.array([1.0, 0.5, 0.25])
+        * np.ones((64, 8, 1))
+    )
     toned = tone(radiance)
     assert (np.diff(toned[:, 0, 1]) > 0).all() and toned.max() <= 1.0
     assert toned[:30, 0, 0] == pytest.approx(2.0 * toned[:30, 0, 1])

@@ -1,4 +1,6 @@
-"""The G-buffer: the conventions of the camera, surfaces that two volumes share, and points of pictures."""
+"""The G-buffer: the conventions of the camera, surfaces that two volumes share, and points of
+pictures.
+"""
 
 import threading
 from collections.abc import Callable
@@ -24,7 +26,9 @@ TILES = Tiles(2)
 
 
 def marks() -> Volume:
-    """Three small balls, 12 voxels from the middle along +x (radius 2), +y (radius 3) and +z (radius 4)."""
+    """Three small balls, 12 voxels from the middle along +x (radius 2), +y (radius 3) and +z
+    (radius 4).
+    """
     z, y, x = np.mgrid[:41, :41, :41] - 20.0
     parts = [
         radius - np.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
@@ -33,7 +37,9 @@ def marks() -> Volume:
     return make_volume(np.maximum.reduce(parts))
 
 
-def seen(volume: Volume, isovalue: float, azimuth: float, elevation: float = 0.0, size: int = 96) -> GBuffer:
+def seen(
+    volume: Volume, isovalue: float, azimuth: float, elevation: float = 0.0, size: int = 96
+) -> GBuffer:
     """The G-buffer of an orbit view round the middle."""
     scene = scene_of(volume, isovalue)
     view = View(isovalue, scene.camera(azimuth, elevation, 3.0, 30.0), width=size, height=size)
@@ -41,7 +47,9 @@ def seen(volume: Volume, isovalue: float, azimuth: float, elevation: float = 0.0
 
 
 def middles(gbuffer: GBuffer) -> dict[str, tuple[float, float]]:
-    """Where the three marks are in the picture: (to the right, up) of its middle, by the axis each is on."""
+    """Where the three marks are in the picture: (to the right, up) of its middle, by the axis each
+    is on.
+    """
     y, x = np.divmod(gbuffer.pixels, gbuffer.shape[1])
     axis = np.abs(gbuffer.points - 20.0).argmax(axis=1)
     half = gbuffer.shape[0] / 2
@@ -55,7 +63,9 @@ def middles(gbuffer: GBuffer) -> dict[str, tuple[float, float]]:
     ("azimuth", "right", "left", "middle"),
     [(0, "y", "", "x"), (90, "", "x", "y"), (180, "", "y", "x"), (270, "x", "", "y")],
 )
-def test_azimuth_0_looks_from_x_and_90_from_y_with_z_up(azimuth: float, right: str, left: str, middle: str) -> None:
+def test_azimuth_0_looks_from_x_and_90_from_y_with_z_up(
+    azimuth: float, right: str, left: str, middle: str
+) -> None:
     places = middles(seen(marks(), 0.0, azimuth))
     assert places["z"][1] > 10 and abs(places["z"][0]) < 1, "+z is at the top, row 0 above it"
     assert abs(places[middle][0]) < 1 and abs(places[middle][1]) < 1
@@ -77,7 +87,9 @@ def test_pinhole_rays_in_world_space() -> None:
     spacing = (0.5, 2.0, 3.0)
     hole = pinhole(camera, 8, 4, spacing)
     right, up, forward = camera.basis()
-    corner, step_right, step_down = (np.array(v) * spacing for v in (hole.corner, hole.right, hole.down))
+    corner, step_right, step_down = (
+        np.array(v) * spacing for v in (hole.corner, hole.right, hole.down)
+    )
     np.testing.assert_allclose(corner + 4 * step_right + 2 * step_down, forward, atol=1e-12)
     edge = corner + 4 * step_right
     assert edge @ up / (edge @ forward) == pytest.approx(np.tan(np.radians(25.0)))
@@ -93,7 +105,9 @@ def test_points_and_normals_belong_together() -> None:
     away = (gbuffer.points - 20.0) / np.linalg.norm(gbuffer.points - 20.0, axis=1, keepdims=True)
     assert (away * normals).sum(axis=1).min() > 0.999
     towards = gbuffer.eye - gbuffer.points
-    assert (towards * normals).sum(axis=1).min() > -0.2 * np.linalg.norm(towards, axis=1).max(), "none is behind"
+    assert (towards * normals).sum(axis=1).min() > -0.2 * np.linalg.norm(towards, axis=1).max(), (
+        "none is behind"
+    )
 
 
 def test_positions_are_the_points_in_world_units() -> None:
@@ -101,7 +115,9 @@ def test_positions_are_the_points_in_world_units() -> None:
     assert (np.diff(gbuffer.pixels.astype(int)) > 0).all()
     position = gbuffer.position
     assert position.shape == (64, 64, 3)
-    assert np.array_equal(position.reshape(-1, 3)[gbuffer.pixels], gbuffer.points * np.array([1, 1, 3], np.float32))
+    assert np.array_equal(
+        position.reshape(-1, 3)[gbuffer.pixels], gbuffer.points * np.array([1, 1, 3], np.float32)
+    )
     on = position.any(axis=-1)
     assert on.sum() == len(gbuffer.pixels)
     assert np.abs(np.linalg.norm(position[on] - 21.0, axis=1) - 15.0).max() < 0.6
@@ -133,9 +149,11 @@ def test_threads_change_no_bit(threads: int) -> None:
 
 
 def test_a_cancelled_trace_stops() -> None:
-    scene, cancelled = scene_of(ball(), 0.0), threading.Event()
+    scene = scene_of(ball(), 0.0)
+    cancelled = threading.Event()
     cancelled.set()
-    surface, tiles = PreparedScene(scene).surface(0.0), TILES.cancelled_by(cancelled)
+    surface = PreparedScene(scene).surface(0.0)
+    tiles = TILES.cancelled_by(cancelled)
     with pytest.raises(Cancelled):
         trace(View(0.0, scene.camera(0, 0, 3, 30)), surface, tiles)
     with pytest.raises(Cancelled):
@@ -146,10 +164,17 @@ def test_a_cancelled_trace_stops() -> None:
 def test_a_ball_sampled_unevenly_looks_the_same(
     spacing: tuple[float, float, float], workbench: Callable[..., Workbench]
 ) -> None:
-    """To what three times coarser steps lose: the rim moves by less than a pixel, the light by a few per cent."""
+    """To what three times coarser steps lose: the rim moves by less than a pixel, the light by a
+    few per cent.
+    """
     size = 42
-    even, uneven = (workbench(scene_of(ball(size, 15.0, steps), 0.0)) for steps in ((1.0, 1.0, 1.0), spacing))
-    frames = [bench.renderer.render(bench.view(20.0, 30.0, 80, shading="phong")) for bench in (even, uneven)]
+    even, uneven = (
+        workbench(scene_of(ball(size, 15.0, steps), 0.0)) for steps in ((1.0, 1.0, 1.0), spacing)
+    )
+    frames = [
+        bench.renderer.render(bench.view(20.0, 30.0, 80, shading="phong"))
+        for bench in (even, uneven)
+    ]
     both = (frames[0].state > 0) & (frames[1].state > 0)
     assert ((frames[0].state > 0) != (frames[1].state > 0)).sum() < 0.03 * both.sum()
     apart = np.linalg.norm(frames[0].position - frames[1].position, axis=-1)[both]
@@ -161,17 +186,27 @@ def test_a_ball_sampled_unevenly_looks_the_same(
 def test_a_part_has_the_points_and_the_normals_of_the_whole() -> None:
     whole = seen(marks(), 0.0, 30.0)
     places = np.arange(0, len(whole.points), 3)
-    part, other = whole.part(places, TILES), seen(marks(), 0.0, 30.0)
-    assert len(places) > 20 and np.array_equal(part.points, whole.points[places]) and not len(part.walls.pixels)
+    part = whole.part(places, TILES)
+    other = seen(marks(), 0.0, 30.0)
+    assert (
+        len(places) > 20
+        and np.array_equal(part.points, whole.points[places])
+        and not len(part.walls.pixels)
+    )
     assert part.shown(TILES) is part.shown(TILES)
     assert np.array_equal(part.normals(TILES), other.normals(TILES)[places])
-    assert (whole.rows.flat[part.pixels] == places).all() and (whole.rows >= 0).sum() == len(whole.points)
+    assert (whole.rows.flat[part.pixels] == places).all() and (whole.rows >= 0).sum() == len(
+        whole.points
+    )
 
 
-# --- points of pictures -----------------------------------------------------------------------------------------------
+# --- points of pictures
+# -----------------------------------------------------------------------------------------------
 
 
-TURNED = Orientation(((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS")
+TURNED = Orientation(
+    ((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS"
+)
 
 
 def lambert(bench: Workbench, **settings: float) -> View:
@@ -202,14 +237,17 @@ def test_a_point_of_a_ball_is_where_the_ball_is(turned: Workbench) -> None:
 
 def test_it_is_the_point_under_the_pixels_ray(turned: Workbench) -> None:
     view = lambert(turned)
-    frame, camera = turned.renderer.render(view), view.camera.in_world(TURNED)
+    frame = turned.renderer.render(view)
+    camera = view.camera.in_world(TURNED)
     right, up, forward = camera.basis()
     pixel = 2.0 * np.tan(np.radians(camera.fov / 2.0)) / view.height
     ray = forward + pixel * ((40.5 - view.width / 2) * right + (view.height / 2 - 25.5) * up)
     point = point_at(frame, 40, 25, turned.scene)
     assert point is not None
     away = np.subtract(point.position, camera.eye)
-    assert np.cross(away / np.linalg.norm(away), ray / np.linalg.norm(ray)) == pytest.approx(0.0, abs=1e-5)
+    assert np.cross(away / np.linalg.norm(away), ray / np.linalg.norm(ray)) == pytest.approx(
+        0.0, abs=1e-5
+    )
 
 
 def test_off_the_surface_there_is_no_point(turned: Workbench) -> None:
@@ -254,9 +292,13 @@ def test_coordinates_lie_on_sides_of_a_patient() -> None:
     assert Orientation().sides((1.0, 2.0, 3.0)) == ""
 
 
-def test_the_face_of_a_window_has_its_value_and_its_plane(workbench: Callable[[Scene], Workbench]) -> None:
+def test_the_face_of_a_window_has_its_value_and_its_plane(
+    workbench: Callable[[Scene], Workbench],
+) -> None:
     bench = workbench(scene_of(shell(), 0.0))
-    view = View(0.0, bench.scene.camera(0.0, 0.0, 3.0, 30.0), width=48, height=48, shading="lambert")
+    view = View(
+        0.0, bench.scene.camera(0.0, 0.0, 3.0, 30.0), width=48, height=48, shading="lambert"
+    )
     frame = bench.renderer.render(replace(view, window=read_window("x>16")))
     row, column = divmod(int(frame.gbuffer.faces.pixels[len(frame.gbuffer.faces.pixels) // 3]), 48)
     point = point_at(frame, column, row, bench.scene)

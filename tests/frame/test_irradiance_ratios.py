@@ -1,4 +1,6 @@
-"""Light carried as shares of unshadowed light in frames: where it is, what it starts from, and what it brings."""
+"""Light carried as shares of unshadowed light in frames: where it is, what it starts from, and what
+it brings.
+"""
 
 import math
 from collections.abc import Callable
@@ -23,7 +25,16 @@ from isogi_core.kernels.transport.transfer import TEXEL_PROJECTED, project_texel
 from isogi_core.model.view import Camera, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, relative_rmse, scene_of, soft_probe
+from tests.frame.conftest import (
+    CONSTANT,
+    LOOSE,
+    SKY,
+    Workbench,
+    ball,
+    relative_rmse,
+    scene_of,
+    soft_probe,
+)
 from tests.loaded import load_scene
 
 LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": 2.0}
@@ -34,7 +45,9 @@ Make = Callable[[Scene], Workbench]
 def turned(**settings: Any) -> RotatedLight:
     """The lights of the orbital, turned."""
     prepared = PreparedScene(load_scene("demo:orbital", **settings))
-    return RotatedLight(spec_for(prepared, "gi"), View(0.03, Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0)), ODD))
+    return RotatedLight(
+        spec_for(prepared, "gi"), View(0.03, Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0)), ODD)
+    )
 
 
 def some_normals(count: int = 200) -> np.ndarray:
@@ -53,9 +66,13 @@ def bare_about(light: RotatedLight, normals: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("albedo", [0.7, [0.2, 0.5, 1.0]])
 def test_unshadowed_light_is_the_provisional_light(albedo: Any) -> None:
-    light, normals = turned(lights=[SKY], albedo=albedo, lobes=0), some_normals()
-    sky, basis = light.sky, np.empty(9)
-    expected = np.array([unshadowed(sky.order, sky.lobe, sky.light, tuple(n), basis) for n in normals.tolist()])
+    light = turned(lights=[SKY], albedo=albedo, lobes=0)
+    normals = some_normals()
+    sky = light.sky
+    basis = np.empty(9)
+    expected = np.array(
+        [unshadowed(sky.order, sky.lobe, sky.light, tuple(n), basis) for n in normals.tolist()]
+    )
     least = MIN_UNSHADOWED * light.albedo * light.mean / light.spec.unit
     assert (expected < least).any() or (expected > least).all()
     np.testing.assert_allclose(bare_about(light, normals), np.maximum(expected, least), rtol=2e-5)
@@ -88,7 +105,9 @@ def test_lamps_hidden_from_the_middle_are_not_lost() -> None:
         ({"lights": [CONSTANT, LAMP]}, "vicinity", False),
     ],
 )
-def test_ratios_are_for_sided_light_and_projected_texels(settings: dict[str, Any], shading: str, shared: bool) -> None:
+def test_ratios_are_for_sided_light_and_projected_texels(
+    settings: dict[str, Any], shading: str, shared: bool
+) -> None:
     scene = load_scene("demo:orbital", **{"projected": False, **settings})
     assert carries_irradiance_ratios(scene, shading, scene.projection.any) is shared
 
@@ -108,27 +127,53 @@ def test_ratios_are_nearer_to_the_truth_than_plain_light(
     tmp_path: Path, workbench: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a ball under light that falls off from one pole, by texels two voxels apart."""
-    settings = {"lights": [soft_probe(tmp_path)], "albedo": 0.5, "bounces": 0, "lobes": 0, "lattice": 0.5}
+    settings = {
+        "lights": [soft_probe(tmp_path)],
+        "albedo": 0.5,
+        "bounces": 0,
+        "lobes": 0,
+        "lattice": 0.5,
+    }
     bench = workbench(scene_of(ball(20, 6.0), 0.0, target_error=0.01, **settings))
     view = bench.view(size=48, light=ODD)
-    shared, truth = bench.bake(view), bench.renderer.render(replace(view, shading="path_traced", samples=4096))
+    shared = bench.bake(view)
+    truth = bench.renderer.render(replace(view, shading="path_traced", samples=4096))
     monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: False)
     plain = bench.renderer.render(view)
     assert relative_rmse(shared, truth) < 0.5 * relative_rmse(plain, truth)
 
 
-def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
-    view, asked = orbital.view(size=24), []
+def test_normals_of_projected_texels_are_found_once(
+    orbital: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = orbital.view(size=24)
+    asked = []
     gbuffer = orbital.renderer.gbuffer(view)
     texels = orbital.renderer.texels(view, gbuffer)
     found = find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
-        facings, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each))
+        facings,
+        "fill_texel_normals",
+        lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each)),
     )
-    assert found.where(np.zeros(len(found.own), np.bool_), texels, orbital.prepared, Tiles(1)) is found.own
-    places, count = texels.positions, len(found.own)
-    there, normals, verdicts = np.empty((3, count)), np.empty((3, count)), np.empty(count, np.uint8)
-    project_texels(orbital.prepared.field, orbital.prepared.step, gbuffer.isovalue, places, there, normals, verdicts)
+    assert (
+        found.where(np.zeros(len(found.own), np.bool_), texels, orbital.prepared, Tiles(1))
+        is found.own
+    )
+    places = texels.positions
+    count = len(found.own)
+    there = np.empty((3, count))
+    normals = np.empty((3, count))
+    verdicts = np.empty(count, np.uint8)
+    project_texels(
+        orbital.prepared.field,
+        orbital.prepared.step,
+        gbuffer.isovalue,
+        places,
+        there,
+        normals,
+        verdicts,
+    )
     projected = verdicts == TEXEL_PROJECTED
     projected[::3] = False
     for mask in (projected & (np.arange(count) % 2 == 0), projected, projected):
@@ -139,7 +184,9 @@ def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypa
     assert found.nbytes == 25 * count
 
 
-def test_ratios_leave_light_from_all_sides_as_it_is(evenly_lit: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ratios_leave_light_from_all_sides_as_it_is(
+    evenly_lit: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where shares are asked for nevertheless, they are the light itself but for weights."""
     view = evenly_lit.view()
     plain = evenly_lit.renderer.render(view)

@@ -62,36 +62,50 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
 
 modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
-entries = {kernel.name: kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Entry)}
+entries = {
+    kernel.name: kernel
+    for module in modules
+    for kernel in vars(module).values()
+    if isinstance(kernel, Entry)
+}
 assert not any(kernel.loaded for kernel in entries.values())
 
 
 def compare(settings):
     scene = load_scene("demo:orbital", lattice=0.4, **settings)
-    light = quaternion_from_angles(30.0, 0.0, 0.0) if scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0)
+    light = (1.0, 0.0, 0.0, 0.0)
+    if scene.lighting.rotating:
+        light = quaternion_from_angles(30.0, 0.0, 0.0)
     with tempfile.TemporaryDirectory() as store:
         renderer = Renderer(Caches(PreparedScene(scene), store, 1 << 26), Tiles())
         cache = renderer.caches.of("gi")
         cache.pool.insert(Chunks.of_one(Chunk.empty((0, 0, 0), cache.chunk_store.spec.plan)))
-        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light, smooth=True)
+        camera = scene.camera(30, 20, 3, 30)
+        view = View(scene.isovalue, camera, width=20, height=20, light=light, smooth=True)
         frame = renderer.render(view)
         assert frame.provisional and frame.demands
-        chunk = Chunk.empty(frame.demands[0].index, cache.chunk_store.spec.plan).with_texels(frame.demands[0].offsets)
+        first = frame.demands[0]
+        plan = cache.chunk_store.spec.plan
+        chunk = Chunk.empty(first.index, plan).with_texels(first.offsets)
         for part in chunk.light.parts:
-            part.samples[:], part.coefficients[:], part.noise[:] = 16, 0.5, 0.1
+            part.samples[:] = 16
+            part.coefficients[:] = 0.5
+            part.noise[:] = 0.1
         cache.pool.insert(Chunks.of_one(chunk))
         renderer.render(view)
         for demand in frame.demands:
-            chunk = Chunk.empty(demand.index, cache.chunk_store.spec.plan).with_texels(demand.offsets)
+            chunk = Chunk.empty(demand.index, plan).with_texels(demand.offsets)
             for part in chunk.light.parts:
-                part.samples[:], part.coefficients[:] = 1 << 20, 0.5
+                part.samples[:] = 1 << 20
+                part.coefficients[:] = 0.5
             cache.pool.insert(Chunks.of_one(chunk))
         for _ in range(3):
             renderer.render(replace(view, moving=True), 1.0)
         develop(frame, 1.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in with_callees(frame_kernels([scene]))}
-    print(f"called but not listed: {called - listed}, listed but not called: {listed - called}", flush=True)
+    print(f"called but not listed: {called - listed}", flush=True, end=", ")
+    print(f"listed but not called: {listed - called}", flush=True)
 
 
 for settings in json.loads(sys.argv[1]):
@@ -131,7 +145,12 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 
 modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
-entries = {kernel.name: kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Entry)}
+entries = {
+    kernel.name: kernel
+    for module in modules
+    for kernel in vars(module).values()
+    if isinstance(kernel, Entry)
+}
 scene = load_scene("demo:orbital", lattice=0.4)
 with tempfile.TemporaryDirectory() as store:
     renderer = Renderer(Caches(PreparedScene(scene), store, 1 << 26), Tiles())
@@ -148,16 +167,24 @@ print(f"called but not listed: {called - listed}, listed but not called: {listed
 
 @COMPILED
 def test_a_first_picture_calls_exactly_its_kernels() -> None:
-    done = subprocess.run([sys.executable, "-c", FIRST_PICTURE], capture_output=True, text=True, check=False)
-    assert done.stdout == "called but not listed: set(), listed but not called: set()\n", done.stdout + done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_PICTURE], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "called but not listed: set(), listed but not called: set()\n", (
+        done.stdout + done.stderr
+    )
 
 
 def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     scenes = (CONSTANT, FIXED, TURNING, SOFT, LAMP, PROJECTED, SURVEYED)
     spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in scenes]
-    lobes, far, survey, plain = {*LOBES}, {measure_distances}, {count_stiffness}, {carry_light}
+    lobes = {*LOBES}
+    far = {measure_distances}
+    survey = {count_stiffness}
+    plain = {carry_light}
     still = {rotate, project_lamps} | lobes | far | survey
-    soft, lamp = {project_lamps} | lobes | far | survey, {rotate} | lobes | far | survey
+    soft = {project_lamps} | lobes | far | survey
+    lamp = {rotate} | lobes | far | survey
     turning = {project_lamps} | far | survey | plain
     projected = (lamp | plain) - far
     assert spared[:4] == [still | {carry_ratios}, still | plain, turning, soft | plain]
@@ -173,10 +200,17 @@ def test_colours_need_kernels_of_their_own() -> None:
 
 
 def test_glow_needs_kernels_of_its_own() -> None:
-    plain, scene = scene_of(CONSTANT), scene_of(GLOWING)
+    plain = scene_of(CONSTANT)
+    scene = scene_of(GLOWING)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
-    assert {*other_kernels([plain, scene])} - {*OTHER_KERNELS} == {glow_in_room, light_in_the_open, fill_seeds}
-    assert glow_in_room in frame_kernels([load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])])
+    assert {*other_kernels([plain, scene])} - {*OTHER_KERNELS} == {
+        glow_in_room,
+        light_in_the_open,
+        fill_seeds,
+    }
+    assert glow_in_room in frame_kernels(
+        [load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])]
+    )
 
 
 @pytest.mark.parametrize(
@@ -197,6 +231,8 @@ def test_only_scenes_with_a_feature_need_its_kernels(
 
 
 def test_several_scenes_need_the_kernels_of_each() -> None:
-    assert frame_kernels([scene_of(settings) for settings in (SURVEYED, TURNING, CONSTANT)]) == FRAME
+    assert (
+        frame_kernels([scene_of(settings) for settings in (SURVEYED, TURNING, CONSTANT)]) == FRAME
+    )
     assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
     assert frame_kernels([]) == ()

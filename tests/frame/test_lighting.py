@@ -1,4 +1,6 @@
-"""The light around a view: turned each time, boiled down to a key light, and noise at another albedo."""
+"""The light around a view: turned each time, boiled down to a key light, and noise at another
+albedo.
+"""
 
 import math
 from collections.abc import Callable
@@ -37,14 +39,18 @@ ODD = quaternion_from_angles(33.0, -20.0, 71.0)
 
 def around(lights: list[Any], turn: Quaternion = IDENTITY, **settings: Any) -> RotatedLight:
     """The light of a scene, turned; harmonics have all of it unless given."""
-    prepared = PreparedScene(load_scene("demo:orbital", **{"lights": lights, "lobes": 0, **settings}))
+    prepared = PreparedScene(
+        load_scene("demo:orbital", **{"lights": lights, "lobes": 0, **settings})
+    )
     return RotatedLight(spec_for(prepared, "gi"), View(0.03, CAMERA, turn))
 
 
 def spot(folder: Path, direction: tuple[float, float, float], glow: float = 0.0) -> dict[str, Any]:
     """A probe that is bright in the pixels within 12 degrees of a direction, and glows all over."""
     directions = pixel_directions(64, 128)
-    image = np.where((directions @ np.array(direction) > math.cos(math.radians(12)))[..., None], 50.0, glow)
+    image = np.where(
+        (directions @ np.array(direction) > math.cos(math.radians(12)))[..., None], 50.0, glow
+    )
     write_hdr(folder / "spot.hdr", np.broadcast_to(image, (64, 128, 3)).astype(np.float32))
     return {"type": "probe", "file": str(folder / "spot.hdr")}
 
@@ -55,7 +61,8 @@ def test_light_rotates_as_its_directions_do(tmp_path: Path) -> None:
     matrix = Rotation.from_quat(ODD, scalar_first=True).as_matrix()
     np.testing.assert_allclose(turned.matrix, matrix, atol=1e-12)
     image = turned.spec.prepared.scene.lighting.environment.image
-    expected, basis = np.zeros((3, 25)), np.empty(25)
+    expected = np.zeros((3, 25))
+    basis = np.empty(25)
     for light, area, d in zip(
         image.reshape(-1, 3),
         solid_angles(*image.shape[:2]).ravel(),
@@ -69,12 +76,17 @@ def test_light_rotates_as_its_directions_do(tmp_path: Path) -> None:
 
 
 def test_rotation_keeps_the_mean_and_the_power_of_each_band() -> None:
-    plain, odd = around([SKY]), around([SKY], ODD)
+    plain = around([SKY])
+    odd = around([SKY], ODD)
     assert np.array_equal(plain.light[:, : plain.spec.straight], plain.spec.light)
-    np.testing.assert_allclose(odd.mean, plain.spec.prepared.scene.lighting.environment.mean(), rtol=1e-3)
+    np.testing.assert_allclose(
+        odd.mean, plain.spec.prepared.scene.lighting.environment.mean(), rtol=1e-3
+    )
     for l in range(plain.spec.order):
         band = slice(l * l, (l + 1) ** 2)
-        np.testing.assert_allclose((odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9)
+        np.testing.assert_allclose(
+            (odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9
+        )
 
 
 def test_constant_light_has_band_0_alone() -> None:
@@ -93,21 +105,28 @@ def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
     turned = around([SKY], ODD, albedo=[0.2, 0.5, 1.0])
     assert turned.sky.order == UNSHADOWED_ORDER
     bands = [l for l in range(UNSHADOWED_ORDER) for _ in range(2 * l + 1)]
-    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(UNSHADOWED_ORDER)[bands] / math.pi)
     np.testing.assert_allclose(
-        turned.sky.light, turned.light[:, : UNSHADOWED_ORDER**2] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit
+        turned.sky.lobe, cosine_lobe_factors(UNSHADOWED_ORDER)[bands] / math.pi
+    )
+    np.testing.assert_allclose(
+        turned.sky.light,
+        turned.light[:, : UNSHADOWED_ORDER**2] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit,
     )
 
 
-@pytest.mark.parametrize("settings", [{"representation": "irradiance", "rotating": False}, {"order": 2}])
+@pytest.mark.parametrize(
+    "settings", [{"representation": "irradiance", "rotating": False}, {"order": 2}]
+)
 def test_unshadowed_light_does_not_depend_on_what_texels_keep(settings: dict[str, Any]) -> None:
-    own, other = around([SKY], **settings).sky, around([SKY]).sky
+    own = around([SKY], **settings).sky
+    other = around([SKY]).sky
     assert own.order == other.order
     np.testing.assert_allclose(own.light, other.light)
 
 
 def test_unshadowed_light_beside_a_lobe_is_without_it() -> None:
-    whole, rest = around([SKY], ODD), around([SKY], ODD, lobes=1)
+    whole = around([SKY], ODD)
+    rest = around([SKY], ODD, lobes=1)
     (sun,) = rest.spec.lobes
     lost = (whole.sky.light - rest.sky.light)[:, 0] * rest.spec.unit * math.sqrt(4.0 * math.pi)
     np.testing.assert_allclose(lost, rest.albedo * np.array(sun.flux))
@@ -135,13 +154,18 @@ def test_surroundings_have_the_environments_table_and_lamps() -> None:
     turned = around([SKY, LAMP])
     scene = turned.spec.prepared.scene
     assert turned.surroundings.table is scene.lighting.environment.table
-    assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (512, 1025)
+    assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (
+        512,
+        1025,
+    )
     assert turned.surroundings.lamps is scene.lighting.lamps.arrays
     assert around([CONSTANT]).surroundings.table[0].shape == (0,)
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.6, 0.8), (-0.6, 0.8, 0.0), (0.0, 0.0, -1.0)])
-def test_key_light_comes_from_the_brightest_side(tmp_path: Path, direction: tuple[float, float, float]) -> None:
+def test_key_light_comes_from_the_brightest_side(
+    tmp_path: Path, direction: tuple[float, float, float]
+) -> None:
     key, _, _ = around([spot(tmp_path, direction)]).key_light()
     assert np.dot(key, direction) > 0.999
     key, _, _ = around([spot(tmp_path, direction)], QUARTER).key_light()
@@ -150,7 +174,9 @@ def test_key_light_comes_from_the_brightest_side(tmp_path: Path, direction: tupl
 
 
 def test_key_and_ambient_light_have_the_bands_0_and_1(tmp_path: Path) -> None:
-    """A directional light of irradiance E over a constant A: band 0 is √4π (A + E/4π), band 1 is E Y_1(key)."""
+    """A directional light of irradiance E over a constant A: band 0 is √4π (A + E/4π), band 1 is E
+    Y_1(key).
+    """
     turned = around([spot(tmp_path, (0.6, 0.0, 0.8), glow=0.5)], ODD)
     key, sun, ambient = turned.key_light()
     flux = math.pi * sun
@@ -158,7 +184,9 @@ def test_key_and_ambient_light_have_the_bands_0_and_1(tmp_path: Path) -> None:
     basis = np.empty(4)
     evaluate(2, *key, basis)
     expected = LUMINANCE_WEIGHTS @ turned.light[:, 1:4]
-    np.testing.assert_allclose((LUMINANCE_WEIGHTS @ flux) * basis[1:], expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        (LUMINANCE_WEIGHTS @ flux) * basis[1:], expected, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_light_without_a_direction_has_its_key_over_the_shoulder() -> None:
@@ -179,7 +207,9 @@ def test_a_scene_without_light_has_a_dark_key_light() -> None:
 
 
 def test_the_strongest_lamp_is_the_key_light() -> None:
-    """As the volume's middle sees it; the other lamps' irradiance E is a radiance of E/4π from all around."""
+    """As the volume's middle sees it; the other lamps' irradiance E is a radiance of E/4π from all
+    around.
+    """
     scene = load_scene("demo:orbital")
     x, y, z = scene.volume.centre
     bulb = {"type": "point", "position": [x, y - 20.0, z], "intensity": [4000.0, 2000.0, 0.0]}
@@ -198,8 +228,12 @@ def test_a_dark_lamp_is_no_key_light() -> None:
     assert around([SKY, dark]).key_light()[0] == around([SKY]).key_light()[0]
 
 
-def test_path_traced_shadows_are_those_of_shadow_rays(workbench: Callable[[Scene], Workbench]) -> None:
-    """Without bounces, a lamp alone makes the reference the local model with a hard shadow, pixel by pixel."""
+def test_path_traced_shadows_are_those_of_shadow_rays(
+    workbench: Callable[[Scene], Workbench],
+) -> None:
+    """Without bounces, a lamp alone makes the reference the local model with a hard shadow, pixel
+    by pixel.
+    """
     bench = workbench(load_scene("demo:casting", lights=[{**LAMP, "elevation": 50.0}], bounces=0))
     traced, local, open_air = (
         bench.renderer.render(bench.view(shading=shading)).radiance
@@ -220,7 +254,9 @@ def test_path_traced_shadows_are_those_of_shadow_rays(workbench: Callable[[Scene
         ("phong_shadow", True, True, False),
     ],
 )
-def test_each_local_model_has_the_parts_of_its_name(shading: str, shine: bool, shadow: bool, fog: bool) -> None:
+def test_each_local_model_has_the_parts_of_its_name(
+    shading: str, shine: bool, shadow: bool, fog: bool
+) -> None:
     turned = around([SKY], albedo=0.5)
     model = turned.local_model(shading, (10.0, 30.0))
     key, sun, ambient = turned.key_light()
@@ -234,10 +270,14 @@ def test_each_local_model_has_the_parts_of_its_name(shading: str, shine: bool, s
 def test_a_lamp_inside_the_volume_lights_what_is_around_it(
     offset: float, workbench: Callable[[Scene], Workbench]
 ) -> None:
-    """What stands in for its light while that is baked is about as bright as the light, as the exposure is."""
+    """What stands in for its light while that is baked is about as bright as the light, as the
+    exposure is.
+    """
     x, y, z = load_scene("demo:orbital").volume.centre
     lamp = {"type": "point", "position": [x + offset, y, z], "intensity": 5000.0}
-    bench = workbench(load_scene("demo:orbital", lights=[lamp], target_error=LOOSE, bounces=1, lattice=0.5))
+    bench = workbench(
+        load_scene("demo:orbital", lights=[lamp], target_error=LOOSE, bounces=1, lattice=0.5)
+    )
     view = bench.view(size=24)
     frames = bench.renderer.render(view), bench.bake(view)
     shown = [luminance(frame) * bench.scene.default_exposure for frame in frames]
@@ -245,7 +285,8 @@ def test_a_lamp_inside_the_volume_lights_what_is_around_it(
     assert all(0.01 < each.mean() < 2.0 for each in shown)
 
 
-# --- noise at another albedo ------------------------------------------------------------------------------------------
+# --- noise at another albedo
+# ------------------------------------------------------------------------------------------
 
 
 CHANCES = np.array([0.1, 0.35, 0.7])
@@ -254,12 +295,16 @@ CHANCES = np.array([0.1, 0.35, 0.7])
 
 @pytest.fixture(scope="module")
 def judged() -> BakeSpec:
-    """The orbital under constant light, of which views may ask for albedos up to 0.9; three bounces."""
+    """The orbital under constant light, of which views may ask for albedos up to 0.9; three
+    bounces.
+    """
     return orbital(0.3, sky=False, albedos=(0.0, 0.9))
 
 
 def light_of(spec: BakeSpec) -> np.ndarray:
-    """Band 0 of each term: what such paths bring unreflected, and at each of the albedos that are kept; (3, terms)."""
+    """Band 0 of each term: what such paths bring unreflected, and at each of the albedos that are
+    kept; (3, terms).
+    """
     k = np.arange(1, spec.plan.bounces + 1)
     left = CHANCES[:, None] * (1.0 - CHANCES[:, None]) ** k
     return np.column_stack([CHANCES, left @ (np.array(spec.plan.nodes) ** k[:, None])])
@@ -269,20 +314,31 @@ def light_of(spec: BakeSpec) -> np.ndarray:
 def test_noise_of_reflected_light_falls_as_squares_of_paths(
     albedo: tuple[float, float, float], judged: BakeSpec
 ) -> None:
-    """Of paths that leave by such chances the variance is known: Σ (mean over colours of R^k)² f (1 - f)^k."""
-    seen, kept = judged.of_albedo(albedo), light_of(judged)
+    """Of paths that leave by such chances the variance is known: Σ (mean over colours of R^k)² f (1
+    - f)^k.
+    """
+    seen = judged.of_albedo(albedo)
+    kept = light_of(judged)
     k = np.arange(1, judged.plan.bounces + 1)
     left = CHANCES[:, None] * (1.0 - CHANCES[:, None]) ** k
     mix = np.array([0.2126, 0.7152, 0.0722]) * albedo
     brought = (mix / mix.sum()) @ np.array(albedo)[:, None] ** k
-    np.testing.assert_allclose(kept @ reflected_weights(seen), left @ brought**2, rtol=0.02, atol=2e-4)
-    weights, ones, none = weights_between(seen, judged), np.ones(3, np.float32), np.zeros(3, np.float32)
+    np.testing.assert_allclose(
+        kept @ reflected_weights(seen), left @ brought**2, rtol=0.02, atol=2e-4
+    )
+    weights = weights_between(seen, judged)
+    ones = np.ones(3, np.float32)
+    none = np.zeros(3, np.float32)
     ratio = scatter_at(weights, ones, ones, kept) / scatter_at(weights, ones, none, kept)
-    np.testing.assert_allclose(ratio**2, left @ brought**2 / (left @ 0.9 ** (2 * k)), rtol=0.05, atol=2e-4)
+    np.testing.assert_allclose(
+        ratio**2, left @ brought**2 / (left @ 0.9 ** (2 * k)), rtol=0.05, atol=2e-4
+    )
 
 
 def test_weights_of_all_paths_leave_the_surface_out(judged: BakeSpec) -> None:
-    """Without reflected light it is the same at each albedo; with it there is less at a lower one."""
+    """Without reflected light it is the same at each albedo; with it there is less at a lower
+    one.
+    """
     dark = judged.of_albedo((0.3, 0.3, 0.3))
     kept = np.array([[1.0, *([0.0] * len(judged.plan.nodes))]])
     np.testing.assert_allclose(kept @ all_weights(dark), kept @ all_weights(judged))
@@ -291,5 +347,7 @@ def test_weights_of_all_paths_leave_the_surface_out(judged: BakeSpec) -> None:
 
 def test_noise_at_the_judged_albedo_stays(judged: BakeSpec) -> None:
     weights = weights_between(judged, judged)
-    scatter = scatter_at(weights, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), light_of(judged))
+    scatter = scatter_at(
+        weights, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), light_of(judged)
+    )
     np.testing.assert_allclose(scatter, [0.1, 0.2, 0.3], rtol=1e-6)

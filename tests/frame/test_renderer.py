@@ -1,4 +1,6 @@
-"""Frames: served at once, provisional until their light is baked, and then one picture for one store."""
+"""Frames: served at once, provisional until their light is baked, and then one picture for one
+store.
+"""
 
 import shutil
 import threading
@@ -42,7 +44,8 @@ Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)
 
 
-# --- provisional, final -----------------------------------------------------------------------------------------
+# --- provisional, final
+# -----------------------------------------------------------------------------------------
 
 
 def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make) -> None:
@@ -51,7 +54,11 @@ def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make)
     on = frame.state > 0
     assert on.sum() > 300 and (frame.state[on] == PROVISIONAL).all()
     assert (frame.radiance[on] > 0.0).all() and not frame.radiance[~on].any()
-    assert frame.provisional and frame.coverage == {"final": 0.0, "converging": 0.0, "provisional": 1.0}
+    assert frame.provisional and frame.coverage == {
+        "final": 0.0,
+        "converging": 0.0,
+        "provisional": 1.0,
+    }
     assert (frame.error[on] == 1.0).all() and frame.noise == 1.0
     assert frame.chunks_final == 0 < frame.chunks_needed == len(frame.demands)
     assert bench.layers == set(), "a frame bakes nothing"
@@ -84,11 +91,19 @@ def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> Non
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
     view = bench.view(size=48)
     demands = bench.renderer.render(view).demands
-    first = [replace(each, offsets=each.offsets[first_texels(each.offsets, each.bits)]) for each in demands]
-    assert 0.2 < sum(len(each.offsets) for each in first) / sum(len(each.offsets) for each in demands) < 0.3
+    first = [
+        replace(each, offsets=each.offsets[first_texels(each.offsets, each.bits)])
+        for each in demands
+    ]
+    assert (
+        0.2
+        < sum(len(each.offsets) for each in first) / sum(len(each.offsets) for each in demands)
+        < 0.3
+    )
     for each in first:
         refine_chunk(bench.caches.of("gi"), 256, 0.01, each)
-    frame, truth = bench.renderer.render(view, 0.001), bench.bake(view, 0.01)
+    frame = bench.renderer.render(view, 0.001)
+    truth = bench.bake(view, 0.01)
     assert frame.coverage["provisional"] < 0.02
     wrong = relative_rmse(frame, truth)
     assert wrong < 0.08 and 0.5 < frame.noise / wrong < 3.0
@@ -97,7 +112,9 @@ def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> Non
 def test_the_estimated_error_is_the_rms_of_pixels_over_the_mean(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view())
     wrong = luminance(frame) * frame.error[frame.state > 0]
-    assert frame.noise == pytest.approx(np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5)
+    assert frame.noise == pytest.approx(
+        np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5
+    )
     assert 0.0 < frame.noise < 0.5
     assert frame.surface == (frame.state > 0).sum() == sum(frame.counts.values())
 
@@ -138,7 +155,9 @@ def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
     alone = Workbench(load_scene("demo:orbital", bounces=0, **settings), bench.folder)
     assert [layer.path for layer in alone.caches.of("gi").chunk_store.layers] == [direct.path]
     direct_light = alone.renderer.render(view).radiance
-    assert (frame.radiance <= direct_light).all(), "where no path left, more of them may: not buried yet"
+    assert (frame.radiance <= direct_light).all(), (
+        "where no path left, more of them may: not buried yet"
+    )
     assert (frame.radiance[on] == direct_light[on]).mean() > 0.9
     assert luminance(frame).sum() < 0.99 * luminance(whole).sum()
     again = bench.again()
@@ -158,10 +177,13 @@ def test_one_pixel_is_a_picture(orbital: Workbench) -> None:
     assert frame.radiance.shape == (1, 1, 3) and np.isfinite(frame.radiance).all()
 
 
-# --- turning the light ------------------------------------------------------------------------------------------
+# --- turning the light
+# ------------------------------------------------------------------------------------------
 
 
-def test_rotating_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rotating_the_light_casts_no_primary_ray(
+    orbital: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     casts: list[int] = []
     trace_pixels = gbuffer_module.trace_pixels
 
@@ -181,7 +203,9 @@ def test_rotating_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch
         assert bench.renderer.gbuffer(turned) is bench.renderer.gbuffer(view)
         assert np.array_equal(frame.position, first.position)
     assert casts == []
-    assert not np.array_equal(bench.renderer.render(replace(view, light=TURN)).radiance, first.radiance)
+    assert not np.array_equal(
+        bench.renderer.render(replace(view, light=TURN)).radiance, first.radiance
+    )
     bench.renderer.render(bench.view(azimuth=41.0))
     assert casts, "another camera does"
 
@@ -196,12 +220,16 @@ def test_camera_and_light_turned_together_see_the_same(shading: str, workbench: 
     """A ball is alike from all four sides: a quarter turn of camera and light is no turn at all."""
     bench = workbench(scene_of(ball(), 0.0, lights=[SKY]))
     plain = bench.renderer.render(bench.view(azimuth=15.0, size=40, shading=shading))
-    quarter = bench.view(azimuth=105.0, size=40, shading=shading, light=quaternion_from_angles(90.0, 0.0, 0.0))
+    quarter = bench.view(
+        azimuth=105.0, size=40, shading=shading, light=quaternion_from_angles(90.0, 0.0, 0.0)
+    )
     np.testing.assert_allclose(bench.renderer.render(quarter).radiance, plain.radiance, atol=1e-4)
 
 
 def test_path_tracer_and_cache_rotate_the_light_alike(workbench: Make, tmp_path: Path) -> None:
-    bench = workbench(scene_of(ball(), 0.0, lights=[soft_probe(tmp_path)], target_error=0.02, bounces=1))
+    bench = workbench(
+        scene_of(ball(), 0.0, lights=[soft_probe(tmp_path)], target_error=0.02, bounces=1)
+    )
     view = bench.view(size=40, light=TURN)
     frame = bench.bake(view)
     reference = bench.renderer.render(replace(view, shading="path_traced", samples=256))
@@ -210,7 +238,9 @@ def test_path_tracer_and_cache_rotate_the_light_alike(workbench: Make, tmp_path:
     assert relative_rmse(flipped, reference) > 0.1
 
 
-def test_the_pool_is_read_once_for_a_view_until_it_changes(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pool_is_read_once_for_a_view_until_it_changes(
+    workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench = workbench(scene_of(ball(), 0.0, bounces=0, target_error=0.5))
     view = bench.view(size=24)
     bench.bake(view)
@@ -222,7 +252,10 @@ def test_the_pool_is_read_once_for_a_view_until_it_changes(workbench: Make, monk
         return readings[-1]
 
     monkeypatch.setattr(texel_shading, "read_texels", counting)
-    versions = {bench.renderer.render(replace(view, light=turn)).version for turn in (IDENTITY, TURN, IDENTITY)}
+    versions = {
+        bench.renderer.render(replace(view, light=turn)).version
+        for turn in (IDENTITY, TURN, IDENTITY)
+    }
     assert len(versions) == 2 and not readings, "the last frame of the bake read it"
     bench.renderer.render(view, 0.001)
     assert len(readings) == 1, "another target is another reading"
@@ -233,9 +266,12 @@ def test_the_pool_is_read_once_for_a_view_until_it_changes(workbench: Make, monk
 def test_a_forgotten_view_takes_its_texels_along(workbench: Make) -> None:
     bench = workbench(scene_of(ball(), 0.0, bounces=0))
     most = 1 << 20
-    renderer, surfaces = Renderer(bench.caches, Tiles(), most), WeakSet[GBuffer]()
+    renderer = Renderer(bench.caches, Tiles(), most)
+    surfaces = WeakSet[GBuffer]()
     for azimuth in range(40):
-        surfaces.add(renderer.render(bench.view(azimuth, shading="gi" if azimuth % 2 else "lambert")).gbuffer)
+        surfaces.add(
+            renderer.render(bench.view(azimuth, shading="gi" if azimuth % 2 else "lambert")).gbuffer
+        )
         assert sum(surface.nbytes for surface in surfaces) < most
     assert 4 < len(surfaces) < 40
 
@@ -250,7 +286,8 @@ def test_pictures_do_not_depend_on_the_number_of_threads(orbital: Workbench) -> 
             assert np.array_equal(getattr(frames[0], plane), getattr(frames[1], plane))
 
 
-# --- one store, one picture ---------------------------------------------------------------------------------------
+# --- one store, one picture
+# ---------------------------------------------------------------------------------------
 
 
 def test_a_restart_on_the_same_store_gives_the_same_frame(orbital: Workbench) -> None:
@@ -262,7 +299,12 @@ def test_a_restart_on_the_same_store_gives_the_same_frame(orbital: Workbench) ->
 
 def test_versions_tell_frames_apart(orbital: Workbench) -> None:
     view = orbital.view()
-    views = [view, replace(view, light=TURN), replace(view, shading="vicinity"), replace(view, width=65)]
+    views = [
+        view,
+        replace(view, light=TURN),
+        replace(view, shading="vicinity"),
+        replace(view, width=65),
+    ]
     views += [replace(view, isovalue=0.05), orbital.view(azimuth=41.0)]
     assert len({orbital.renderer.render(v).version for v in views}) == len(views)
 
@@ -278,7 +320,10 @@ def test_versions_change_when_light_is_refined(workbench: Make) -> None:
 @pytest.mark.slow
 def test_two_stores_baked_apart_hold_the_same_light(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3)
-    frames = [(bench := Workbench(scene, tmp_path / name)).bake(bench.view(size=24)) for name in ("a", "b")]
+    frames = [
+        (bench := Workbench(scene, tmp_path / name)).bake(bench.view(size=24))
+        for name in ("a", "b")
+    ]
     assert frames[0].version == frames[1].version
     assert np.array_equal(frames[0].radiance, frames[1].radiance)
 
@@ -298,7 +343,9 @@ def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None
     frames = []
     for scale in (2.0**-99, 1.0, 2.0**99):
         lights = [{**SKY, "scale": scale}]
-        bench = Workbench(load_scene("demo:orbital", lights=lights, bounces=1), tmp_path / f"{scale:g}")
+        bench = Workbench(
+            load_scene("demo:orbital", lights=lights, bounces=1), tmp_path / f"{scale:g}"
+        )
         frames.append(bench.bake(bench.view(size=24), LOOSE))
     for frame in frames:
         assert np.isfinite(frame.radiance).all() and frame.radiance.any()
@@ -306,20 +353,27 @@ def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None
         assert 0.0 < frame.noise == pytest.approx(frames[1].noise, rel=1e-4)
 
 
-# --- points -----------------------------------------------------------------------------------------------------------
+# --- points
+# --------------------------------------------------------------------------------------------------
 
 
 def test_points_of_a_picture_have_its_light(orbital: Workbench) -> None:
-    view, renderer = orbital.view(), Renderer(orbital.renderer.caches, orbital.renderer.tiles)
-    frame = renderer.render(view)  # by a renderer of its own, in which no pixel has paths of its own
+    view = orbital.view()
+    renderer = Renderer(orbital.renderer.caches, orbital.renderer.tiles)
+    frame = renderer.render(
+        view
+    )  # by a renderer of its own, in which no pixel has paths of its own
     shown = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels]
     for moving in (False, True):
         lit, normals = renderer.light_points(replace(view, moving=moving), frame.gbuffer.points)
-        assert (lit.radiance[0] != shown).any(axis=1).mean() < 0.01  # half-shadows are of random rays
+        assert (lit.radiance[0] != shown).any(
+            axis=1
+        ).mean() < 0.01  # half-shadows are of random rays
     np.testing.assert_array_equal(normals, frame.gbuffer.normals(orbital.renderer.tiles))
 
 
-# --- views without light ----------------------------------------------------------------------------------------------
+# --- views without light
+# ----------------------------------------------------------------------------------------------
 
 
 ORBITAL = {"lights": [SKY], "bounces": 1, "target_error": 0.5}
@@ -330,7 +384,9 @@ def unlit(bench: Workbench, view: View) -> Frame | None:
     return unlit_frame(bench.renderer, view, bench.scene.target_error, threading.Event())
 
 
-def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_demands_what_the_first_picture_does(
+    workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And that picture traces no ray and finds no texel again."""
     bench = workbench(load_scene("demo:orbital", **ORBITAL))
     view = bench.view()
@@ -339,9 +395,14 @@ def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: py
     for module, name in ((renderer_module, "trace"), (texel_shading, "find_texels")):
         monkeypatch.setattr(module, name, lambda *_: pytest.fail("it is done twice"))
     first = bench.renderer.render(view)
-    assert np.array_equal(frame.state, first.state) and (first.state[first.state > 0] == PROVISIONAL).all()
+    assert (
+        np.array_equal(frame.state, first.state)
+        and (first.state[first.state > 0] == PROVISIONAL).all()
+    )
     pairs = list(zip(frame.demands, first.demands, strict=True))
-    assert len(pairs) > 3 and all(ours.index == theirs.index and ours.weight > 0.0 for ours, theirs in pairs)
+    assert len(pairs) > 3 and all(
+        ours.index == theirs.index and ours.weight > 0.0 for ours, theirs in pairs
+    )
     assert all(np.array_equal(ours.offsets, theirs.offsets) for ours, theirs in pairs)
     assert all(ours.effort == theirs.effort for ours, theirs in pairs)
 
@@ -356,15 +417,20 @@ def test_there_is_none_of_a_view_that_is_known_or_lit(workbench: Make) -> None:
     assert unlit(bench.again(), view) is None, "also after a restart"
 
 
-@pytest.mark.parametrize("other", [{"moving": True}, {"shading": "lambert"}, {"shading": "vicinity"}])
-def test_views_without_light_of_their_own_are_passed_over(workbench: Make, other: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "other", [{"moving": True}, {"shading": "lambert"}, {"shading": "vicinity"}]
+)
+def test_views_without_light_of_their_own_are_passed_over(
+    workbench: Make, other: dict[str, object]
+) -> None:
     bench = workbench(load_scene("demo:orbital", **ORBITAL))
     found = unlit(bench, bench.view(**other))
     assert (found is not None) == (other == {"shading": "vicinity"})
 
 
 def test_it_ends_once_nobody_waits(workbench: Make) -> None:
-    bench, cancelled = workbench(load_scene("demo:orbital", **ORBITAL)), threading.Event()
+    bench = workbench(load_scene("demo:orbital", **ORBITAL))
+    cancelled = threading.Event()
     cancelled.set()
     with pytest.raises(Cancelled):
         unlit_frame(bench.renderer, bench.view(), 0.5, cancelled)
@@ -377,7 +443,9 @@ def test_the_first_picture_is_the_same_about_any_normals(
     """It is lit about those of surface points, as texels' own would take as long as all else."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
     view = bench.view(**settings)
-    monkeypatch.setattr(texel_shading, "find_texel_normals", lambda *_: pytest.fail("it takes long"))
+    monkeypatch.setattr(
+        texel_shading, "find_texel_normals", lambda *_: pytest.fail("it takes long")
+    )
     near = bench.renderer.render(view)
     monkeypatch.undo()
     monkeypatch.setattr("isogi_core.frame.texel_reading.Reading.unbaked", False)

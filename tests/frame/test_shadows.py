@@ -1,4 +1,6 @@
-"""Light of lobes on a floor under a shelf against rays cast one by one, and against closed forms."""
+"""Light of lobes on a floor under a shelf against rays cast one by one, and against closed
+forms.
+"""
 
 import math
 from collections.abc import Sequence
@@ -32,7 +34,8 @@ from isogi_core.kernels.transport.rng import mix, point_2d
 from tests.kernels.fields import field_of, surface_of
 
 Z, Y, X = np.mgrid[:41, :41, :41].astype(float)
-FLOOR, EDGE = 8.0, 18.0
+FLOOR = 8.0
+EDGE = 18.0
 ROOM = np.maximum(FLOOR - Z, np.minimum(np.minimum(EDGE - X, Z - 24.0), 27.0 - Z))
 """A floor, and above it a shelf one side of which ends at x = EDGE."""
 LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
@@ -62,26 +65,39 @@ def floor(side: int = SIDE) -> np.ndarray:
 
 
 def light(
-    lamps: LampArrays, points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0), moving: bool = False, threads: int = 1
+    lamps: LampArrays,
+    points: np.ndarray,
+    spacing: Spacing = (1.0, 1.0, 1.0),
+    moving: bool = False,
+    threads: int = 1,
 ) -> np.ndarray:
     """`find_lobes` of such a picture: (n, 4)."""
     given: Any = SimpleNamespace(lobes=lamps, view=SimpleNamespace(moving=moving))
-    gbuffer, tiles = picture(points, spacing), Tiles(threads)
-    return find_lobes(given, find_starts(gbuffer, tiles), gbuffer.surface.traced(tiles.run), tiles).lit
+    gbuffer = picture(points, spacing)
+    tiles = Tiles(threads)
+    return find_lobes(
+        given, find_starts(gbuffer, tiles), gbuffer.surface.traced(tiles.run), tiles
+    ).lit
 
 
 def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
     """A picture of such points."""
-    surface: Any = SimpleNamespace(traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0)
+    surface: Any = SimpleNamespace(
+        traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0
+    )
     side = math.isqrt(len(points))
-    normals, pixels = np.tile(UP.astype(np.float32), (len(points), 1)), np.arange(len(points), dtype=np.uint32)
+    normals = np.tile(UP.astype(np.float32), (len(points), 1))
+    pixels = np.arange(len(points), dtype=np.uint32)
     shown = SurfacePoints(points, normals, pixels)
     return GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _shown=shown)
 
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
-    """The same, ray by ray, all of them to all rims; points amid four in the half-shadow are there, too."""
-    field, lit = field_of(ROOM, spacing), np.zeros((len(points), 4))
+    """The same, ray by ray, all of them to all rims; points amid four in the half-shadow are there,
+    too.
+    """
+    field = field_of(ROOM, spacing)
+    lit = np.zeros((len(points), 4))
     starts = find_starts(picture(points, spacing), Tiles(1))
     for k in range(len(lamps.kinds)):
         seen = [rims_seen(field, lamps, k, m, p) for m, p in enumerate(points.astype(float))]
@@ -90,7 +106,8 @@ def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
             around = starts.picture.around[m]
             half[m] |= (around >= 0).all() and half[around].all()
         for m in range(len(points)):
-            share, variance = all(seen[m]) * max(float(lamps.places[k, 2]), 0.0), 0.0
+            share = all(seen[m]) * max(float(lamps.places[k, 2]), 0.0)
+            variance = 0.0
             if half[m]:
                 share, variance = half_seen(field, lamps, k, points, half, m)
             lit[m, :3] += share * lamps.colours[k]
@@ -101,7 +118,9 @@ def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
 def free(field: Any, p: np.ndarray, w: Any) -> bool:
     """Whether a ray from a point gets away."""
     origin = launch(field, 0.0, tuple(p), tuple(UP), OUTSIDE_SIGN)
-    return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE_SIGN)[0] < math.inf
+    return (
+        not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE_SIGN)[0] < math.inf
+    )
 
 
 def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> list[bool]:
@@ -109,28 +128,42 @@ def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> l
     rim = [lamps.places[k]]
     if np.linalg.norm(lamps.edges[k, 0]) > SHARP_SINE:
         first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), 0, k)[0]
-        rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS)) for i in range(RIM_RAYS)]
+        rim = [
+            np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS))
+            for i in range(RIM_RAYS)
+        ]
     return [w[2] > 0.0 and free(field, p, w) for w in rim]
 
 
 def half_seen(
     field: Any, lamps: LampArrays, k: int, points: np.ndarray, half: np.ndarray, m: int
 ) -> tuple[float, float]:
-    """What a point in the half-shadow gets of a lobe's light, and its variance: by those beside it, too."""
+    """What a point in the half-shadow gets of a lobe's light, and its variance: by those beside it,
+    too.
+    """
     given = [
         (m, POINT_WEIGHT),
-        *((n, weight) for pair, weight in pairs_beside(half, math.isqrt(len(points)), m) for n in pair),
+        *(
+            (n, weight)
+            for pair, weight in pairs_beside(half, math.isqrt(len(points)), m)
+            for n in pair
+        ),
     ]
-    total, share, variance = sum(weight for _, weight in given), 0.0, 0.0
+    total = sum(weight for _, weight in given)
+    share = 0.0
+    variance = 0.0
     for n, weight in given:
         rays = PENUMBRA_RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
         each = share_of(field, lamps, k, n, points[n], rays)
-        share, variance = share + weight / total * each[0], variance + (weight / total) ** 2 * each[1]
+        share = share + weight / total * each[0]
+        variance = variance + (weight / total) ** 2 * each[1]
     return share, variance
 
 
 def pairs_beside(half: np.ndarray, side: int, m: int) -> list[tuple[tuple[int, int], float]]:
-    """The pairs of points opposite each other about one that are both in the half-shadow, and what each counts."""
+    """The pairs of points opposite each other about one that are both in the half-shadow, and what
+    each counts.
+    """
     y, x = divmod(m, side)
     pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in NEIGHBOUR_AXES]
     inside = [each for each in pairs if all(0 <= i < side for i in (*each[0], *each[1]))]
@@ -138,12 +171,16 @@ def pairs_beside(half: np.ndarray, side: int, m: int) -> list[tuple[tuple[int, i
     return [each for each in numbered if half[each[0][0]] and half[each[0][1]]]
 
 
-def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays: int) -> tuple[float, float]:
+def share_of(
+    field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays: int
+) -> tuple[float, float]:
     """What a point gets of a lobe's light by so many rays of its own, and the variance of that."""
     brought = []
     for i in range(rays):
         w, cosine = draw_from_disc(
-            tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), i, k)
+            tuple(lamps.places[k]),
+            lamps.edges[k],
+            *point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), i, k),
         )
         brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
     return float(np.mean(brought)), float(STRATIFIED_VARIANCE[rays] * np.var(brought) / (rays - 1))
@@ -153,9 +190,12 @@ def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays:
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 @pytest.mark.parametrize("degrees", [0.0, 0.4, 3.0, 15.0])
 def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) -> None:
-    lamps = lamps_of(((0.6, 0.2, 0.8), degrees, (3.0, 2.0, 1.0)), ((-0.5, 0.1, 0.7), degrees, (0.1, 0.2, 0.4)))
+    lamps = lamps_of(
+        ((0.6, 0.2, 0.8), degrees, (3.0, 2.0, 1.0)), ((-0.5, 0.1, 0.7), degrees, (0.1, 0.2, 0.4))
+    )
     points = floor(24)
-    lit, expected = light(lamps, points, spacing), twin(lamps, points, spacing)
+    lit = light(lamps, points, spacing)
+    expected = twin(lamps, points, spacing)
     same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
     assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
     assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
@@ -163,17 +203,22 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
 
 @pytest.mark.parametrize(("side", "believed"), [(48, True), (16, False)])
 def test_neighbours_far_apart_on_the_surface_are_not_believed(side: int, believed: bool) -> None:
-    """Four pixels are 2 voxels of the finer picture, and 6 of the coarser one, whose next neighbours still count."""
+    """Four pixels are 2 voxels of the finer picture, and 6 of the coarser one, whose next
+    neighbours still count.
+    """
     assert 2.0 * math.sqrt(2.0) < MAX_NEIGHBOUR_VOXELS < 6.0
     starts = find_starts(picture(floor(side)), Tiles(1))
     first = starts.picture.around[:, 0].reshape(side, side)[4:-4, 4:-4]
     assert (first[::4, ::4] == -1).all(), "those that are asked first"
-    assert ((first[2::4, 2::4] >= 0) == believed).all() and ((first[::4, 2::4] >= 0) == believed).all()
+    assert ((first[2::4, 2::4] >= 0) == believed).all() and (
+        (first[::4, 2::4] >= 0) == believed
+    ).all()
     assert (first[1::2, 1::2] >= 0).all() and (first[::2, 1::2] >= 0).all()
 
 
 def test_a_moving_view_has_nearly_the_same_light() -> None:
-    lamps, points = lamps_of(((-0.5, 0.1, 0.7), 3.0, (3.0, 2.0, 1.0))), floor()
+    lamps = lamps_of(((-0.5, 0.1, 0.7), 3.0, (3.0, 2.0, 1.0)))
+    points = floor()
     rest, moving = (light(lamps, points, moving=each)[:, 0] for each in (False, True))
     assert moving.mean() == pytest.approx(rest.mean(), rel=0.15)
     assert (np.abs(moving - rest) < 0.01).mean() > 0.9 and not np.array_equal(moving, rest)
@@ -186,8 +231,12 @@ def test_without_lobes_it_is_dark() -> None:
 def test_what_sees_a_lobe_has_the_cosine_of_its_light() -> None:
     """Away from the shelf nothing is in the way."""
     points = floor()
-    lit = light(lamps_of(((0.6, 0.0, 0.8), 5.0, (3.0, 2.0, 1.0))), points)[points[:, 0] > EDGE + 2.0]
-    np.testing.assert_allclose(lit[:, :3], np.broadcast_to([2.4, 1.6, 0.8], lit[:, :3].shape), rtol=1e-6)
+    lit = light(lamps_of(((0.6, 0.0, 0.8), 5.0, (3.0, 2.0, 1.0))), points)[
+        points[:, 0] > EDGE + 2.0
+    ]
+    np.testing.assert_allclose(
+        lit[:, :3], np.broadcast_to([2.4, 1.6, 0.8], lit[:, :3].shape), rtol=1e-6
+    )
     assert not lit[:, 3].any()
 
 
@@ -197,25 +246,32 @@ def test_of_a_lobe_on_the_horizon_its_upper_half_arrives() -> None:
     assert not light(below, points).any()
     a = math.sin(math.radians(4.0))
     expected = 4.0 * a / (3.0 * math.pi) / 2.0  # mean height of half a disc, of which there is half
-    assert light(level, points)[points[:, 0] > EDGE + 2.0, 0].mean() == pytest.approx(expected, rel=0.05)
+    assert light(level, points)[points[:, 0] > EDGE + 2.0, 0].mean() == pytest.approx(
+        expected, rel=0.05
+    )
 
 
 def half_shadow_of_the_shelf(points: np.ndarray, degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which points are about the shelf's edge, and the share of a lobe straight above that each of these sees."""
-    radius, near = math.sin(math.radians(degrees / 2.0)), np.abs(points[:, 0] - EDGE) < 3.0
+    """Which points are about the shelf's edge, and the share of a lobe straight above that each of
+    these sees.
+    """
+    radius = math.sin(math.radians(degrees / 2.0))
+    near = np.abs(points[:, 0] - EDGE) < 3.0
     away = EDGE - points[near, 0]
     slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - RAY_OFFSET_VOXELS)
-    d = np.clip(slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0)  # a plane cuts the disc about there
+    d = np.clip(
+        slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0
+    )  # a plane cuts the disc about there
     return near, (np.arccos(d) - d * np.sqrt(1.0 - d**2)) / math.pi
 
 
 def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
-    """Straight above, the shelf hides what is on its side: its lower edge before it, its upper edge from aside."""
+    """Straight above, the shelf hides what is on its side: its lower edge before it, its upper edge
+    from aside.
+    """
     points = floor()
-    lit, (near, free) = (
-        light(lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), points),
-        half_shadow_of_the_shelf(points, 30.0),
-    )
+    lit = light(lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), points)
+    (near, free) = half_shadow_of_the_shelf(points, 30.0)
     wrong = lit[near, 0] - free
     assert abs(wrong.mean()) < 0.01 and np.sqrt((wrong**2).mean()) < 0.1
     told = math.sqrt(lit[near, 3].mean())
@@ -224,9 +280,11 @@ def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
 
 def test_rays_in_a_wide_half_shadow_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the rays err a quarter more than all of a point's own."""
-    lamps, points = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor()
+    lamps = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3))
+    points = floor()
     see_rims, see_discs = lobe_light.see_rims, lobe_light.see_discs
-    wrong, rays = {}, {}
+    wrong = {}
+    rays = {}
     for shares in (True, False):
         counts = list[int]()
 
@@ -254,13 +312,26 @@ def unshared(picture: Any, pairs: np.ndarray, seen: np.ndarray, sides: np.ndarra
 
 
 def test_a_wide_half_shadow_is_found_by_few_of_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points four apart are asked at first, and those amid four in the half-shadow are there without rays."""
-    lamps, points, asked, found = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor(), [0], [np.empty(0)]
-    see, add = lobe_light.see_rims, lobe_light.add_halves
-    monkeypatch.setattr(lobe_light, "see_rims", lambda *given: asked.append(len(given[3])) or see(*given))
-    monkeypatch.setattr(lobe_light, "add_halves", lambda *given: found.append(given[1]) or add(*given))
+    """Points four apart are asked at first, and those amid four in the half-shadow are there
+    without rays.
+    """
+    lamps = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3))
+    points = floor()
+    asked = [0]
+    found = [np.empty(0)]
+    see = lobe_light.see_rims
+    add = lobe_light.add_halves
+    monkeypatch.setattr(
+        lobe_light, "see_rims", lambda *given: asked.append(len(given[3])) or see(*given)
+    )
+    monkeypatch.setattr(
+        lobe_light, "add_halves", lambda *given: found.append(given[1]) or add(*given)
+    )
     light(lamps, points)
-    seen = [rims_seen(field_of(ROOM, (1.0,) * 3), lamps, 0, m, p) for m, p in enumerate(points.astype(float))]
+    seen = [
+        rims_seen(field_of(ROOM, (1.0,) * 3), lamps, 0, m, p)
+        for m, p in enumerate(points.astype(float))
+    ]
     half = np.array([any(each) and not all(each) for each in seen])
     there = np.zeros(len(points), bool)
     there[found[-1]] = True
@@ -269,8 +340,11 @@ def test_a_wide_half_shadow_is_found_by_few_of_its_points(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_light_of_lobes_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch, moving: bool) -> None:
-    lamps, points = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3)), floor()
+def test_light_of_lobes_does_not_depend_on_tiles(
+    monkeypatch: pytest.MonkeyPatch, moving: bool
+) -> None:
+    lamps = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3))
+    points = floor()
     whole = light(lamps, points, moving=moving)
     for name in ("LOBE_POINTS", "RIM_PAIRS", "HALF_SEEN_PAIRS"):
         monkeypatch.setattr(f"isogi_core.frame.rays.lobe_light.{name}", 97)

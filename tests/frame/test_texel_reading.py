@@ -1,4 +1,6 @@
-"""Readings: how good the light of a view's texels is, what is wanted of it, and what drafts lend."""
+"""Readings: how good the light of a view's texels is, what is wanted of it, and what drafts
+lend.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,17 +48,24 @@ def test_grades_part_missing_rough_and_good_light() -> None:
         (BURIED_ROW, 0.0, 0, BURIED_GRADE),
     ]
     rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
-    assert grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist() == grades.tolist()
+    assert (
+        grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist()
+        == grades.tolist()
+    )
 
 
 def planes_of(view: View, error: float) -> Framebuffer:
     """A white picture that is not final."""
     pixels = view.width * view.height
     light = np.ones((pixels, 3), np.float32)
-    return Framebuffer(light, np.full(pixels, PROVISIONAL, np.uint8), np.full(pixels, error, np.float32))
+    return Framebuffer(
+        light, np.full(pixels, PROVISIONAL, np.uint8), np.full(pixels, error, np.float32)
+    )
 
 
-def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[..., Workbench]) -> None:
+def test_light_short_of_final_is_demanded_chunk_by_chunk(
+    workbench: Callable[..., Workbench],
+) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.5))
     view = bench.view(size=24)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
@@ -79,11 +88,15 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[...
     ]
 
 
-def test_dark_chunks_are_those_that_provisional_pixels_wait_for(workbench: Callable[..., Workbench]) -> None:
+def test_dark_chunks_are_those_that_provisional_pixels_wait_for(
+    workbench: Callable[..., Workbench],
+) -> None:
     """Where some of these have no light at all, those alone: the others light no pixel soon."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
-    view, renderer = bench.view(size=24), Renderer(bench.caches, Tiles(), filters=False)
-    frame, loader = renderer.render(view), bench.caches.of(view.shading)
+    view = bench.view(size=24)
+    renderer = Renderer(bench.caches, Tiles(), filters=False)
+    frame = renderer.render(view)
+    loader = bench.caches.of(view.shading)
     assert frame.quality.dark == {demand.index for demand in frame.demands}
     begun = {demand.index for demand in frame.demands[::2]}
     for demand in frame.demands[::2]:
@@ -115,7 +128,8 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     monkeypatch.setattr("isogi_core.frame.texel_reading.TEXELS_A_PIECE", 7)
     pieces = reading_of(bench, view, Tiles(2))
     efforts, same = (
-        [d.effort for d in Lacking(texels, each, planes_of(view, 1.0)).demands] for each in (whole, pieces)
+        [d.effort for d in Lacking(texels, each, planes_of(view, 1.0)).demands]
+        for each in (whole, pieces)
     )
     assert efforts == same and len(efforts) == len(texels.chunks)
     unlit = [int((whole.rows[a:b] == UNLIT_ROW).sum()) for a, b in pairwise(texels.bounds.tolist())]
@@ -123,7 +137,8 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     assert all(effort.taken > 0.0 for effort in efforts if not effort.unlit)
 
 
-# --- drafts -----------------------------------------------------------------------------------------------------------
+# --- drafts
+# --------------------------------------------------------------------------------------------------
 
 
 Make = Callable[..., Workbench]
@@ -135,17 +150,20 @@ def orbital(workbench: Make) -> Workbench:
 
 
 def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> None:
-    """Texels of all grades, beside a loop over cells; void, buried and half-baked ones lend nothing."""
-    bench, random = orbital(workbench), np.random.default_rng(5)
+    """Texels of all grades, beside a loop over cells; void, buried and half-baked ones lend
+    nothing.
+    """
+    bench = orbital(workbench)
+    random = np.random.default_rng(5)
     view = bench.view(size=24)
-    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    empty = reading_of(bench, view, Tiles(1))
     chosen = random.choice(
-        [UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE], len(texels.places)
+        [UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE],
+        len(texels.places),
     )
-    reading, lit = (
-        replace(empty, grade=chosen.astype(np.uint8)),
-        random.random((len(chosen), LIGHT_NUMBERS), np.float32),
-    )
+    reading = replace(empty, grade=chosen.astype(np.uint8))
+    lit = random.random((len(chosen), LIGHT_NUMBERS), np.float32)
     after, lent = lend_light(texels, reading, lit)
     expected: dict[int, list[np.ndarray]] = {}
     for cell in texels.corners.tolist():
@@ -158,31 +176,35 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
         assert after.grade[t] == CONVERGING
         assert any(np.allclose(lent[t], mean, rtol=1e-5) for mean in means)
     others = np.setdiff1d(np.arange(len(chosen)), [*expected])
-    assert np.array_equal(lent[others], lit[others]) and np.array_equal(after.grade[others], chosen[others])
+    assert np.array_equal(lent[others], lit[others]) and np.array_equal(
+        after.grade[others], chosen[others]
+    )
     assert np.array_equal(reading.grade, chosen), "what was read stays as it is"
 
 
 def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     bench = orbital(workbench)
     view = bench.view(size=24)
-    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
-    reading, lit = (
-        replace(empty, grade=np.full_like(empty.grade, CONVERGING)),
-        np.ones((len(empty.grade), LIGHT_NUMBERS)),
-    )
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    empty = reading_of(bench, view, Tiles(1))
+    reading = replace(empty, grade=np.full_like(empty.grade, CONVERGING))
+    lit = np.ones((len(empty.grade), LIGHT_NUMBERS))
     assert lend_light(texels, reading, lit) == (reading, lit)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [64, 128, 512])
-def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draft_is_lit_by_a_quarter_of_its_texels(
+    size: int, workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A small one reads no others. All are filtered as at rest, and near to that picture."""
     bench = orbital(workbench)
     view = bench.view(size=size)
     for demand in bench.renderer.render(view).demands:
         first = demand.offsets[first_texels(demand.offsets, demand.bits)]
         refine_chunk(bench.caches.of("gi"), 64, 1e-3, replace(demand, offsets=first))
-    steps, filters = set[int](), shading.filter_texels
+    steps = set[int]()
+    filters = shading.filter_texels
 
     def noted(*given: Any) -> None:
         steps.add(given[4])
@@ -198,21 +220,29 @@ def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, m
 
 
 def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> None:
-    """Small views that move read first texels alone; large ones, and all at rest, the eight about each point."""
+    """Small views that move read first texels alone; large ones, and all at rest, the eight about
+    each point.
+    """
     bench = orbital(workbench)
     for size in (32, 64, 128, 512):
         view = bench.view(size=size)
         gbuffer = bench.renderer.gbuffer(view)
-        rest, draft = (bench.renderer.texels(replace(view, moving=moving), gbuffer) for moving in (False, True))
+        rest, draft = (
+            bench.renderer.texels(replace(view, moving=moving), gbuffer) for moving in (False, True)
+        )
         assert not rest.coarse and draft.coarse == (size < 512)
         assert bench.renderer.texels(view, gbuffer) is rest, "both are kept"
         assert draft.coarse == (len(rest.places) > len(gbuffer.pixels))
         assert len(draft.places) <= 2 * len(gbuffer.pixels)
-        assert np.isin(draft.numbers(draft.places), rest.numbers(rest.places)).all(), "of those at rest"
+        assert np.isin(draft.numbers(draft.places), rest.numbers(rest.places)).all(), (
+            "of those at rest"
+        )
 
 
 def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
-    """By 17/8 in the variance, over points spread evenly in a cell, where two take the weights of four corners each."""
+    """By 17/8 in the variance, over points spread evenly in a cell, where two take the weights of
+    four corners each.
+    """
     share = (np.arange(32) + 0.5) / 32
     weights = np.stack([1.0 - share, share])
     corners = np.einsum("ax,by,cz->abcxyz", weights, weights, weights).reshape(8, -1)
@@ -222,17 +252,25 @@ def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
 
 
 def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
-    """Over many independent lights of its texels, their pixels scatter as much as is told of them in the mean."""
-    bench, random = orbital(workbench), np.random.default_rng(3)
+    """Over many independent lights of its texels, their pixels scatter as much as is told of them
+    in the mean.
+    """
+    bench = orbital(workbench)
+    random = np.random.default_rng(3)
     view = replace(bench.view(size=48), moving=True)
-    light, tiles = bench.renderer._light(view), Tiles(1)
+    light = bench.renderer._light(view)
+    tiles = Tiles(1)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     assert texels.coarse
-    reading = replace(reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8))
-    seen, told = [], []
+    reading = replace(
+        reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8)
+    )
+    seen = []
+    told = []
     for _ in range(64):
         lit = np.ones((len(texels.places), LIGHT_NUMBERS), np.float32)
-        lit[:, :3], lit[:, 3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1)), 0.05
+        lit[:, :3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1))
+        lit[:, 3] = 0.05
         picture = carry_texel_light(texels, reading, lit, texels.gbuffer.shown(tiles), light, tiles)
         shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE_WEIGHTS / light.spec.unit
         seen.append(shown)
@@ -242,9 +280,12 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
 
 
 def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
-    """A texel whose normal is turned round has the light of its cell, and as much error as light; none is filtered."""
+    """A texel whose normal is turned round has the light of its cell, and as much error as light;
+    none is filtered.
+    """
     bench = orbital(workbench)
-    view, tiles = bench.view(size=24), Tiles(1)
+    view = bench.view(size=24)
+    tiles = Tiles(1)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     turned = np.unique(texels.corners[::7, 3])
     normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (len(texels.places), 1))
@@ -254,7 +295,8 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     samples = np.where(grade == UNBAKED_GRADE, 0, 16).astype(np.int32)
     reading = replace(reading_of(bench, view, tiles), grade=grade, samples=samples)
     lit = np.full((len(normals), LIGHT_NUMBERS), 0.5, np.float32)
-    lit[:, 3], lit[turned] = 0.01, 0.0
+    lit[:, 3] = 0.01
+    lit[turned] = 0.0
     for moving in (False, True):
         light = bench.renderer._light(replace(view, moving=moving))
         found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)

@@ -16,7 +16,8 @@ from isogi_core.frame.tiles import Tiles
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize(("total", "size"), [(0, 4), (1, 4), (4, 4), (37, 4), (3, 100)])
 def test_every_place_is_in_one_piece(threads: int, total: int, size: int) -> None:
-    tiles, pieces = Tiles(threads), []
+    tiles = Tiles(threads)
+    pieces = []
     tiles.run(lambda a, b: pieces.append((a, b)), total, size)
     places = [place for a, b in sorted(pieces) for place in range(a, b)]
     assert places == list(range(total)) and all(0 < b - a <= size for a, b in pieces)
@@ -25,7 +26,8 @@ def test_every_place_is_in_one_piece(threads: int, total: int, size: int) -> Non
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_all_threads_work_and_the_callers_is_one(threads: int) -> None:
-    tiles, workers = Tiles(threads), set()
+    tiles = Tiles(threads)
+    workers = set()
     together = threading.Barrier(threads)
 
     def piece(a: int, b: int) -> None:
@@ -37,7 +39,8 @@ def test_all_threads_work_and_the_callers_is_one(threads: int) -> None:
 
 
 def test_tiles_do_not_wait_for_a_busy_helper() -> None:
-    tiles, go = Tiles(2), threading.Event()
+    tiles = Tiles(2)
+    go = threading.Event()
     begun = threading.Barrier(3)
 
     def hold(a: int, b: int) -> None:
@@ -56,7 +59,9 @@ def test_tiles_do_not_wait_for_a_busy_helper() -> None:
 
 @pytest.mark.parametrize("failing", ["tile_0", "tile_1", "MainThread"])
 def test_an_error_of_any_thread_comes_out_after_the_others(failing: str) -> None:
-    tiles, together, ended = Tiles(3), threading.Barrier(3), []
+    tiles = Tiles(3)
+    together = threading.Barrier(3)
+    ended = []
 
     def piece(a: int, b: int) -> None:
         together.wait(10)
@@ -76,7 +81,8 @@ class Array:
 
 def fail_beside(tiles: Tiles) -> "weakref.ref[Array]":
     """Have a helper's piece fail; the array that it worked on."""
-    array, failed = Array(), threading.Event()
+    array = Array()
+    failed = threading.Event()
 
     def piece(first: int, last: int) -> None:
         if threading.current_thread() is threading.main_thread():
@@ -103,7 +109,9 @@ def test_what_has_failed_is_freed_at_once() -> None:
 
 
 def test_no_piece_is_begun_after_one_has_failed() -> None:
-    tiles, together, begun = Tiles(2), threading.Barrier(2), []
+    tiles = Tiles(2)
+    together = threading.Barrier(2)
+    begun = []
 
     def piece(a: int, b: int) -> None:
         begun.append(a)
@@ -118,7 +126,9 @@ def test_no_piece_is_begun_after_one_has_failed() -> None:
 
 
 def test_cancelled_work_stops_between_pieces() -> None:
-    tiles, cancelled, pieces = Tiles(1), threading.Event(), []
+    tiles = Tiles(1)
+    cancelled = threading.Event()
+    pieces = []
 
     def piece(a: int, b: int) -> None:
         pieces.append(a)
@@ -132,7 +142,8 @@ def test_cancelled_work_stops_between_pieces() -> None:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_tiles_bound_twice_end_with_either_event(which: int) -> None:
-    tiles, events = Tiles(2), (threading.Event(), threading.Event())
+    tiles = Tiles(2)
+    events = (threading.Event(), threading.Event())
     bound = tiles.cancelled_by(events[0]).cancelled_by(events[1])
     bound.check()
     events[which].set()

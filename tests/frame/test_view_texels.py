@@ -1,4 +1,6 @@
-"""Texels of a view: their normals, kept for other views, and what their noise counts in its picture."""
+"""Texels of a view: their normals, kept for other views, and what their noise counts in its
+picture.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +10,13 @@ import pytest
 
 from isogi_core.frame import view_texels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import ENTRY, LEAST_SEEN, OwnNormals, find_texel_normals, most_seen
+from isogi_core.frame.view_texels import (
+    ENTRY,
+    LEAST_SEEN,
+    OwnNormals,
+    find_texel_normals,
+    most_seen,
+)
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_report.speed import make_renderer, view_of
@@ -28,28 +36,45 @@ def test_numbers_name_texels_of_the_whole_lattice(orbital: Workbench) -> None:
         assert len(np.unique(numbers)) == len(texels.positions)
         for number, place in zip(numbers.tolist(), texels.positions.tolist(), strict=True):
             assert places.setdefault(number, tuple(place)) == tuple(place)
-    assert len(set(places.values())) == len(places) and max(places) < np.prod(lattice.chunks) * lattice.texels
+    assert (
+        len(set(places.values())) == len(places)
+        and max(places) < np.prod(lattice.chunks) * lattice.texels
+    )
 
 
-def test_normals_of_other_views_are_not_found_again(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
-    view, tiles, asked = orbital.view(size=24), Tiles(2), []
+def test_normals_of_other_views_are_not_found_again(
+    orbital: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = orbital.view(size=24)
+    tiles = Tiles(2)
+    asked = []
     fill = view_texels.fill_texel_normals
-    monkeypatch.setattr(view_texels, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each)))
+    monkeypatch.setattr(
+        view_texels, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each))
+    )
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
     known = OwnNormals(1 << 20)
-    first, again = (find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2))
+    first, again = (
+        find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2)
+    )
     assert sum(asked) == len(first) > 100
     assert first.tobytes() == again.tobytes()
-    assert find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, tiles).own.tobytes() == first.tobytes()
+    assert (
+        find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, tiles).own.tobytes()
+        == first.tobytes()
+    )
 
 
 def test_a_full_table_begins_anew() -> None:
-    known, asked = OwnNormals(300 * ENTRY), list[int]()
+    known = OwnNormals(300 * ENTRY)
+    asked = list[int]()
     assert known.nbytes == 0, "nothing is taken before it is needed"
 
     def find(numbers: np.ndarray, rows: np.ndarray) -> np.ndarray:
         asked.append(len(rows))
-        return np.stack([numbers[rows], 2 * numbers[rows], 3 * numbers[rows]], axis=1).astype(np.float32)
+        return np.stack([numbers[rows], 2 * numbers[rows], 3 * numbers[rows]], axis=1).astype(
+            np.float32
+        )
 
     for count in (60, 60, 100, 300, 10):
         numbers = RNG.choice(1 << 40, count, replace=False).astype(np.uint64)
@@ -61,14 +86,17 @@ def test_a_full_table_begins_anew() -> None:
     assert asked == [60, 60, 100, 300, 172, 10], "more than it holds are found again in part"
 
 
-# --- footprints -------------------------------------------------------------------------------------------------------
+# --- footprints
+# --------------------------------------------------------------------------------------------------
 
 
 RANDOM = np.random.default_rng(3)
 
 
 def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
-    """The shares of the eight texels around each of the ``points`` (n, 3) in its light, x fastest; (n,) each."""
+    """The shares of the eight texels around each of the ``points`` (n, 3) in its light, x fastest;
+    (n,) each.
+    """
     last = np.array(lattice.shape[::-1]) - 1
     place = np.clip(points * np.array(lattice.density), 0.0, last)
     inside = place - np.minimum(np.floor(place), last - 1)
@@ -79,7 +107,8 @@ def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
 
 def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lattice=0.4)
-    renderer, view = make_renderer(scene, str(tmp_path)), view_of(scene, 24)
+    renderer = make_renderer(scene, str(tmp_path))
+    view = view_of(scene, 24)
     texels = renderer.texels(view, renderer.gbuffer(view))
     seen = np.concatenate(texels.footprints)
     noise = RANDOM.normal(size=(len(seen), 2000))
@@ -92,9 +121,12 @@ def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
 
 
 def test_footprints_are_the_squares_of_the_weights() -> None:
-    lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RANDOM.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
-    points, corners = points.astype(np.float32), RANDOM.integers(0, 30, (200, 8)).astype(np.uint32)
-    seen, twin = np.zeros(30), np.zeros(30)
+    lattice = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0))
+    points = RANDOM.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
+    points = points.astype(np.float32)
+    corners = RANDOM.integers(0, 30, (200, 8)).astype(np.uint32)
+    seen = np.zeros(30)
+    twin = np.zeros(30)
     add_footprints(lattice, points, corners, seen)
     for corner, share in enumerate(shares(points.astype(np.float64), lattice)):
         twin += np.bincount(corners[:, corner], share**2, len(twin))

@@ -15,10 +15,14 @@ from tests.scale import PYTHON
 
 
 class House:
-    """A package ``isogi_core.kernels`` of small modules, with the compiler's own, and an empty cache."""
+    """A package ``isogi_core.kernels`` of small modules, with the compiler's own, and an empty
+    cache.
+    """
 
     def __init__(self, place: Path) -> None:
-        self.place, self.cache, self.kernels = place, place / "cache", place / "isogi_core" / "kernels"
+        self.place = place
+        self.cache = place / "cache"
+        self.kernels = place / "isogi_core" / "kernels"
         self.kernels.mkdir(parents=True)
         for name in ("_jit.py", "_compilation.py", "_compiler.py", "_cache_folder.py"):
             shutil.copy(Path(_jit.__file__).with_name(name), self.kernels)
@@ -33,9 +37,15 @@ class House:
     def ask(self, script: str) -> str:
         """What a script writes in a process of its own."""
         (self.place / "ask.py").write_text(script)
-        environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(self.cache), "PYTHONPATH": str(self.place)}
+        environment = {
+            **os.environ,
+            "ISOGI_KERNEL_CACHE": str(self.cache),
+            "PYTHONPATH": str(self.place),
+        }
         command = [sys.executable, "ask.py"]
-        done = subprocess.run(command, env=environment, cwd=self.place, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            command, env=environment, cwd=self.place, capture_output=True, text=True, check=True
+        )
         return done.stdout
 
 

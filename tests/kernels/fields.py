@@ -26,7 +26,9 @@ def bare_field(voxels, spacing=(1.0, 1.0, 1.0)):
 
 def cells_of(field, lowest, highest=None):
     """The active-cell map of isovalues from ``lowest`` to ``highest``, or of that one."""
-    return make_active_cells(field.voxels, block_ranges(field.voxels), lowest, lowest if highest is None else highest)
+    return make_active_cells(
+        field.voxels, block_ranges(field.voxels), lowest, lowest if highest is None else highest
+    )
 
 
 def surface_of(field, isovalue):
@@ -37,7 +39,8 @@ def surface_of(field, isovalue):
 @njit(cache=True)
 def cast_each(field, iso, origins, directions, side):
     """`intersect.cast` for rays (n, 3): t (n,) and the side each came from (n,)."""
-    t, came = np.empty(len(origins)), np.empty(len(origins), np.int64)
+    t = np.empty(len(origins))
+    came = np.empty(len(origins), np.int64)
     for m in range(len(origins)):
         o = (float(origins[m, 0]), float(origins[m, 1]), float(origins[m, 2]))
         d = (float(directions[m, 0]), float(directions[m, 1]), float(directions[m, 2]))

@@ -10,21 +10,32 @@ from isogi_core.kernels.tracing.stiffness import MAX_SHIFT_VOXELS, STEP_VOXELS
 def smoothed(voxels, p):
     """The smoothed gradient at `p`, (3,)."""
     cells = [min(int(x), n - 2) for x, n in zip(p[::-1], voxels.shape, strict=True)]
-    taps = [np.clip(np.arange(i - 1, i + 3), 0, n - 1) for i, n in zip(cells, voxels.shape, strict=True)]
+    taps = [
+        np.clip(np.arange(i - 1, i + 3), 0, n - 1) for i, n in zip(cells, voxels.shape, strict=True)
+    ]
     block = voxels[np.ix_(*taps)].astype(float)
-    weights, slopes = ([own(x - i) for x, i in zip(p[::-1], cells, strict=True)] for own in (bspline, bspline_slope))
+    weights, slopes = (
+        [own(x - i) for x, i in zip(p[::-1], cells, strict=True)]
+        for own in (bspline, bspline_slope)
+    )
     factors = [[slopes[a] if a == axis else weights[a] for a in range(3)] for axis in (2, 1, 0)]
     return np.array([np.einsum("kji,k,j,i->", block, *each) for each in factors])
 
 
 def trilinear(voxels, points):
     """Trilinear values at points (…, 3), x first, or at the nearest to them in the box; float64."""
-    return map_coordinates(voxels.astype(float), np.moveaxis(points, -1, 0)[::-1], order=1, mode="nearest")
+    return map_coordinates(
+        voxels.astype(float), np.moveaxis(points, -1, 0)[::-1], order=1, mode="nearest"
+    )
 
 
 def search(voxels, p, down, level):
-    """The stride (first, last place) along `down` in which the level is crossed; None where it is in none."""
+    """The stride (first, last place) along `down` in which the level is crossed; None where it is
+    in none.
+    """
     places = p + np.arange(0.0, MAX_SHIFT_VOXELS + STEP_VOXELS / 2, STEP_VOXELS)[:, None] * down
     solid = trilinear(voxels, places) > level
     changes = np.flatnonzero(solid != solid[0])
-    return places[changes[0] - 1 : changes[0] + 1] if len(changes) else None
+    if len(changes):
+        return places[changes[0] - 1 : changes[0] + 1]
+    return None

@@ -1,4 +1,6 @@
-"""Kernels that make no arrays count no references; those that make some keep them as long as they are read."""
+"""Kernels that make no arrays count no references; those that make some keep them as long as they
+are read.
+"""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -31,7 +33,8 @@ def total(pair: Pair) -> float:
     """The sum of all products: reads parts of a record."""
     found = 0.0
     for i in range(pair.a.shape[0]):
-        row, other = pair.a[i], pair.b[i]
+        row = pair.a[i]
+        other = pair.b[i]
         for j in range(row.shape[0]):
             found += row[j] * other[j]
     return found
@@ -67,7 +70,10 @@ PAIR = Pair(np.arange(12.0).reshape(4, 3), np.ones((4, 3)))
 
 def references(function: Any) -> int:
     """How often the compiled ``function`` speaks of counts of references."""
-    return sum(each.count("NRT_incref") + each.count("NRT_decref") for each in function.inspect_llvm().values())
+    return sum(
+        each.count("NRT_incref") + each.count("NRT_decref")
+        for each in function.inspect_llvm().values()
+    )
 
 
 @pytest.mark.parametrize("function", [total, swapped])
@@ -90,7 +96,9 @@ def counted() -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("counted")
 def test_what_makes_arrays_lets_go_of_all() -> None:
-    """As many arrays are freed as are made, and those that are handed on live as long as they are read."""
+    """As many arrays are freed as are made, and those that are handed on live as long as they are
+    read.
+    """
     values = np.arange(1000.0)
     shifted(values.copy()), tail(values), total(PAIR)
     before = rtsys.get_allocation_stats()
@@ -98,12 +106,15 @@ def test_what_makes_arrays_lets_go_of_all() -> None:
         assert shifted(values.copy()) == 2.0 * values[:-1].sum()
         assert tail(values)[0] == 1.0 and swapped(PAIR) == 66.0
     after = rtsys.get_allocation_stats()
-    made, freed = after.alloc - before.alloc, after.free - before.free
+    made = after.alloc - before.alloc
+    freed = after.free - before.free
     assert made >= 50 and made == freed
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
 
 
 def test_arrays_that_are_handed_on_outlive_their_giver() -> None:
-    """What a helper returns is held by who has it, also where the array that it is a part of is gone."""
+    """What a helper returns is held by who has it, also where the array that it is a part of is
+    gone.
+    """
     parts = [tail(np.full(1000, float(k))) for k in range(200)]
     assert all((part == k).all() for k, part in enumerate(parts))

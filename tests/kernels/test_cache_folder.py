@@ -34,7 +34,9 @@ def names(folder):
     return sorted(each.name for each in folder.iterdir())
 
 
-@pytest.mark.parametrize(("name", "value"), [("BOUNDSCHECK", 2), ("OPT", 0), ("CPU_NAME", "generic")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("BOUNDSCHECK", 2), ("OPT", 0), ("CPU_NAME", "generic")]
+)
 def test_code_of_other_settings_has_a_folder_of_its_own(monkeypatch, name, value):
     usual = _folder.sources_digest()
     monkeypatch.setattr(_folder.numba.config, name, value)
@@ -123,7 +125,10 @@ def test_a_folder_of_another_user_is_passed_over(folders, monkeypatch):
 
 
 def test_only_one_has_a_lock(tmp_path):
-    with _folder.locked(tmp_path / "lock") as first, _folder.locked(tmp_path / "lock", wait=False) as second:
+    with (
+        _folder.locked(tmp_path / "lock") as first,
+        _folder.locked(tmp_path / "lock", wait=False) as second,
+    ):
         assert first and not second
     with _folder.locked(tmp_path / "lock", wait=False) as third:
         assert third

@@ -1,4 +1,6 @@
-"""Compiled kernels: options, one signature each, and a cache that follows every edit of a source."""
+"""Compiled kernels: options, one signature each, and a cache that follows every edit of a
+source.
+"""
 
 import ast
 import importlib
@@ -20,7 +22,9 @@ SOURCES = sorted(FOLDER.rglob("*.py"))
 
 
 def kernel_names():
-    """Every kernel as (module, name, whether it is an entry kernel): entry kernels name their types."""
+    """Every kernel as (module, name, whether it is an entry kernel): entry kernels name their
+    types.
+    """
     for path in SOURCES:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef):
@@ -59,7 +63,9 @@ def test_options_keep_threads_out_and_nan_in():
         assert options["nogil"] and options["error_model"] == "numpy", (module, name)
         assert not options.get("parallel", False), (module, name)
         math = options["fastmath"]
-        assert math in (_jit.FASTMATH, _jit.EXACT, _jit.ANY_ORDER), f"{module}.{name}: more would make isnan() False"
+        assert math in (_jit.FASTMATH, _jit.EXACT, _jit.ANY_ORDER), (
+            f"{module}.{name}: more would make isnan() False"
+        )
     assert _jit.EXACT < _jit.FASTMATH == {"nsz", "contract"}
     assert _jit.FASTMATH | {"reassoc"} == _jit.ANY_ORDER
 
@@ -162,7 +168,9 @@ def test_threads_that_call_a_kernel_wait_for_one_compilation(tmp_path, monkeypat
 @COMPILED
 def test_a_kernel_that_somebody_is_at_is_left_to_them(tmp_path, monkeypatch):
     monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
-    monkeypatch.setattr(_jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__))
+    monkeypatch.setattr(
+        _jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__)
+    )
     entry = _jit.Entry(lambda x: x, "float64(float64)", {})
     with _cache_folder.locked(tmp_path / f"{entry.name}.lock"):
         entry.offer()
@@ -208,7 +216,9 @@ def areas(side, width):
 
 
 def test_a_choice_takes_the_body_for_its_record():
-    """The case of the record where there is one, compiled or run by Python, else the one without records."""
+    """The case of the record where there is one, compiled or run by Python, else the one without
+    records.
+    """
     assert areas(3.0, 5.0) == (18.0, 15.0)
     assert area(Square(2.0), 1.0) == 4.0
 

@@ -6,7 +6,13 @@ import pytest
 from numba import config
 
 from isogi_core.kernels import _compilation, _jit
-from isogi_core.kernels._compilation import Compilation, KernelProgress, in_order, warm, with_callees
+from isogi_core.kernels._compilation import (
+    Compilation,
+    KernelProgress,
+    in_order,
+    warm,
+    with_callees,
+)
 from isogi_core.kernels._jit import entries_of, load
 from tests.compile_kernels import entry_kernels
 from tests.scale import COMPILED
@@ -40,7 +46,8 @@ if __name__ == "__main__":
     was = one.stored, two.stored
     warm((one, two))
     hits = [sum(each.ready.stats.cache_hits.values()) for each in (one, two)]
-    sys.stdout.write(f"{was} {one.loaded} {two.loaded} {hits} {one(1.0)} {two(1.0)} {never.loaded} {never.stored}")
+    sys.stdout.write(f"{was} {one.loaded} {two.loaded} {hits} {one(1.0)} {two(1.0)} ")
+    sys.stdout.write(f"{never.loaded} {never.stored}")
 """
 
 
@@ -55,7 +62,9 @@ def test_once_it_is_stopped_nothing_is_loaded(tmp_path, monkeypatch):
 
 def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
     monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
-    monkeypatch.setattr(_jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__))
+    monkeypatch.setattr(
+        _jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__)
+    )
     entries = [_jit.Entry(lambda x: x, "float64(float64)", {}) for _ in range(2)]
     assert entries_of([entries[0], max, entries[1]]) == entries
     load([max, entries[1]])
@@ -102,14 +111,17 @@ def test_an_entry_kernel_knows_what_it_is_made_of():
 def test_callees_come_before_their_callers():
     assert with_callees([ROOT, max, ROOT]) == [LEAF, BRANCH, ROOT]
     assert in_order([ROOT, BRANCH, LEAF])[0] is LEAF
-    assert in_order([BRANCH, ROOT], [LEAF, BRANCH])[0] is max(BRANCH, ROOT, key=lambda each: each.size)
+    assert in_order([BRANCH, ROOT], [LEAF, BRANCH])[0] is max(
+        BRANCH, ROOT, key=lambda each: each.size
+    )
 
 
 def test_progress_counts_what_the_machine_lacked(monkeypatch):
     stored = {LEAF}
     monkeypatch.setattr(_jit.Entry, "stored", property(lambda entry: entry in stored))
     monkeypatch.setattr(_compilation, "compile_beside", lambda names, *_: stored.add(BRANCH))
-    work, stopped = Compilation([BRANCH], [ROOT]), threading.Event()
+    work = Compilation([BRANCH], [ROOT])
+    stopped = threading.Event()
     assert work.progress([ROOT]) == KernelProgress(0, 2, None)
     assert work.progress([LEAF]) is None
     work.begin(stopped)
@@ -125,7 +137,10 @@ def test_progress_counts_what_the_machine_lacked(monkeypatch):
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(house):
     house.write("small.py", SMALL)
     answers = [house.ask(ASK) for _ in range(2)]
-    hits = "[1, 1]" if config.NUMBA_DEFAULT_NUM_THREADS > 1 else "[0, 0]"
+    if config.NUMBA_DEFAULT_NUM_THREADS > 1:
+        hits = "[1, 1]"
+    else:
+        hits = "[0, 0]"
     assert answers[0] == f"(False, False) True True {hits} 2.0 3.0 False False"
     assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"
 
@@ -136,7 +151,9 @@ def test_what_a_kernel_calls_by_address_is_known_before():
     for entry in entries:
         entry.ready  # noqa: B018
         module, name = entry.name.split(".")[-2:]
-        (code,) = [path.read_bytes() for path in _jit.KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbc")]
+        (code,) = [
+            path.read_bytes() for path in _jit.KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbc")
+        ]
         called = {each.name for each in entries if b"\0" + each.name.encode() + b"\0" in code}
         assert called == {each.name for each in entry.callees}, entry.name
     assert sum(bool(entry.callees) for entry in entries) > 10

@@ -70,7 +70,9 @@ def euler_characteristic(mask: np.ndarray) -> int:
         cells = padded
         for axis in range(3):
             if axes >> axis & 1:
-                cells = cells.take(range(1, cells.shape[axis]), axis) | cells.take(range(cells.shape[axis] - 1), axis)
+                cells = cells.take(range(1, cells.shape[axis]), axis) | cells.take(
+                    range(cells.shape[axis] - 1), axis
+                )
         total += (-1) ** (3 - axes.bit_count()) * int(cells.sum())
     return total
 
@@ -87,7 +89,9 @@ def test_bores_of_the_casting_are_deep_and_narrow() -> None:
     """Down the axis of a bore there is no metal for 60 voxels, and all round it there is."""
     inside = solid(demo_volume("casting"), 127.5)
     assert not inside[27:96, 64, 43].any()
-    assert inside[50:80, 64, 27].any() and inside[50:80, 64, 60].any() and inside[50:80, 80, 43].any()
+    assert (
+        inside[50:80, 64, 27].any() and inside[50:80, 64, 60].any() and inside[50:80, 80, 43].any()
+    )
 
 
 def test_fins_are_thin_plates_with_gaps() -> None:

@@ -1,4 +1,6 @@
-"""Lights: what a scene may say of them, the environment that they sum to, the analytic sky, and skies by formula."""
+"""Lights: what a scene may say of them, the environment that they sum to, the analytic sky, and
+skies by formula.
+"""
 
 import itertools
 import math
@@ -55,7 +57,8 @@ def probe(folder: Path, image: np.ndarray, name: str = "p.hdr", scale: float = 1
 
 def small_sky(light: SkyLight, height: int = 128) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The sky on a small grid: image, directions, solid angles."""
-    directions, angles = pixel_directions(height, 2 * height), solid_angles(height, 2 * height)
+    directions = pixel_directions(height, 2 * height)
+    angles = solid_angles(height, 2 * height)
     return sky_image(light, directions, angles), directions, angles
 
 
@@ -69,17 +72,39 @@ def small_sky(light: SkyLight, height: int = 128) -> tuple[np.ndarray, np.ndarra
         ({"type": "probe", "file": "../p.hdr", "scale": 0.5}, ProbeLight(BASE / "../p.hdr", 0.5)),
         ({"type": "sky"}, SkyLight()),
         (
-            {"type": "sky", "sun_azimuth": -30, "sun_elevation": 20, "turbidity": 4, "ground": 0.1, "scale": 2},
+            {
+                "type": "sky",
+                "sun_azimuth": -30,
+                "sun_elevation": 20,
+                "turbidity": 4,
+                "ground": 0.1,
+                "scale": 2,
+            },
             SkyLight(-30.0, 20.0, 4.0, (0.1, 0.1, 0.1), 2.0),
         ),
         ({"type": "directional"}, DirectionalLight(135.0, 45.0, (np.pi,) * 3, 0.0)),
         (
-            {"type": "directional", "azimuth": -90, "elevation": -10, "irradiance": [1, 2, 3], "angle": 0.5},
+            {
+                "type": "directional",
+                "azimuth": -90,
+                "elevation": -10,
+                "irradiance": [1, 2, 3],
+                "angle": 0.5,
+            },
             DirectionalLight(-90.0, -10.0, (1.0, 2.0, 3.0), 0.5),
         ),
-        ({"type": "point", "position": [1, -2, 3.5], "intensity": 4}, PointLight((1.0, -2.0, 3.5), (4.0, 4.0, 4.0))),
         (
-            {"type": "area", "corner": [0, 0, 9], "u": [0, 2, 0], "v": [2, 0, 0], "radiance": [3, 2, 1]},
+            {"type": "point", "position": [1, -2, 3.5], "intensity": 4},
+            PointLight((1.0, -2.0, 3.5), (4.0, 4.0, 4.0)),
+        ),
+        (
+            {
+                "type": "area",
+                "corner": [0, 0, 9],
+                "u": [0, 2, 0],
+                "v": [2, 0, 0],
+                "radiance": [3, 2, 1],
+            },
             AreaLight((0.0, 0.0, 9.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0), (3.0, 2.0, 1.0)),
         ),
     ],
@@ -116,16 +141,32 @@ def test_lights_of_a_scene(mapping: dict[str, Any], expected: object) -> None:
         ({"type": "directional", "irradiance": -1}, LightError, "irradiance"),
         ({"type": "directional", "azimuth": float("nan")}, SceneError, "give a number"),
         ({"type": "constant", "radiance": 1.1e30}, LightError, "0 to 1e\\+30"),
-        ({"type": "point", "intensity": 1, "position": [0, 0, -1e200]}, LightError, "from -1e\\+30"),
+        (
+            {"type": "point", "intensity": 1, "position": [0, 0, -1e200]},
+            LightError,
+            "from -1e\\+30",
+        ),
         ({"type": "point", "position": [0, 0, 0]}, SceneError, "intensity"),
         ({"type": "point", "intensity": 1}, SceneError, "position"),
         ({"type": "point", "intensity": 1, "position": [0, 0]}, SceneError, r"\[x, y, z\]"),
         ({"type": "point", "intensity": 1, "position": 3}, SceneError, r"\[x, y, z\]"),
         ({"type": "point", "intensity": 1, "position": [0, 0, "up"]}, SceneError, "up"),
-        ({"type": "point", "intensity": 1, "position": [0, 0, float("inf")]}, SceneError, "position"),
+        (
+            {"type": "point", "intensity": 1, "position": [0, 0, float("inf")]},
+            SceneError,
+            "position",
+        ),
         ({"type": "area", "corner": [0, 0, 0], "u": [1, 0, 0]}, SceneError, "'v'"),
-        ({"type": "area", "corner": [0, 0, 0], "u": [1, 2, 0], "v": [2, 4, 0]}, LightError, "no area"),
-        ({"type": "area", "corner": [0, 0, 0], "u": [1, 0, 0], "v": [0, 1, 0], "radiance": -2}, LightError, "-2"),
+        (
+            {"type": "area", "corner": [0, 0, 0], "u": [1, 2, 0], "v": [2, 4, 0]},
+            LightError,
+            "no area",
+        ),
+        (
+            {"type": "area", "corner": [0, 0, 0], "u": [1, 0, 0], "v": [0, 1, 0], "radiance": -2},
+            LightError,
+            "-2",
+        ),
     ],
 )
 def test_refusals_name_the_key(mapping: dict[str, Any], error: type[Exception], word: str) -> None:
@@ -134,10 +175,14 @@ def test_refusals_name_the_key(mapping: dict[str, Any], error: type[Exception], 
 
 
 def test_constant_lights_add_up_without_an_image() -> None:
-    light = assemble_environment([ConstantLight((1.0, 0.0, 0.5)), ConstantLight((0.25, 0.25, 0.25))])
+    light = assemble_environment(
+        [ConstantLight((1.0, 0.0, 0.5)), ConstantLight((0.25, 0.25, 0.25))]
+    )
     np.testing.assert_array_equal(light.constant, (1.25, 0.25, 0.75))
     assert light.image.shape == (1, 1, 3) and not light.image.any()
-    np.testing.assert_array_equal(light.radiance(RANDOM.normal(size=(5, 7, 3))), np.full((5, 7, 3), light.constant))
+    np.testing.assert_array_equal(
+        light.radiance(RANDOM.normal(size=(5, 7, 3))), np.full((5, 7, 3), light.constant)
+    )
     np.testing.assert_array_equal(light.mean(), light.constant)
 
 
@@ -150,12 +195,16 @@ def test_every_pixel_is_found_in_its_own_direction(tmp_path: Path) -> None:
     image = np.arange(6 * 10 * 3.0).reshape(6, 10, 3)
     light = assemble_environment([probe(tmp_path, image), ConstantLight((1.0, 1.0, 1.0))])
     for length in (1.0, 1e-3, 1e6):
-        np.testing.assert_allclose(light.radiance(length * pixel_directions(6, 10)), light.image + 1.0)
+        np.testing.assert_allclose(
+            light.radiance(length * pixel_directions(6, 10)), light.image + 1.0
+        )
 
 
 def test_axes_of_the_image(tmp_path: Path) -> None:
     image = np.zeros((4, 8, 3))
-    image[0], image[3], image[1:3, 0] = 1.0, 2.0, 3.0
+    image[0] = 1.0
+    image[3] = 2.0
+    image[1:3, 0] = 3.0
     image[1:3, 2], image[1:3, 4], image[1:3, 6] = 4.0, 5.0, 6.0
     light = assemble_environment([probe(tmp_path, image)])
     tilt = 1e-3
@@ -167,7 +216,9 @@ def test_axes_of_the_image(tmp_path: Path) -> None:
 @pytest.mark.parametrize("z", [0.0, 1.0, -1.0, 1e-300])
 def test_lookup_stays_inside_at_seams_and_poles(tmp_path: Path, azimuth: float, z: float) -> None:
     light = assemble_environment([probe(tmp_path, np.ones((3, 7, 3)))])
-    direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * (abs(z) != 1.0) + np.array([0.0, 0.0, z])
+    direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * (abs(z) != 1.0) + np.array(
+        [0.0, 0.0, z]
+    )
     np.testing.assert_array_equal(light.radiance(direction), np.ones(3))
 
 
@@ -176,7 +227,9 @@ def test_solid_angles_fill_the_sphere(height: int, width: int) -> None:
     angles = solid_angles(height, width)
     assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-12)
     edges = np.cos(np.linspace(0, np.pi, height + 1))
-    np.testing.assert_allclose(angles[:, 0], 2 * np.pi / width * (edges[:-1] - edges[1:]), rtol=1e-9)
+    np.testing.assert_allclose(
+        angles[:, 0], 2 * np.pi / width * (edges[:-1] - edges[1:]), rtol=1e-9
+    )
 
 
 def test_mean_radiance_against_a_closed_form() -> None:
@@ -188,19 +241,26 @@ def test_mean_radiance_against_a_closed_form() -> None:
 @pytest.mark.parametrize("size", [(8, 16), (7, 5), (31, 64), (4, 8), (1, 1)])
 def test_resampling_keeps_energy_and_constants(size: tuple[int, int]) -> None:
     image = RANDOM.random((4, 8, 3)) ** 8
-    np.testing.assert_allclose(mean_radiance(resample(image, *size)), mean_radiance(image), rtol=1e-12)
+    np.testing.assert_allclose(
+        mean_radiance(resample(image, *size)), mean_radiance(image), rtol=1e-12
+    )
     np.testing.assert_allclose(resample(np.ones((4, 8, 3)), *size), 1.0, rtol=1e-12)
 
 
 def test_resampling_to_a_multiple_repeats_pixels() -> None:
     image = RANDOM.random((4, 8, 3))
-    np.testing.assert_allclose(resample(image, 12, 16), image.repeat(3, axis=0).repeat(2, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        resample(image, 12, 16), image.repeat(3, axis=0).repeat(2, axis=1), rtol=1e-12
+    )
 
 
 def test_probes_of_different_sizes_add_up(tmp_path: Path) -> None:
-    fine, coarse = np.full((8, 16, 3), 0.5), np.full((3, 4, 3), 2.0)
+    fine = np.full((8, 16, 3), 0.5)
+    coarse = np.full((3, 4, 3), 2.0)
     fine[0, 0] = 1e6
-    light = assemble_environment([probe(tmp_path, coarse, "a.hdr", 0.25), probe(tmp_path, fine, "b.hdr")])
+    light = assemble_environment(
+        [probe(tmp_path, coarse, "a.hdr", 0.25), probe(tmp_path, fine, "b.hdr")]
+    )
     assert light.image.shape == (8, 16, 3) and light.image.dtype == np.float32
     np.testing.assert_allclose(light.image[1:], 1.0, rtol=1e-6)
     np.testing.assert_allclose(light.mean(), mean_radiance(fine) + 0.5, rtol=1e-2)
@@ -212,7 +272,9 @@ def test_black_probe_and_one_strong_pixel(tmp_path: Path) -> None:
     assert not assemble_environment([probe(tmp_path, image)]).mean().any()
     image[3, 5] = 2.0**20
     light = assemble_environment([probe(tmp_path, image)])
-    np.testing.assert_allclose(light.mean(), 2.0**20 * solid_angles(8, 16)[3, 5] / (4 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(
+        light.mean(), 2.0**20 * solid_angles(8, 16)[3, 5] / (4 * np.pi), rtol=1e-6
+    )
 
 
 def test_light_that_overflows_is_refused_with_a_count(tmp_path: Path) -> None:
@@ -248,18 +310,30 @@ def test_digest_names_the_light_and_nothing_else(tmp_path: Path) -> None:
 
 def test_lamps_are_no_environment() -> None:
     lamps = [DirectionalLight(), PointLight((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
-    assert assemble_environment([*lamps, ConstantLight()]).digest == assemble_environment([ConstantLight()]).digest
-    assert assemble_environment(lamps).name == "no light" and not assemble_environment(lamps).mean().any()
+    assert (
+        assemble_environment([*lamps, ConstantLight()]).digest
+        == assemble_environment([ConstantLight()]).digest
+    )
+    assert (
+        assemble_environment(lamps).name == "no light"
+        and not assemble_environment(lamps).mean().any()
+    )
 
 
 def table_of(image: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
-    """Densities per pixel (h, w) that a table says, and the excess of the luminance over its mean by solid angle."""
+    """Densities per pixel (h, w) that a table says, and the excess of the luminance over its mean
+    by solid angle.
+    """
     light = replace(assemble_environment([]), image=image.astype(np.float32))
     marginal, conditional = light.table
-    excess = np.maximum(light.image @ LUMINANCE_WEIGHTS - light.mean() @ LUMINANCE_WEIGHTS, 0.0) * solid_angles(
-        *image.shape[:2]
+    excess = np.maximum(
+        light.image @ LUMINANCE_WEIGHTS - light.mean() @ LUMINANCE_WEIGHTS, 0.0
+    ) * solid_angles(*image.shape[:2])
+    return (
+        light.sharp,
+        np.diff(marginal)[:, None] * np.diff(conditional, axis=1),
+        excess / max(excess.sum(), 1e-300),
     )
-    return light.sharp, np.diff(marginal)[:, None] * np.diff(conditional, axis=1), excess / max(excess.sum(), 1e-300)
 
 
 def test_a_sharp_environment_samples_light_above_its_mean() -> None:
@@ -284,7 +358,12 @@ def test_cumulative_shares_begin_at_0_and_end_at_1() -> None:
 @pytest.mark.parametrize("lobe", ["nothing", "constant", "gradient", "half"])
 def test_a_soft_environment_draws_nothing(lobe: str) -> None:
     z = pixel_directions(32, 64)[..., 2:]
-    images = {"nothing": 0.0 * z, "constant": 0.0 * z + 3.0, "gradient": 1.0 + z, "half": 0.01 + (z > 0.0)}
+    images = {
+        "nothing": 0.0 * z,
+        "constant": 0.0 * z + 3.0,
+        "gradient": 1.0 + z,
+        "half": 0.01 + (z > 0.0),
+    }
     light = replace(assemble_environment([]), image=(images[lobe] * np.ones(3)).astype(np.float32))
     assert not light.sharp and all(part.size == 0 for part in light.table)
 
@@ -296,7 +375,9 @@ def test_a_constant_softens_an_environment(tmp_path: Path) -> None:
     assert not assemble_environment([probe(tmp_path, image), ConstantLight((8.0, 8.0, 8.0))]).sharp
 
 
-SKIES = [SkyLight(200.0, e, t) for e, t in itertools.product((0.0, 10.0, 45.0, 90.0), (2.0, 4.0, 10.0))]
+SKIES = [
+    SkyLight(200.0, e, t) for e, t in itertools.product((0.0, 10.0, 45.0, 90.0), (2.0, 4.0, 10.0))
+]
 
 
 @pytest.mark.parametrize("light", SKIES)
@@ -326,7 +407,9 @@ def test_sun_energy_does_not_depend_on_the_grid() -> None:
 
 
 def test_ratio_of_sun_to_sky_is_that_of_daylight() -> None:
-    """On the ground at noon, a clear sky gives some 10 to 25 klx and the beam of the sun some 70 to 110."""
+    """On the ground at noon, a clear sky gives some 10 to 25 klx and the beam of the sun some 70 to
+    110.
+    """
     light = SkyLight(0.0, 60.0, 2.5, (0.0, 0.0, 0.0))
     image, directions, angles = small_sky(light, 256)
     falling = angles * np.maximum(directions[..., 2], 0.0) * (image @ LUMINANCE_WEIGHTS)
@@ -344,11 +427,15 @@ def test_ground_reflects_what_falls_on_it() -> None:
 
 
 def test_zenith_of_the_paper() -> None:
-    """Turbidity 3, sun at 45°: zenith luminance and chromaticity worked out by hand from appendix A.2."""
+    """Turbidity 3, sun at 45°: zenith luminance and chromaticity worked out by hand from appendix
+    A.2.
+    """
     light = SkyLight(0.0, 45.0, 3.0)
     image, _, _ = small_sky(light, 512)
     x, y = 0.24568, 0.25148
-    rgb = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+    rgb = np.array(
+        [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
+    )
     zenith = rgb @ np.array([x / y, 1.0, (1.0 - x - y) / y])
     seen = image[0].mean(axis=0)
     np.testing.assert_allclose(seen / seen.sum(), zenith / zenith.sum(), atol=3e-3)
@@ -357,7 +444,10 @@ def test_zenith_of_the_paper() -> None:
 def test_a_sky_in_an_environment() -> None:
     light = assemble_environment([SkyLight(sun_azimuth=90.0, sun_elevation=30.0, scale=2.0)])
     assert light.mean() @ LUMINANCE_WEIGHTS == pytest.approx(2.0, rel=1e-5)
-    up, down = light.radiance(np.array([[0.0, np.cos(np.pi / 6), 0.5], [0.0, 0.5, -0.5]])) @ LUMINANCE_WEIGHTS
+    up, down = (
+        light.radiance(np.array([[0.0, np.cos(np.pi / 6), 0.5], [0.0, 0.5, -0.5]]))
+        @ LUMINANCE_WEIGHTS
+    )
     assert up > 1e4 * down > 0.0
 
 
@@ -371,10 +461,12 @@ def test_real_probes_have_the_light_that_their_list_says(shared_data: Path) -> N
         assert light.sharp
 
 
-# --- environments by formula ------------------------------------------------------------------------------------------
+# --- environments by formula
+# ------------------------------------------------------------------------------------------
 
 
-DIRECTIONS, ANGLES = pixel_directions(128, 256), solid_angles(128, 256)
+DIRECTIONS = pixel_directions(128, 256)
+ANGLES = solid_angles(128, 256)
 
 
 def seen(name: str) -> np.ndarray:
@@ -384,20 +476,27 @@ def seen(name: str) -> np.ndarray:
 
 def towards(azimuth: float, elevation: float) -> np.ndarray:
     """A unit direction, from degrees."""
-    turn, tilt = math.radians(azimuth), math.radians(elevation)
-    return np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)])
+    turn = math.radians(azimuth)
+    tilt = math.radians(elevation)
+    return np.array(
+        [math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)]
+    )
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_its_mean_luminance_is_one(name: str) -> None:
     image = environment_image(EnvironmentLight(name), DIRECTIONS, ANGLES)
     assert np.isfinite(image).all() and image.min() >= 0.0
-    assert np.sum(ANGLES * (image @ LUMINANCE_WEIGHTS)) / (4.0 * np.pi) == pytest.approx(1.0, rel=1e-9)
+    assert np.sum(ANGLES * (image @ LUMINANCE_WEIGHTS)) / (4.0 * np.pi) == pytest.approx(
+        1.0, rel=1e-9
+    )
 
 
 def test_an_overcast_sky_is_three_times_as_bright_above() -> None:
     sky = seen("overcast")
-    assert sky[0].mean() / sky[63].mean() == pytest.approx(3.0 / (1.0 + 2.0 * math.sin(math.pi / 256)), rel=2e-3)
+    assert sky[0].mean() / sky[63].mean() == pytest.approx(
+        3.0 / (1.0 + 2.0 * math.sin(math.pi / 256)), rel=2e-3
+    )
 
 
 def test_its_ground_reflects_what_falls_on_it() -> None:
@@ -414,25 +513,38 @@ def test_the_studio_has_two_boxes_where_they_stand() -> None:
         apart = np.degrees(np.arccos(np.clip(DIRECTIONS @ towards(azimuth, elevation), -1.0, 1.0)))
         assert bright[apart < 0.8 * half].all()
     apart = [DIRECTIONS @ towards(*place) for place, _, _ in SOFT_BOXES]
-    assert not bright[np.maximum(*apart) < math.cos(math.radians(45.0))].any(), "nothing else is bright"
+    assert not bright[np.maximum(*apart) < math.cos(math.radians(45.0))].any(), (
+        "nothing else is bright"
+    )
 
 
 def test_the_gallery_has_as_much_glass_as_it_should() -> None:
     """Rays to even points of the ceiling meet glass in the share of it that is glass."""
     across, along = np.meshgrid(
-        np.linspace(-1, 1, 201) * GALLERY_HALF_SIZES[0], np.linspace(-1, 1, 441) * GALLERY_HALF_SIZES[1]
+        np.linspace(-1, 1, 201) * GALLERY_HALF_SIZES[0],
+        np.linspace(-1, 1, 441) * GALLERY_HALF_SIZES[1],
     )
-    points = np.stack([across, along, np.full_like(across, GALLERY_HALF_SIZES[2])], axis=-1)[1:-1, 1:-1]
+    points = np.stack([across, along, np.full_like(across, GALLERY_HALF_SIZES[2])], axis=-1)[
+        1:-1, 1:-1
+    ]
     rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
     light = FORMULAS["gallery"](rays, np.ones(rays.shape[:2])) @ LUMINANCE_WEIGHTS
-    assert (light > 2.0).mean() == pytest.approx((SKYLIGHTS[1] - SKYLIGHTS[0]) / GALLERY_HALF_SIZES[1], abs=0.01)
+    assert (light > 2.0).mean() == pytest.approx(
+        (SKYLIGHTS[1] - SKYLIGHTS[0]) / GALLERY_HALF_SIZES[1], abs=0.01
+    )
 
 
 def test_noon_is_brighter_above_and_bluer_than_the_evening() -> None:
-    noon, evening = (environment_image(EnvironmentLight(name), DIRECTIONS, ANGLES) for name in ("noon", "evening"))
+    noon, evening = (
+        environment_image(EnvironmentLight(name), DIRECTIONS, ANGLES)
+        for name in ("noon", "evening")
+    )
     colours = [np.sum(ANGLES[..., None] * image, axis=(0, 1)) for image in (noon, evening)]
     assert colours[0][2] / colours[0][0] > 1.0 > colours[1][2] / colours[1][0]
-    heights = [np.sum(ANGLES * DIRECTIONS[..., 2] * (image @ LUMINANCE_WEIGHTS)) for image in (noon, evening)]
+    heights = [
+        np.sum(ANGLES * DIRECTIONS[..., 2] * (image @ LUMINANCE_WEIGHTS))
+        for image in (noon, evening)
+    ]
     assert heights[0] > heights[1]
 
 

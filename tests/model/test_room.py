@@ -1,4 +1,6 @@
-"""Walls and rooms as scenes name them: what they are, what they mean for the plan, and what is refused."""
+"""Walls and rooms as scenes name them: what they are, what they mean for the plan, and what is
+refused.
+"""
 
 from typing import Any
 
@@ -21,12 +23,16 @@ def test_a_cornell_room_stands_about_the_volume() -> None:
     scene = scene_of(room="cornell")
     low, high = np.array(scene.volume.world_bounds)
     corners = (
-        scene.lighting.room.corners[:, None] + np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) @ scene.lighting.room.edges
+        scene.lighting.room.corners[:, None]
+        + np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) @ scene.lighting.room.edges
     )
     assert (corners.min(axis=(0, 1)) < low).all()
     assert (corners.max(axis=(0, 1)) > high).all()
-    middle, normals = (low + high) / 2.0, np.cross(scene.lighting.room.edges[:, 0], scene.lighting.room.edges[:, 1])
-    assert (((middle - scene.lighting.room.corners) * normals).sum(axis=1) > 0.0).all()  # all are lit inside
+    middle = (low + high) / 2.0
+    normals = np.cross(scene.lighting.room.edges[:, 0], scene.lighting.room.edges[:, 1])
+    assert (
+        ((middle - scene.lighting.room.corners) * normals).sum(axis=1) > 0.0
+    ).all()  # all are lit inside
     assert all(wall.sides == 1 for wall in scene.lighting.room.walls)
     assert sum(any(wall.radiance) for wall in scene.lighting.room.walls) == 1
 
@@ -45,18 +51,29 @@ def test_the_plan_of_a_room_keeps_irradiance_in_colour() -> None:
     assert (layer.kind, layer.channels) == ("irradiance", 3)
     assert scene.plan.bounces == scene_of(albedo=0.73).plan.bounces
     assert not scene.lighting.rotating
-    assert "bake_irradiance" in next(each.what for each in scene.left_out if each.what.startswith("kernels"))
+    assert "bake_irradiance" in next(
+        each.what for each in scene.left_out if each.what.startswith("kernels")
+    )
 
 
 def test_light_in_the_store_depends_on_the_walls() -> None:
-    """On where they are, what they reflect and what they give off; a scene without walls has the name it had."""
+    """On where they are, what they reflect and what they give off; a scene without walls has the
+    name it had.
+    """
     scenes = [
         scene_of(lights=[CONSTANT], rotating=False, representation="irradiance"),
-        *(scene_of(lights=[CONSTANT], walls=[{**WALL, **more}]) for more in ({}, {"albedo": 0.2}, {"sides": 1})),
+        *(
+            scene_of(lights=[CONSTANT], walls=[{**WALL, **more}])
+            for more in ({}, {"albedo": 0.2}, {"sides": 1})
+        ),
         scene_of(lights=[CONSTANT], walls=[{**WALL, "radiance": [1, 0, 0]}]),
         scene_of(lights=[CONSTANT], walls=[{**WALL, "corner": [0, 0, -2]}]),
     ]
-    assert len({scene.bake_digest for scene in scenes}) == len({scene.digest for scene in scenes}) == len(scenes)
+    assert (
+        len({scene.bake_digest for scene in scenes})
+        == len({scene.digest for scene in scenes})
+        == len(scenes)
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,13 +86,19 @@ def test_light_in_the_store_depends_on_the_walls() -> None:
         ({"walls": [{**WALL, "edges": [[1, 0, 0], [1, 1, 0]]}]}, "not at a right angle"),
         ({"walls": [{**WALL, "edges": [1, 0, 0]}]}, "give two"),
         ({"walls": [{**WALL, "corner": [0, "x", 0]}]}, "give \\[x, y, z\\]"),
-        ({"walls": [{**WALL, "albedo": 1.5}]}, "A wall's albedo is 1.5, 1.5, 1.5: it must be from 0 to 1"),
+        (
+            {"walls": [{**WALL, "albedo": 1.5}]},
+            "A wall's albedo is 1.5, 1.5, 1.5: it must be from 0 to 1",
+        ),
         ({"walls": [{**WALL, "albedo": [1, 2]}]}, "give a number or \\[r, g, b\\]"),
         ({"walls": [{**WALL, "radiance": -1}]}, "A wall's radiance is -1, -1, -1"),
         ({"walls": [{**WALL, "sides": 3}]}, "1 or 2 of them are lit"),
         ({"walls": [WALL] * 65}, "has 65 walls: give it at most 64"),
         ({"walls": [WALL], "rotating": True}, "Walls stay where they are"),
-        ({"walls": [WALL], "representation": "transfer"}, "there are walls or others: leave it out"),
+        (
+            {"walls": [WALL], "representation": "transfer"},
+            "there are walls or others: leave it out",
+        ),
     ],
 )
 def test_a_bad_wall_is_refused_in_a_sentence(settings: dict[str, Any], sentence: str) -> None:

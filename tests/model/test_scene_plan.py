@@ -1,9 +1,18 @@
-"""What a scene plan is made of: what a texel takes by it, and the samples that an error is worth."""
+"""What a scene plan is made of: what a texel takes by it, and the samples that an error is
+worth.
+"""
 
 import numpy as np
 import pytest
 
-from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, Layer, ScenePlan, most_samples, texel_target
+from isogi_core.model.scene_plan import (
+    MAX_SAMPLES,
+    MIN_SAMPLES,
+    Layer,
+    ScenePlan,
+    most_samples,
+    texel_target,
+)
 
 SINGLE = {"half": False}
 
@@ -31,7 +40,8 @@ def test_a_plan_is_as_large_as_its_layers_are_together() -> None:
 
 def test_pixels_between_texels_just_final_are_at_the_target() -> None:
     """Eight texels of independent noise, mixed at random places between them."""
-    rng, target = np.random.default_rng(8), 0.02
+    rng = np.random.default_rng(8)
+    target = 0.02
     noise = rng.normal(0.0, texel_target(target), (200_000, 2, 2, 2))
     for fraction in rng.random((3, len(noise))):
         noise = (noise[:, 0].T * (1.0 - fraction) + noise[:, 1].T * fraction).T
@@ -42,4 +52,8 @@ def test_a_stricter_target_is_worth_more_samples() -> None:
     worth = [most_samples(target) for target in (1.0, 0.05, 0.02, 0.01, 0.005, 1e-4)]
     assert worth == sorted(worth) and worth[2] == 2048
     assert all(n & (n - 1) == 0 for n in worth), "rungs of the ladder are powers of two"
-    assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (MIN_SAMPLES, MAX_SAMPLES, MAX_SAMPLES)
+    assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (
+        MIN_SAMPLES,
+        MAX_SAMPLES,
+        MAX_SAMPLES,
+    )

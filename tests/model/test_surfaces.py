@@ -17,7 +17,11 @@ def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
     scene = load_scene("demo:casting", surfaces=[SKIN], clear=0.25)
     (pinned,) = scene.surfaces.pinned
     assert pinned.table == SKIN
-    assert (scene.surfaces.clear, scene.lighting.rotating, scene.plan.representation) == (0.25, False, "irradiance")
+    assert (scene.surfaces.clear, scene.lighting.rotating, scene.plan.representation) == (
+        0.25,
+        False,
+        "irradiance",
+    )
     assert scene.bakes == {AMONG_KIND}
     assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
     told = {each.what for each in scene.left_out}
@@ -34,17 +38,32 @@ def test_no_surface_beside_leaves_digests_as_they_were() -> None:
 
 
 def test_light_that_gets_through_is_planned_for() -> None:
-    """Paths carry what is reflected or let through, at most their sum, and texels keep what leaves one side."""
+    """Paths carry what is reflected or let through, at most their sum, and texels keep what leaves
+    one side.
+    """
     scene = load_scene("demo:casting", albedo=[0.5, 0.4, 0.3], transmission=0.4)
-    assert (scene.surfaces.several, scene.surfaces.transmits, scene.lighting.rotating) == (True, True, False)
+    assert (scene.surfaces.several, scene.surfaces.transmits, scene.lighting.rotating) == (
+        True,
+        True,
+        False,
+    )
     assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG_KIND})
-    assert scene.surfaces.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
+    assert (
+        scene.surfaces.leaving_for(None)
+        == scene.inputs.albedo
+        == scene.inputs.reflecting
+        == (0.9, 0.8, 0.7)
+    )
     assert not scene.inputs.grey
     told = {each.what: each for each in scene.left_out}
     assert told["irradiance of each side by itself"].saves[0].amount == scene.plan.bytes_per_texel
     assert "surfaces behind the first 8 in a pixel" not in told
-    green = load_scene("demo:casting", surfaces=[{**SKIN, "albedo": 0.1, "transmission": [0.1, 0.7, 0.1]}])
-    assert green.surfaces.pinned[0].table["transmission"] == [0.1, 0.7, 0.1] and not any(green.surfaces.transmission)
+    green = load_scene(
+        "demo:casting", surfaces=[{**SKIN, "albedo": 0.1, "transmission": [0.1, 0.7, 0.1]}]
+    )
+    assert green.surfaces.pinned[0].table["transmission"] == [0.1, 0.7, 0.1] and not any(
+        green.surfaces.transmission
+    )
     assert (green.surfaces.transmits, green.inputs.grey) == (True, False)
     np.testing.assert_allclose(green.inputs.reflecting, (0.7, 0.8, 0.7))
 
@@ -59,7 +78,11 @@ def test_light_that_gets_through_is_in_digests() -> None:
         {"surfaces": [{**SKIN, "transmission": 0.1}]},
     ]
     scenes = [load_scene("demo:casting", rotating=False, **settings) for settings in some]
-    assert len({each.bake_digest for each in scenes}) == len({each.digest for each in scenes}) == len(some)
+    assert (
+        len({each.bake_digest for each in scenes})
+        == len({each.digest for each in scenes})
+        == len(some)
+    )
     for settings, scene in zip(some, scenes, strict=True):
         none = load_scene("demo:casting", **{"rotating": False, "transmission": 0, **settings})
         assert none.digest == scene.digest
@@ -108,7 +131,9 @@ def test_a_volume_inside_out_has_the_same_values() -> None:
     volume = shell()
     turned = volume.inside_out
     assert turned.solid != volume.solid and turned.digest != volume.digest
-    values, others = (each.offset + each.scale * each.voxels.astype(np.float64) for each in (volume, turned))
+    values, others = (
+        each.offset + each.scale * each.voxels.astype(np.float64) for each in (volume, turned)
+    )
     np.testing.assert_allclose(others, values, atol=1e-5)
     level, other = (float(each.normalise_isovalue(2.0)) for each in (volume, turned))
     np.testing.assert_array_equal(turned.voxels > other, volume.voxels < level)

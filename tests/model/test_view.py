@@ -38,9 +38,13 @@ ANGLES = st.floats(-720.0, 720.0)
         (90.0, 45.0, (0, math.sqrt(0.5), math.sqrt(0.5))),
     ],
 )
-def test_orbit_looks_from_where_the_angles_say(azimuth: float, elevation: float, direction: Vector) -> None:
+def test_orbit_looks_from_where_the_angles_say(
+    azimuth: float, elevation: float, direction: Vector
+) -> None:
     camera = orbit((1.0, 2.0, 3.0), 10.0, azimuth, elevation, 2.5, 40.0)
-    np.testing.assert_allclose(camera.eye, np.array([1, 2, 3]) + 25.0 * np.array(direction), atol=1e-9)
+    np.testing.assert_allclose(
+        camera.eye, np.array([1, 2, 3]) + 25.0 * np.array(direction), atol=1e-9
+    )
     assert camera.target == (1.0, 2.0, 3.0) and camera.fov == 40.0
 
 
@@ -87,10 +91,14 @@ def test_cameras_without_meaning_are_refused(change: dict[str, object], word: st
 @given(ANGLES, ANGLES, ANGLES)
 def test_angles_are_intrinsic_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> None:
     expected = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
-    np.testing.assert_allclose(rotation_matrix(quaternion_from_angles(yaw, pitch, roll)), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        rotation_matrix(quaternion_from_angles(yaw, pitch, roll)), expected, atol=1e-9
+    )
 
 
-@pytest.mark.parametrize("quaternion", [(1, 0, 0, 0), (0, 1, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.6, 0.0, 0.0, -0.8)])
+@pytest.mark.parametrize(
+    "quaternion", [(1, 0, 0, 0), (0, 1, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.6, 0.0, 0.0, -0.8)]
+)
 def test_rotation_matrix_is_scipys(quaternion: Quaternion) -> None:
     expected = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     np.testing.assert_allclose(rotation_matrix(quaternion), expected, atol=1e-15)

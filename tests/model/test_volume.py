@@ -1,4 +1,6 @@
-"""Volumes: what normalisation keeps of ordinary and extreme ranges, what it refuses, and which values are outliers."""
+"""Volumes: what normalisation keeps of ordinary and extreme ranges, what it refuses, and which
+values are outliers.
+"""
 
 import dataclasses
 from fractions import Fraction
@@ -9,7 +11,13 @@ import pytest
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.model import value_survey
-from isogi_core.model.value_survey import MAX_NORMALISED, MAX_SURVEYED_VOXELS, find_core, sample_values, survey
+from isogi_core.model.value_survey import (
+    MAX_NORMALISED,
+    MAX_SURVEYED_VOXELS,
+    find_core,
+    sample_values,
+    survey,
+)
 from isogi_core.model.volume import Volume, make_volume
 
 SOLIDS = ("above", "below")
@@ -35,7 +43,8 @@ def test_normalised_voxels_are_float32_in_the_unit_interval(solid: str) -> None:
 @pytest.mark.parametrize("axes", [(0, 2, 1), (1, 0, 2), (2, 1, 0)])
 def test_an_array_makes_the_same_volume_in_any_memory_order(axes: tuple[int, int, int]) -> None:
     turned = UNIT.transpose(axes)
-    volume, copied = make_volume(turned), make_volume(turned.copy())
+    volume = make_volume(turned)
+    copied = make_volume(turned.copy())
     assert volume.digest == copied.digest
     np.testing.assert_array_equal(volume.voxels, copied.voxels)
 
@@ -49,7 +58,9 @@ def test_voxels_above_the_normalised_isovalue_are_solid(solid: str) -> None:
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
-@pytest.mark.parametrize("dtype", ["u1", "i1", "<i2", ">i2", ">u4", "<i8", ">u8", "<f2", ">f4", "<f8", ">f8"])
+@pytest.mark.parametrize(
+    "dtype", ["u1", "i1", "<i2", ">i2", ">u4", "<i8", ">u8", "<f2", ">f4", "<f8", ">f8"]
+)
 def test_isovalue_equal_to_a_voxel_is_equal_after_normalisation(dtype: str, solid: str) -> None:
     values = np.random.default_rng(3).integers(0, 120, (3, 4, 5)).astype(dtype)
     volume = make_volume(values, solid=solid)
@@ -61,9 +72,17 @@ def test_isovalue_equal_to_a_voxel_is_equal_after_normalisation(dtype: str, soli
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize(
     ("factor", "offset", "tolerance"),
-    [(1.0, 1e9, 3e-7), (1e-300, 0.0, 2e-7), (1e300, 0.0, 2e-7), (1.7e308, 0.0, 2e-7), (2.0**-1060, 0.0, 1e-4)],
+    [
+        (1.0, 1e9, 3e-7),
+        (1e-300, 0.0, 2e-7),
+        (1e300, 0.0, 2e-7),
+        (1.7e308, 0.0, 2e-7),
+        (2.0**-1060, 0.0, 1e-4),
+    ],
 )
-def test_extreme_ranges_keep_the_field(factor: float, offset: float, tolerance: float, solid: str) -> None:
+def test_extreme_ranges_keep_the_field(
+    factor: float, offset: float, tolerance: float, solid: str
+) -> None:
     volume = make_volume(UNIT * factor + offset, solid=solid)
     levels = np.array([volume.normalise_isovalue(v * factor + offset) for v in UNIT.ravel()])
     np.testing.assert_array_equal(levels.astype(np.float32), volume.voxels.ravel())
@@ -104,7 +123,8 @@ def test_whole_range_of_64_bits(dtype: type, solid: str) -> None:
     info = np.iinfo(dtype)
     values = np.array([info.min, info.max] * 4, dtype).reshape(2, 2, 2)
     np.testing.assert_array_equal(
-        make_volume(values, solid=solid).voxels, [[[0, 1]] * 2] * 2 if solid == "above" else [[[1, 0]] * 2] * 2
+        make_volume(values, solid=solid).voxels,
+        [[[0, 1]] * 2] * 2 if solid == "above" else [[[1, 0]] * 2] * 2,
     )
 
 
@@ -113,7 +133,9 @@ def test_booleans_and_long_doubles() -> None:
     volume = make_volume(mask)
     assert volume.dtype == "bool" and volume.value_range == (0.0, 1.0)
     np.testing.assert_array_equal(volume.voxels, mask)
-    np.testing.assert_array_equal(make_volume(UNIT.astype(np.longdouble)).voxels, make_volume(UNIT).voxels)
+    np.testing.assert_array_equal(
+        make_volume(UNIT.astype(np.longdouble)).voxels, make_volume(UNIT).voxels
+    )
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
@@ -126,7 +148,9 @@ def test_constant_volume_has_unit_scale(solid: str) -> None:
 
 def test_values_that_are_not_finite_become_holes() -> None:
     values = UNIT.copy()
-    values[0, 0, 0], values[1, 1, 1], values[2, 2, 2] = np.nan, np.inf, -np.inf
+    values[0, 0, 0] = np.nan
+    values[1, 1, 1] = np.inf
+    values[2, 2, 2] = -np.inf
     volume = make_volume(values)
     finite = np.isfinite(values)
     assert volume.holes == 3
@@ -139,7 +163,9 @@ def test_isovalues_far_outside_stay_finite_float32() -> None:
     volume = make_volume(UNIT * 1e-300)
     for value in (1e300, -1e300):
         level = volume.normalise_isovalue(value)
-        assert np.isfinite(level) and float(np.float32(level)) == level and (level > 0) == (value > 0)
+        assert (
+            np.isfinite(level) and float(np.float32(level)) == level and (level > 0) == (value > 0)
+        )
 
 
 OUTLIERS = ([1e30], [-1e34], [-9999.0, 1e30, 1e300], [1.7e308], [-1.7e308, 1.7e308])
@@ -148,7 +174,8 @@ OUTLIERS = ([1e30], [-1e34], [-9999.0, 1e30, 1e300], [1.7e308], [-1.7e308, 1.7e3
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize("outliers", OUTLIERS, ids=str)
 def test_outliers_leave_the_others_their_digits(outliers: list[float], solid: str) -> None:
-    plain, values = make_volume(UNIT, solid=solid), UNIT.copy()
+    plain = make_volume(UNIT, solid=solid)
+    values = UNIT.copy()
     places = np.unravel_index(1 + np.arange(len(outliers)), UNIT.shape)
     values[places] = outliers
     kept = np.ones(UNIT.shape, bool)
@@ -169,9 +196,16 @@ def test_outliers_leave_the_others_their_digits(outliers: list[float], solid: st
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize(
     ("start", "outlier", "dtype"),
-    [(2**60, 0, np.int64), (2**62, -(2**63), np.int64), (2**64 - 120, 0, np.uint64), (0, 2**64 - 1, np.uint64)],
+    [
+        (2**60, 0, np.int64),
+        (2**62, -(2**63), np.int64),
+        (2**64 - 120, 0, np.uint64),
+        (0, 2**64 - 1, np.uint64),
+    ],
 )
-def test_whole_numbers_far_from_the_others(start: int, outlier: int, dtype: type, solid: str) -> None:
+def test_whole_numbers_far_from_the_others(
+    start: int, outlier: int, dtype: type, solid: str
+) -> None:
     whole = [*range(start, start + 119), outlier]
     volume = make_volume(np.array(whole, dtype).reshape(4, 5, 6), solid=solid)
     exact = [(Fraction(v) - Fraction(volume.offset)) / Fraction(volume.scale) for v in whole]
@@ -193,10 +227,16 @@ def test_whole_numbers_far_from_the_others(start: int, outlier: int, dtype: type
 def test_missing_values_are_holes(missing: list[float], dtype: type, holes: int) -> None:
     values = np.arange(120).astype(dtype)
     last = {np.float32: np.float32(-1e34), np.uint64: np.uint64(2**64 - 1)}.get(dtype, dtype(5))
-    values[[3, 50]] = values[60] if dtype is np.uint64 else dtype(-9999)
+    if dtype is np.uint64:
+        values[[3, 50]] = values[60]
+    else:
+        values[[3, 50]] = dtype(-9999)
     values[-1] = last
     volume = make_volume(values.reshape(4, 5, 6), missing=missing)
-    marks = np.isin(values, np.array(missing).astype(dtype)) if holes else np.zeros(120, bool)
+    if holes:
+        marks = np.isin(values, np.array(missing).astype(dtype))
+    else:
+        marks = np.zeros(120, bool)
     assert volume.holes == holes and np.array_equal(np.isnan(volume.voxels.ravel()), marks)
     assert volume.value_range == (values[~marks].min(), values[~marks].max())
 
@@ -208,7 +248,12 @@ def test_a_volume_of_nothing_but_missing_values_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("values", "steps"),
-    [(UNIT > 0.5, 1), (UNIT * 0 + 3, 0), ((1e9 + UNIT).astype(np.float32), 1), ((255 * UNIT).astype(np.uint8), 254)],
+    [
+        (UNIT > 0.5, 1),
+        (UNIT * 0 + 3, 0),
+        ((1e9 + UNIT).astype(np.float32), 1),
+        ((255 * UNIT).astype(np.uint8), 254),
+    ],
 )
 def test_steps_are_what_the_source_tells_apart(values: np.ndarray, steps: float) -> None:
     assert make_volume(values).steps == pytest.approx(steps, abs=1)
@@ -293,7 +338,11 @@ def test_a_plane_is_what_lies_between_two_layers(solid: str) -> None:
     array = UNIT * 200.0 - 50.0
     volume = make_volume(array, solid=solid)
     for axis, layers in enumerate((array.transpose(2, 0, 1), array.transpose(1, 0, 2), array)):
-        for at, layer in ((0.0, layers[0]), (1.25, 0.75 * layers[1] + 0.25 * layers[2]), (len(layers) - 1, layers[-1])):
+        for at, layer in (
+            (0.0, layers[0]),
+            (1.25, 0.75 * layers[1] + 0.25 * layers[2]),
+            (len(layers) - 1, layers[-1]),
+        ):
             np.testing.assert_allclose(volume.plane(axis, at), layer[::-1], atol=1e-4)
 
 
@@ -305,7 +354,8 @@ def test_a_plane_on_a_layer_has_no_holes_of_the_next_one() -> None:
     assert np.isnan(volume.plane(2, 1.5)).sum() == np.isnan(volume.plane(2, 2.0)).sum() == 1
 
 
-# --- the core of values -----------------------------------------------------------------------------------------------
+# --- the core of values
+# -----------------------------------------------------------------------------------------------
 
 
 RAMP = np.linspace(0.0, 1.0, 200)
@@ -356,10 +406,16 @@ def test_the_sample_is_distinct_finite_and_ascending() -> None:
 
 
 @pytest.mark.parametrize("kind", ["u1", "<i2", ">i2", "?"])
-def test_values_that_are_counted_make_the_same_volume(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_are_counted_make_the_same_volume(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn = np.random.default_rng(3).integers(-90, 90, (5, 6, 7)).astype(kind)
-    drawn[0, 0, 0] = 9999.0 if drawn.dtype.itemsize == 2 else 200
-    grid, missing = Grid.of(drawn), (3.0,)
+    if drawn.dtype.itemsize == 2:
+        drawn[0, 0, 0] = 9999.0
+    else:
+        drawn[0, 0, 0] = 200
+    grid = Grid.of(drawn)
+    missing = (3.0,)
     looked = survey(grid, "below", missing)
     monkeypatch.setattr(value_survey, "MAX_UNSAMPLED_VOXELS", 0)
     counted = survey(grid, "below", missing)

@@ -1,4 +1,6 @@
-"""Frames with a fixed number of paths from each texel: what two plans keep is then of the same paths."""
+"""Frames with a fixed number of paths from each texel: what two plans keep is then of the same
+paths.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -47,9 +49,13 @@ def frame_of(tmp_path: Path) -> Frames:
 
 
 def make_frame(folder: Path, scene: Scene, samples: int = 64, **settings: Any) -> Frame:
-    """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
+    """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever
+    the error is.
+    """
     view = view_of(scene, samples=samples, **settings)
-    renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=folder), 1 << 28), Tiles(), filters=False)
+    renderer = Renderer(
+        Caches(PreparedScene(scene), mkdtemp(dir=folder), 1 << 28), Tiles(), filters=False
+    )
     demands = renderer.render(view).demands
     if demands:
         loader = renderer.caches.of(view.shading)
@@ -59,11 +65,16 @@ def make_frame(folder: Path, scene: Scene, samples: int = 64, **settings: Any) -
 
 @pytest.fixture
 def lobe(tmp_path: Path) -> Lobe:
-    """Makes probes e^(sharpness (ω·a - 1)): brightest from a, and the softer the less their sharpness."""
+    """Makes probes e^(sharpness (ω·a - 1)): brightest from a, and the softer the less their
+    sharpness.
+    """
 
     def make(sharpness: float) -> dict[str, Any]:
         falling = np.exp(sharpness * (pixel_directions(32, 64) @ np.array([0.48, 0.6, 0.64]) - 1.0))
-        write_hdr(tmp_path / f"lobe{sharpness:g}.hdr", np.repeat(falling[..., None], 3, axis=-1).astype(np.float32))
+        write_hdr(
+            tmp_path / f"lobe{sharpness:g}.hdr",
+            np.repeat(falling[..., None], 3, axis=-1).astype(np.float32),
+        )
         return {"type": "probe", "file": str(tmp_path / f"lobe{sharpness:g}.hdr")}
 
     return make
@@ -74,7 +85,9 @@ def bake(loader: Loader, demands: Sequence[Demand], samples: int) -> None:
     for demand in demands:
         chunk = loader.chunk_store.load(demand.index).with_texels(demand.offsets)
         spec = loader.chunk_store.spec
-        climb_to(chunk.light, spec.prepared.lattice.positions(demand.index, chunk.offsets), spec, samples)
+        climb_to(
+            chunk.light, spec.prepared.lattice.positions(demand.index, chunk.offsets), spec, samples
+        )
         loader.chunk_store.save(chunk)
         loader.refresh(demand.index)
 
@@ -89,11 +102,15 @@ def climb_to(light: Light, texels: np.ndarray, spec: BakeSpec, samples: int) -> 
 def view_of(scene: Scene, azimuth: float = 40.0, elevation: float = 55.0, **settings: Any) -> View:
     """A square view round the middle of the volume, at the scene's own isovalue unless told."""
     camera = scene.camera(azimuth, elevation, 2.5, 30.0)
-    return View(**{"isovalue": scene.isovalue, "camera": camera, "width": SIDE, "height": SIDE, **settings})
+    return View(
+        **{"isovalue": scene.isovalue, "camera": camera, "width": SIDE, "height": SIDE, **settings}
+    )
 
 
 def bowl(size: int = 32) -> Volume:
-    """A ball in a thick bowl, open to the top: the distance to their skin in voxels, positive inside."""
+    """A ball in a thick bowl, open to the top: the distance to their skin in voxels, positive
+    inside.
+    """
     z, y, x = np.mgrid[:size, :size, :size] - (size - 1) / 2
     away = np.sqrt(x**2 + y**2 + z**2)
     shell = np.minimum(np.minimum(13.0 - away, away - 9.0), 5.0 - z)
@@ -104,10 +121,14 @@ def bowl(size: int = 32) -> Volume:
 def plated_ball(size: int = 24, radius: float = 8.0) -> Volume:
     """Distance to a ball's skin, cut to ±½ voxel: plateaus inside and outside."""
     z, y, x = np.mgrid[:size, :size, :size] - (size - 1) / 2
-    return make_volume(np.clip(radius - np.sqrt(x**2 + y**2 + z**2), -0.5, 0.5).astype(np.float32), name="plated")
+    return make_volume(
+        np.clip(radius - np.sqrt(x**2 + y**2 + z**2), -0.5, 0.5).astype(np.float32), name="plated"
+    )
 
 
-def scene_of(volume: Volume, isovalues: tuple[float, float] | None = None, **settings: Any) -> Scene:
+def scene_of(
+    volume: Volume, isovalues: tuple[float, float] | None = None, **settings: Any
+) -> Scene:
     """A scene of a volume that is in no file, at isovalue 0, under constant light unless told."""
     scene = load_scene("demo:orbital", **{"lights": [CONSTANT], "target_error": TARGET, **settings})
     return replace(scene, volume=volume, isovalue=0.0, isovalues=isovalues or volume.value_range)
@@ -125,7 +146,9 @@ def with_layers(scene: Scene, *layers: Layer, **plan: Any) -> Scene:
 
 
 def apart(frame: Frame, other: Frame) -> float:
-    """How far two frames of one surface differ: RMSE over its pixels in luminance, over the mean of the other."""
+    """How far two frames of one surface differ: RMSE over its pixels in luminance, over the mean of
+    the other.
+    """
     on = other.state > 0
     assert np.array_equal(frame.state > 0, on) and on.any()
     wrong = (frame.radiance[on].astype(np.float64) - other.radiance[on]) @ LUMINANCE_WEIGHTS

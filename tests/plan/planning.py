@@ -16,13 +16,24 @@ NOTHING = PlanOverrides()
 
 
 def inputs_of(
-    lights: Sequence[Light], rotating: bool = True, albedo: float | Sequence[float] = 0.7, target: float = 0.02
+    lights: Sequence[Light],
+    rotating: bool = True,
+    albedo: float | Sequence[float] = 0.7,
+    target: float = 0.02,
 ) -> PlanInputs:
     r, g, b = np.broadcast_to(albedo, 3).tolist()
     return PlanInputs(
-        assemble_environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), 1.0, rotating, (r, g, b), target
+        assemble_environment(lights),
+        gather_lamps(lights),
+        (0.0, 0.0, 0.0),
+        1.0,
+        rotating,
+        (r, g, b),
+        target,
     )
 
 
-def plan_of(lights: Sequence[Light], overrides: PlanOverrides = NOTHING, **settings: Any) -> ScenePlan:
+def plan_of(
+    lights: Sequence[Light], overrides: PlanOverrides = NOTHING, **settings: Any
+) -> ScenePlan:
     return plan_scene(inputs_of(lights, **settings), overrides)

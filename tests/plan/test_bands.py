@@ -1,4 +1,6 @@
-"""Bands of light: projection against exact quadrature, and predicted truncation errors against brute force."""
+"""Bands of light: projection against exact quadrature, and predicted truncation errors against
+brute force.
+"""
 
 import math
 from pathlib import Path
@@ -43,7 +45,9 @@ def project(image: np.ndarray, order: int = MAX_ORDER) -> np.ndarray:
 def test_a_constant_is_one_number(shape: tuple[int, int]) -> None:
     radiance = np.array([1.0, 0.5, 1e6])
     expected = np.outer(radiance, np.eye(COUNT)[0]) * WHITE
-    np.testing.assert_allclose(project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8)
+    np.testing.assert_allclose(
+        project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8
+    )
     np.testing.assert_allclose(project(np.ones((*shape, 3)))[0], expected[0], rtol=0, atol=2e-14)
 
 
@@ -59,7 +63,9 @@ def test_projection_is_the_integral_of_the_pixels(shape: tuple[int, int]) -> Non
         phi = 2.0 * math.pi * (j + (nodes + 1.0) / 2.0) / width + 0.0 * nodes[:, None]
         sine = np.sin(theta)
         directions = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
-        area = np.outer(weights, weights) / 4.0 * sine * (math.pi / height) * (2.0 * math.pi / width)
+        area = (
+            np.outer(weights, weights) / 4.0 * sine * (math.pi / height) * (2.0 * math.pi / width)
+        )
         integral = area.ravel() @ basis(MAX_ORDER, directions.reshape(-1, 3))
         expected += image[i, j].astype(float)[:, None] * integral
     np.testing.assert_allclose(project(image), expected, rtol=0, atol=1e-13)
@@ -68,14 +74,18 @@ def test_projection_is_the_integral_of_the_pixels(shape: tuple[int, int]) -> Non
 @pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
 def test_a_lower_order_is_the_beginning_of_a_higher(order: int) -> None:
     image = np.random.default_rng(11).random((6, 9, 3))
-    np.testing.assert_allclose(project(image, order), project(image)[:, : order**2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        project(image, order), project(image)[:, : order**2], rtol=0, atol=1e-14
+    )
 
 
 def test_projection_finds_the_coefficients_of_an_image() -> None:
     """A band-limited image comes back, up to the pixels' size, channel by channel."""
     coefficients = np.random.default_rng(9).normal(size=(3, 25))
     image = basis(5, pixel_directions(128, 256).reshape(-1, 3)) @ coefficients.T
-    np.testing.assert_allclose(project(image.reshape(128, 256, 3), 5), coefficients, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(
+        project(image.reshape(128, 256, 3), 5), coefficients, rtol=0, atol=2e-3
+    )
 
 
 @pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, -0.64, 0.48)])
@@ -84,17 +94,23 @@ def test_projection_of_a_cosine_lobe(axis: tuple[float, float, float]) -> None:
     lobe = np.maximum(pixel_directions(128, 256) @ np.array(axis), 0.0)
     degrees = np.repeat(np.arange(5), 2 * np.arange(5) + 1)
     expected = cosine_lobe_factors(5)[degrees] * basis(5, np.array([axis]))[0]
-    np.testing.assert_allclose(project(lobe[..., None].repeat(3, axis=2), 5)[1], expected, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(
+        project(lobe[..., None].repeat(3, axis=2), 5)[1], expected, rtol=0, atol=1e-3
+    )
 
 
 def test_projection_of_one_pixel_of_a_million() -> None:
-    """A filament in the dark: every coefficient is its energy times Y_i, and dark pixels add nothing."""
+    """A filament in the dark: every coefficient is its energy times Y_i, and dark pixels add
+    nothing.
+    """
     image = np.zeros((64, 128, 3))
     image[20, 90] = 1e6
     edges = np.cos(np.array([20, 21]) * math.pi / 64)
     energy = 1e6 * (edges[0] - edges[1]) * 2.0 * math.pi / 128
     direction = pixel_directions(64, 128)[20, 90]
-    np.testing.assert_allclose(project(image, 3)[2], energy * basis(3, direction[None])[0], rtol=5e-3)
+    np.testing.assert_allclose(
+        project(image, 3)[2], energy * basis(3, direction[None])[0], rtol=5e-3
+    )
 
 
 def test_projection_and_rotation_agree() -> None:
@@ -110,10 +126,13 @@ def test_an_environment_is_its_constant_and_its_image() -> None:
     expected = project_image(light.image, 4)
     expected[:, 0] += WHITE * np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(project_environment(light, 4), expected, rtol=1e-14)
-    np.testing.assert_allclose(project_environment(light, 1)[:, 0], WHITE * light.mean(), rtol=1e-12)
+    np.testing.assert_allclose(
+        project_environment(light, 1)[:, 0], WHITE * light.mean(), rtol=1e-12
+    )
 
 
-# --- truncation -------------------------------------------------------------------------------------------------------
+# --- truncation
+# --------------------------------------------------------------------------------------------------
 
 
 KINDS: list[Kind] = ["direct", "indirect"]
@@ -132,7 +151,8 @@ def random_light(seed: int, order: int = MAX_ORDER) -> np.ndarray:
 
 def turned(light: np.ndarray, count: int) -> np.ndarray:
     """Luminance of the light under so many random rotations; (count, n²)."""
-    order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
+    order = math.isqrt(light.shape[1])
+    out = np.empty((count, *light.shape))
     for matrix, place in zip(Rotation.random(count, rng=1).as_matrix(), out, strict=True):
         rotate(order, np.ascontiguousarray(matrix), light, place)
     return LUMINANCE_WEIGHTS @ out
@@ -149,7 +169,8 @@ def test_band_energies_are_mean_squares_over_the_sphere() -> None:
 
 
 def test_band_energies_do_not_turn_with_the_light() -> None:
-    light, out = random_light(3), np.empty((3, MAX_ORDER**2))
+    light = random_light(3)
+    out = np.empty((3, MAX_ORDER**2))
     rotate(MAX_ORDER, Rotation.random(rng=4).as_matrix(), light, out)
     np.testing.assert_allclose(band_energy(out), band_energy(light), rtol=1e-12)
 
@@ -157,11 +178,15 @@ def test_band_energies_do_not_turn_with_the_light() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_truncation_error_matches_turned_lights_on_a_surface(kind: Kind, order: int) -> None:
-    """Texels with the table's power in every band, in random directions: the mean transfer is 1 there."""
+    """Texels with the table's power in every band, in random directions: the mean transfer is 1
+    there.
+    """
     tau = np.random.default_rng(5).normal(size=(300, MAX_ORDER**2))
     for l in BANDS:
         own = tau[:, l * l : (l + 1) ** 2]
-        own *= np.sqrt(TRANSFER[kind][l] * (2 * l + 1) / (4.0 * math.pi)) / np.linalg.norm(own, axis=1, keepdims=True)
+        own *= np.sqrt(TRANSFER[kind][l] * (2 * l + 1) / (4.0 * math.pi)) / np.linalg.norm(
+            own, axis=1, keepdims=True
+        )
     light = random_light(6)
     light[:, 49:] = 0.0  # nothing to be extrapolated
     lost = tau[:, order**2 :] @ turned(light, 300)[:, order**2 :].T
@@ -178,7 +203,9 @@ def test_bands_beyond_the_last_are_summed_by_their_decay(kind: Kind, slope: floa
     energy = 2.0 * l ** (1.0 + slope)
     transfer = TRANSFER[kind][-1] * (l / (MAX_ORDER - 0.5)) ** -DECAY[kind]
     expected = math.sqrt((energy * transfer)[MAX_ORDER:].sum() / energy[0])
-    assert truncation_error(energy[:MAX_ORDER], MAX_ORDER, kind) == pytest.approx(expected, rel=0.02)
+    assert truncation_error(energy[:MAX_ORDER], MAX_ORDER, kind) == pytest.approx(
+        expected, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -189,7 +216,9 @@ def test_more_bands_never_err_more(kind: Kind, energy: np.ndarray) -> None:
 
 
 def test_only_indirect_light_asks_for_the_albedo() -> None:
-    assert truncation_error(SOFT, 3, "indirect", 0.35) == pytest.approx(truncation_error(SOFT, 3, "indirect") / 2)
+    assert truncation_error(SOFT, 3, "indirect", 0.35) == pytest.approx(
+        truncation_error(SOFT, 3, "indirect") / 2
+    )
     assert truncation_error(SOFT, 3, "direct", 0.35) == truncation_error(SOFT, 3, "direct")
 
 
@@ -213,10 +242,13 @@ def test_an_order_out_of_reach_is_the_most_and_says_its_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("probe", "orders"), [("uffizi_256x128", (2, 3)), ("grace_256x128", (3, 4)), ("noon_grass_1024x512", (3, 5))]
+    ("probe", "orders"),
+    [("uffizi_256x128", (2, 3)), ("grace_256x128", (3, 4)), ("noon_grass_1024x512", (3, 5))],
 )
 @pytest.mark.data
-def test_orders_of_indirect_light_under_real_probes(shared_data: Path, probe: str, orders: tuple[int, int]) -> None:
+def test_orders_of_indirect_light_under_real_probes(
+    shared_data: Path, probe: str, orders: tuple[int, int]
+) -> None:
     """At 5 % and at 2 % of all light."""
     light = assemble_environment([ProbeLight(shared_data / f"probe_{probe}.hdr")])
     energy = band_energy(project_environment(light, MAX_ORDER))
@@ -226,8 +258,12 @@ def test_orders_of_indirect_light_under_real_probes(shared_data: Path, probe: st
 @COMPILED
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_error_is_that_of_a_baked_surface(order: int) -> None:
-    """Within 1.4 on a demo, texels counted by how much of them views see; the randomisations part the noise."""
-    spec = spec_for(PreparedScene(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0)), "gi")
+    """Within 1.4 on a demo, texels counted by how much of them views see; the randomisations part
+    the noise.
+    """
+    spec = spec_for(
+        PreparedScene(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0)), "gi"
+    )
     place, void = locate(surface_texels(spec, 150), spec.prepared)
     ((sums, _),) = sample_transfer(spec.plan.layers, place, void, spec, 0, 1024)
     one, other = np.moveaxis(sums[:, :, 0], 1, 0) / 512.0

@@ -1,4 +1,6 @@
-"""First views: isovalues at boundaries between materials, and the exposure, against closed forms."""
+"""First views: isovalues at boundaries between materials, and the exposure, against closed
+forms.
+"""
 
 import math
 from typing import Any
@@ -52,9 +54,12 @@ def found(array: np.ndarray, **more: str) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize(
-    ("values", "between"), [((100.0,), (50,)), ((100.0, 240.0), (50, 170)), ((60.0, 90.0), (30, 75))]
+    ("values", "between"),
+    [((100.0,), (50,)), ((100.0, 240.0), (50, 170)), ((60.0, 90.0), (30, 75))],
 )
-def test_a_boundary_is_half_way_between_two_materials(values: tuple[float, ...], between: tuple[float, ...]) -> None:
+def test_a_boundary_is_half_way_between_two_materials(
+    values: tuple[float, ...], between: tuple[float, ...]
+) -> None:
     assert found(materials(*values)) == pytest.approx(between, abs=0.06 * max(values))
 
 
@@ -74,7 +79,9 @@ def test_noise_in_a_material_is_no_boundary() -> None:
 
 @pytest.mark.parametrize("unit", [1e-300, 1e-3, 1e30, 1e305])
 def test_units_do_not_matter(unit: float) -> None:
-    assert np.divide(found(materials(100.0, 240.0) * unit), unit) == pytest.approx((50, 170), abs=14)
+    assert np.divide(found(materials(100.0, 240.0) * unit), unit) == pytest.approx(
+        (50, 170), abs=14
+    )
 
 
 def test_values_that_are_missing_or_far_off_are_not_looked_at() -> None:
@@ -96,11 +103,17 @@ def test_one_material_has_none(array: np.ndarray) -> None:
 
 
 def test_the_integrals_are_those_of_a_plane() -> None:
-    """A ramp of slope 3 along y: each isosurface has the box's face for area, and 3 for gradient."""
-    volume = make_volume(np.broadcast_to(6.0 * np.arange(9.0)[:, None], (5, 9, 7)).copy(), (4.0, 2.0, 3.0))
+    """A ramp of slope 3 along y: each isosurface has the box's face for area, and 3 for
+    gradient.
+    """
+    volume = make_volume(
+        np.broadcast_to(6.0 * np.arange(9.0)[:, None], (5, 9, 7)).copy(), (4.0, 2.0, 3.0)
+    )
     total, area = surface_integrals(volume)
     inner = slice(1, TRIED_ISOVALUES - 1)
-    assert (total[inner] / area[inner]).tolist() == pytest.approx([3.0 / volume.scale] * (TRIED_ISOVALUES - 2))
+    assert (total[inner] / area[inner]).tolist() == pytest.approx(
+        [3.0 / volume.scale] * (TRIED_ISOVALUES - 2)
+    )
     assert np.ptp(area[inner]) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -111,17 +124,21 @@ def test_prominence_is_the_fall_to_the_higher_saddle() -> None:
 
 def test_a_plateau_is_one_peak() -> None:
     curve = np.zeros(100)
-    curve[30:41], curve[70] = 2.0, 1.0
+    curve[30:41] = 2.0
+    curve[70] = 1.0
     assert peaks(curve) == [35.0, 70.0]
 
 
 def test_the_engine_has_its_two_metals(shared_data: object) -> None:
     scene = load_scene(f"{shared_data}/engine_256x256x128_uint8.nhdr")
     assert [preset.isovalue for preset in scene.presets] == pytest.approx([75, 180], abs=12)
-    assert [preset.name for preset in scene.presets] == [f"{preset.isovalue:g}" for preset in scene.presets]
+    assert [preset.name for preset in scene.presets] == [
+        f"{preset.isovalue:g}" for preset in scene.presets
+    ]
 
 
-# --- exposure ---------------------------------------------------------------------------------------------------------
+# --- exposure
+# --------------------------------------------------------------------------------------------------
 
 
 WHITE = np.ones(3)
@@ -129,7 +146,9 @@ GREY = (0.5, 0.5, 0.5)
 
 
 def ball_volume(side: int = 33, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
-    """The field of distances inwards from a ball's surface, a third of the box's shortest side, in the world."""
+    """The field of distances inwards from a ball's surface, a third of the box's shortest side, in
+    the world.
+    """
     axes = [(np.arange(side) - (side - 1) / 2) * step for step in spacing[::-1]]
     z, y, x = np.meshgrid(*axes, indexing="ij")
     return make_volume(side * min(spacing) / 3 - np.sqrt(x * x + y * y + z * z), spacing)
@@ -140,7 +159,12 @@ def seen_of(volume: Volume, front: tuple[float, float] = FRONT) -> SeenNormals:
 
 
 def lamp_from(azimuth: float, elevation: float, irradiance: float = math.pi) -> dict[str, Any]:
-    return {"type": "directional", "azimuth": azimuth, "elevation": elevation, "irradiance": irradiance}
+    return {
+        "type": "directional",
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "irradiance": irradiance,
+    }
 
 
 def test_brightness_is_the_integral_over_the_hemisphere() -> None:
@@ -151,18 +175,25 @@ def test_brightness_is_the_integral_over_the_hemisphere() -> None:
     cosines = np.maximum(np.einsum("nc,hwc->nhw", normals, directions), 0.0)
     whole = np.einsum("nhw,hw,hwc->nc", cosines, solid_angles(64, 128), image) / math.pi
     light = project_image(image, 10)
-    np.testing.assert_allclose(brightness(light, WHITE, normals), whole[:, 0], rtol=0.01, atol=0.005)
-    np.testing.assert_allclose(brightness(light, np.array([0, 0, 1.0]), normals), whole[:, 2], rtol=0.01, atol=0.005)
+    np.testing.assert_allclose(
+        brightness(light, WHITE, normals), whole[:, 0], rtol=0.01, atol=0.005
+    )
+    np.testing.assert_allclose(
+        brightness(light, np.array([0, 0, 1.0]), normals), whole[:, 2], rtol=0.01, atol=0.005
+    )
 
 
 def test_a_percentile_counts_weights() -> None:
-    values, weights = np.array([3.0, 1.0, 2.0]), np.array([1.0, 97.0, 2.0])
+    values = np.array([3.0, 1.0, 2.0])
+    weights = np.array([1.0, 97.0, 2.0])
     assert [percentile(values, weights, share) for share in (0.5, 0.98, 0.995)] == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_normals_are_seen_as_a_camera_sees_a_ball(spacing: tuple[float, float, float]) -> None:
-    """A ball's disc shows facing c with density 2c: its mean is 2/3, and the share below c is c²."""
+    """A ball's disc shows facing c with density 2c: its mean is 2/3, and the share below c is
+    c².
+    """
     volume = ball_volume(49, spacing)
     normals, weights = seen_of(volume)
     a, e = np.radians(FRONT)
@@ -177,7 +208,9 @@ def test_normals_point_out_of_what_is_solid(solid: str) -> None:
     array = np.arange(8.0)[:, None, None] * np.ones((8, 8, 8))
     volume = make_volume(array, solid=solid)
     normals = surface_normals(volume, volume.normalise_isovalue(3.5))
-    np.testing.assert_allclose(normals, [[0.0, 0.0, -1.0 if solid == "above" else 1.0]] * 49, atol=1e-6)
+    np.testing.assert_allclose(
+        normals, [[0.0, 0.0, -1.0 if solid == "above" else 1.0]] * 49, atol=1e-6
+    )
 
 
 def test_a_ball_stands_for_a_surface_that_is_not_there() -> None:
@@ -188,18 +221,26 @@ def test_a_ball_stands_for_a_surface_that_is_not_there() -> None:
     assert len(surface_normals(volume, volume.normalise_isovalue(0.5))) == 25
     assert not len(surface_normals(volume, volume.normalise_isovalue(-5.0)))
     facing = find_seen(volume, volume.normalise_isovalue(-5.0), FRONT)
-    assert exposure_for(np.full((3, 1), math.sqrt(4.0 * math.pi)), GREY, facing) == pytest.approx(1.0)
+    assert exposure_for(np.full((3, 1), math.sqrt(4.0 * math.pi)), GREY, facing) == pytest.approx(
+        1.0
+    )
 
 
 @pytest.mark.parametrize(("albedo", "shown"), [(0.2, 0.2), (0.7, 0.7), (0.95, MAX_SHOWN_ALBEDO)])
 def test_even_light_shows_the_albedo_or_the_whitest(albedo: float, shown: float) -> None:
-    scene = load_scene("demo:orbital", albedo=albedo, lights=[{"type": "constant", "radiance": 2.0}])
+    scene = load_scene(
+        "demo:orbital", albedo=albedo, lights=[{"type": "constant", "radiance": 2.0}]
+    )
     assert 2.0 * albedo * scene.default_exposure == pytest.approx(shown, rel=0.005)
 
 
 def test_a_light_from_behind_darkens_no_other_side_to_white() -> None:
-    """From in front a lamp is about as bright as it is; from behind the surface would have none of it."""
-    front, behind = (lit(ball_volume(), 0.0, lamp_from(az, el)) for az, el in ((45.0, 25.0), (225.0, -25.0)))
+    """From in front a lamp is about as bright as it is; from behind the surface would have none of
+    it.
+    """
+    front, behind = (
+        lit(ball_volume(), 0.0, lamp_from(az, el)) for az, el in ((45.0, 25.0), (225.0, -25.0))
+    )
     assert front.default_exposure == pytest.approx(1.0, abs=0.04)
     assert behind.default_exposure == pytest.approx(1.0 / FALL, abs=0.04)
 
@@ -211,15 +252,27 @@ def test_without_light_the_exposure_is_one() -> None:
 def test_coloured_light_is_as_bright_as_its_strongest_channel() -> None:
     """A red lamp of luminance 0.21 fills its channel: it does not want five times the light."""
     red = {"type": "constant", "radiance": [1.0, 0.0, 0.0]}
-    assert load_scene("demo:orbital", lights=[red]).default_exposure == pytest.approx(1.0, rel=0.005)
+    assert load_scene("demo:orbital", lights=[red]).default_exposure == pytest.approx(
+        1.0, rel=0.005
+    )
 
 
 @pytest.mark.parametrize("environment", ["noon", "evening", "studio"])
 def test_hardly_any_of_the_first_picture_is_white(environment: str) -> None:
-    """Of what path tracing shows, shadows and reflections with the rest: but most of what is lit is bright."""
+    """Of what path tracing shows, shadows and reflections with the rest: but most of what is lit is
+    bright.
+    """
     scene = load_scene("demo:orbital", environment=environment)
     azimuth, elevation = FRONT
-    view = view_of(scene, 48, azimuth=azimuth, elevation=elevation, distance=2.6, shading="path_traced", samples=32)
+    view = view_of(
+        scene,
+        48,
+        azimuth=azimuth,
+        elevation=elevation,
+        distance=2.6,
+        shading="path_traced",
+        samples=32,
+    )
     frame = frame_of(scene, view)
     picture = develop(frame, scene.default_exposure)[frame.state > 0].max(axis=-1)
     assert (picture > 250).mean() <= 0.02
@@ -227,7 +280,9 @@ def test_hardly_any_of_the_first_picture_is_white(environment: str) -> None:
 
 
 def test_a_cut_and_another_material_keep_the_exposure() -> None:
-    """A surface is as bright as it was before some of it was cut away; also where its scene's file says so."""
+    """A surface is as bright as it was before some of it was cut away; also where its scene's file
+    says so.
+    """
     scene = load("demo:orbital")
     middle = scene.volume.centre[2]
     cut = cut_open(scene, f"z>{middle}", "orbital@@cut")

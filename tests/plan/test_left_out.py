@@ -1,4 +1,6 @@
-"""What plans leave out makes less difference than the target error; where it made more, it is kept."""
+"""What plans leave out makes less difference than the target error; where it made more, it is
+kept.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +46,9 @@ SOFT = 0.3
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Frames:
-    """Makes frames, one for each scene, plan and view: the frame of what a plan keeps serves several tests."""
+    """Makes frames, one for each scene, plan and view: the frame of what a plan keeps serves
+    several tests.
+    """
     made: dict[Any, Frame] = {}
 
     def make(scene: Scene, samples: int = 64, **settings: Any) -> Frame:
@@ -69,7 +73,10 @@ def test_harmonics_are_left_out_under_constant_light(drawn: Frames) -> None:
 def test_harmonics_are_kept_under_a_probe(drawn: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)])
     assert scene.plan.representation == "transfer"
-    assert apart(drawn(with_layers(scene, Layer("whole"), representation="constant")), drawn(scene)) > TARGET
+    assert (
+        apart(drawn(with_layers(scene, Layer("whole"), representation="constant")), drawn(scene))
+        > TARGET
+    )
 
 
 @pytest.mark.slow
@@ -101,7 +108,9 @@ def test_reflected_light_keeps_few_bands(drawn: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(WIDE)])
     direct, indirect = scene.plan.layers
     assert indirect.order < direct.order
-    assert apart(drawn(scene), drawn(with_layers(scene, direct, replace(indirect, order=8)))) < TARGET
+    assert (
+        apart(drawn(scene), drawn(with_layers(scene, direct, replace(indirect, order=8)))) < TARGET
+    )
 
 
 def test_bands_of_reflected_light_turn_with_the_sun(drawn: Frames, lobe: Lobe) -> None:
@@ -122,7 +131,8 @@ def test_channels_are_left_out_where_the_albedo_is_grey(drawn: Frames) -> None:
     scene = in_bowl()
     (whole,) = scene.plan.layers
     assert whole.channels == 1
-    one, three = drawn(scene), drawn(with_layers(scene, replace(whole, channels=3)))
+    one = drawn(scene)
+    three = drawn(with_layers(scene, replace(whole, channels=3)))
     assert np.array_equal(one.radiance, three.radiance)
 
 
@@ -160,7 +170,8 @@ def test_paths_are_kept_as_often_as_the_albedo_asks(drawn: Frames) -> None:
 
 
 def test_black_surfaces_leave_out_reflected_light(drawn: Frames) -> None:
-    black, dark = in_bowl(albedo=0.0), in_bowl(albedo=0.02)
+    black = in_bowl(albedo=0.0)
+    dark = in_bowl(albedo=0.02)
     assert black.plan.representation == dark.plan.representation == "vicinity"
     assert not drawn(black).radiance.any()
     assert apart(drawn(dark), drawn(in_bowl(albedo=0.02, bounces=20))) < TARGET
@@ -188,10 +199,16 @@ def test_single_floats_are_kept_for_a_small_target(drawn: Frames, lobe: Lobe) ->
     assert apart(drawn(in_bowl(**small, precision="half")), drawn(scene)) > scene.target_error
 
 
-# --- rays, kernels and texels -----------------------------------------------------------------------------------------
+# --- rays, kernels and texels
+# -----------------------------------------------------------------------------------------
 
 
-KERNELS = {"bake_texels": refine, "bake_irradiance": refine, "rotate": surroundings, "project_lamps": lamps}
+KERNELS = {
+    "bake_texels": refine,
+    "bake_irradiance": refine,
+    "rotate": surroundings,
+    "project_lamps": lamps,
+}
 """Kernels that some scenes do without, and the module that calls them."""
 
 
@@ -202,7 +219,9 @@ def test_kernels_are_called_but_for_those_left_out(
     called: set[str] = set()
     for name, module in KERNELS.items():
         monkeypatch.setattr(module, name, recorded(name, getattr(module, name), called))
-    lights = {"constant": [{"type": "constant"}], "lamp": [{"type": "directional"}]}.get(light, [lobe(WIDE)])
+    lights = {"constant": [{"type": "constant"}], "lamp": [{"type": "directional"}]}.get(
+        light, [lobe(WIDE)]
+    )
     scene = in_bowl(lights=lights, rotating=light in ("constant", "rotating"))
     frame_of(scene, light=TURN if light == "rotating" else IDENTITY)
     (idle,) = [each.what for each in scene.left_out if each.what.startswith("kernels")]
@@ -240,23 +259,29 @@ def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) ->
     scene = in_bowl(lights=[SUN], rotating=False)
     assert scene.lighting.environment.table[0].size
     best = frame_of(scene, 1024)
-    assert apart(frame_of(scene, 256), best) < TARGET < apart(frame_of(aimed(scene, False), 256), best)
+    assert (
+        apart(frame_of(scene, 256), best) < TARGET < apart(frame_of(aimed(scene, False), 256), best)
+    )
 
 
 def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
     """Which texels of the lattice a view reads; bool."""
-    prepared, tiles = PreparedScene(scene), Tiles()
+    prepared = PreparedScene(scene)
+    tiles = Tiles()
     gbuffer = trace(view_of(scene, azimuth, isovalue=isovalue), prepared.surface(isovalue), tiles)
     marks = np.zeros(prepared.shape, np.bool_)
     texels = find_texels(gbuffer, prepared, tiles)
     for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
         inside = np.unravel_index(offsets, (DEFAULT_CHUNK_SIDE,) * 3)
-        marks[tuple(at + DEFAULT_CHUNK_SIDE * chunk for at, chunk in zip(inside, index, strict=True))] = True
+        marks[
+            tuple(at + DEFAULT_CHUNK_SIDE * chunk for at, chunk in zip(inside, index, strict=True))
+        ] = True
     return marks
 
 
 def test_texels_are_kept_that_some_allowed_isovalue_shows() -> None:
-    one, more = scene_of(bowl(), (0.0, 0.0)), scene_of(bowl(), (0.0, 3.0))
+    one = scene_of(bowl(), (0.0, 0.0))
+    more = scene_of(bowl(), (0.0, 3.0))
     at_zero = surface_cells(one.volume.voxels, *[one.volume.normalise_isovalue(0.0)] * 2)
     assert (read_by(more, 3.0, 40.0) & ~shown_texels(at_zero, one.lattice_shape)).any()
     assert more.texels.shown > one.texels.shown
@@ -268,4 +293,9 @@ def test_texels_without_a_gradient_are_left_out_and_not_missed(frame_of: Frames)
     assert scene.texels.void > scene.texels.shown / 4
     frame = frame_of(scene)
     assert frame.coverage["provisional"] == 0.0
-    assert apart(frame, replace(frame, radiance=np.full_like(frame.radiance, scene.surfaces.albedo[0]))) < TARGET
+    assert (
+        apart(
+            frame, replace(frame, radiance=np.full_like(frame.radiance, scene.surfaces.albedo[0]))
+        )
+        < TARGET
+    )

@@ -1,4 +1,6 @@
-"""Lobes of an environment against closed forms, what they leave to harmonics, and how many of them pay."""
+"""Lobes of an environment against closed forms, what they leave to harmonics, and how many of them
+pay.
+"""
 
 import math
 from collections.abc import Sequence
@@ -43,8 +45,12 @@ SHAPE = (128, 256)
 COLOUR = np.array([3.0, 2.0, 1.0])
 
 
-def disc(towards: Sequence[float], degrees: float, radiance: float = 1e4, around: float = 0.5) -> np.ndarray:
-    """A lat-long image (h, w, 3) with a disc of so many degrees across about ``towards``, in grey surroundings."""
+def disc(
+    towards: Sequence[float], degrees: float, radiance: float = 1e4, around: float = 0.5
+) -> np.ndarray:
+    """A lat-long image (h, w, 3) with a disc of so many degrees across about ``towards``, in grey
+    surroundings.
+    """
     axis = np.array(towards) / np.linalg.norm(towards)
     inside = pixel_directions(*SHAPE) @ axis >= math.cos(math.radians(degrees / 2.0))
     return np.where(inside[..., None], radiance * COLOUR, around)
@@ -69,7 +75,9 @@ def test_one_hot_pixel_is_a_lobe_as_wide_as_the_pixel(radiance: float) -> None:
     np.testing.assert_allclose(lobe.flux, angle * (radiance * COLOUR - 0.25), rtol=1e-12)
     np.testing.assert_allclose(lobe.towards, pixel_directions(*SHAPE)[40, 100], atol=1e-4)
     a = math.acos(lobe.cosine)
-    assert 2.0 * math.pi * (1.0 - math.cos(a)) == pytest.approx(angle, rel=0.1), "about the pixel's own solid angle"
+    assert 2.0 * math.pi * (1.0 - math.cos(a)) == pytest.approx(angle, rel=0.1), (
+        "about the pixel's own solid angle"
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,7 +86,9 @@ def test_one_hot_pixel_is_a_lobe_as_wide_as_the_pixel(radiance: float) -> None:
     ids=["anywhere", "at the seam", "across the seam", "at the pole", "beside the other pole"],
 )
 @pytest.mark.parametrize("degrees", [6.0, 15.0])
-def test_a_disc_is_found_with_its_flux_direction_and_width(towards: tuple[float, ...], degrees: float) -> None:
+def test_a_disc_is_found_with_its_flux_direction_and_width(
+    towards: tuple[float, ...], degrees: float
+) -> None:
     image = disc(towards, degrees)
     lobe = found(image).lobe
     np.testing.assert_allclose(lobe.flux, flux(image - 0.5), rtol=1e-9)
@@ -111,7 +121,9 @@ def test_edges_are_sought_down_to_a_small_share_of_the_peak() -> None:
     assert len(angles) == 2 and angles[0] == pytest.approx(4.0, abs=1.0) and angles[1] > 5.0
 
 
-@pytest.mark.parametrize("image", [np.full((4, 8, 3), 3.0), np.zeros((1, 1, 3)), np.zeros((8, 16, 3))])
+@pytest.mark.parametrize(
+    "image", [np.full((4, 8, 3), 3.0), np.zeros((1, 1, 3)), np.zeros((8, 16, 3))]
+)
 def test_even_and_black_light_has_none(image: np.ndarray) -> None:
     assert not list(outlines(image))
 
@@ -135,14 +147,27 @@ def test_a_region_that_fills_too_much_is_none() -> None:
 
 
 def test_neighbours_are_those_around_and_beyond_the_pole() -> None:
-    assert neighbours(np.array([3 * 8 + 7]), 6, 8, 1).tolist() == [16, 22, 23, 24, 30, 31, 32, 38, 39]
+    assert neighbours(np.array([3 * 8 + 7]), 6, 8, 1).tolist() == [
+        16,
+        22,
+        23,
+        24,
+        30,
+        31,
+        32,
+        38,
+        39,
+    ]
     assert neighbours(np.array([2]), 6, 8, 1).tolist() == [1, 2, 3, 5, 6, 7, 9, 10, 11]
 
 
 def test_moments_are_those_of_many_small_pieces() -> None:
     places = np.array([0, 5, 17, 63])
     fine = pixel_directions(8 * 40, 8 * 40)
-    pieces = np.concatenate([fine, np.ones((*fine.shape[:2], 1))], axis=2) * solid_angles(320, 320)[..., None]
+    pieces = (
+        np.concatenate([fine, np.ones((*fine.shape[:2], 1))], axis=2)
+        * solid_angles(320, 320)[..., None]
+    )
     expected = pieces.reshape(8, 40, 8, 40, 4).sum(axis=(1, 3)).reshape(64, 4)[places]
     np.testing.assert_allclose(moments_of(places, 8, 8), expected, atol=1e-5)
 
@@ -156,7 +181,8 @@ def test_the_irradiance_of_a_lobe_is_that_of_its_disc() -> None:
     assert lobe.elevation == pytest.approx(90.0, abs=0.1) and 0.0 <= lobe.azimuth < 360.0
 
 
-# --- lobes in the plan ------------------------------------------------------------------------------------------------
+# --- lobes in the plan
+# ------------------------------------------------------------------------------------------------
 
 
 SUNS = [(0.6, 0.0, 0.8), (-0.8, 0.6, 0.0), (0.0, -1.0, 0.0), (0.0, 0.6, -0.8), (0.6, 0.8, 0.0)]
@@ -166,7 +192,9 @@ def light_of(*suns: tuple[float, float], around: float = 1.0) -> Environment:
     """Even light with ``suns``, each so many degrees across and of such a radiance."""
     image = np.full((*SHAPE, 3), around, np.float32)
     for towards, (degrees, radiance) in zip(SUNS, suns, strict=False):
-        image[pixel_directions(*SHAPE) @ towards >= math.cos(math.radians(degrees / 2.0))] = radiance
+        image[pixel_directions(*SHAPE) @ towards >= math.cos(math.radians(degrees / 2.0))] = (
+            radiance
+        )
     return Environment(np.zeros(3), image, str(suns), "suns")
 
 
@@ -175,18 +203,25 @@ def inputs_of(*suns: tuple[float, float], **settings: Any) -> PlanInputs:
     return PlanInputs(light_of(*suns), gather_lamps([]), (0.0, 0.0, 0.0), 1.0, **given)
 
 
-def plan_of(*suns: tuple[float, float], overrides: PlanOverrides | None = None, **settings: Any) -> ScenePlan:
+def plan_of(
+    *suns: tuple[float, float], overrides: PlanOverrides | None = None, **settings: Any
+) -> ScenePlan:
     return plan_scene(inputs_of(*suns, **settings), overrides or PlanOverrides())
 
 
 @pytest.mark.parametrize("degrees", [3.0, 10.0, 19.0])
 def test_coefficients_of_a_disc_are_those_of_its_picture(degrees: float) -> None:
-    towards, shape = np.array([0.48, -0.6, 0.64]), (1024, 2048)
+    towards = np.array([0.48, -0.6, 0.64])
+    shape = (1024, 2048)
     cosine = math.cos(math.radians(degrees / 2.0))
-    image = np.where((pixel_directions(*shape) @ towards >= cosine)[..., None], [3.0, 2.0, 1.0], 0.0)
+    image = np.where(
+        (pixel_directions(*shape) @ towards >= cosine)[..., None], [3.0, 2.0, 1.0], 0.0
+    )
     expected = project_image(image, MAX_ORDER)
     flux = expected[:, 0] * math.sqrt(4.0 * math.pi)
-    found = project_lobes([Lobe((0.48, -0.6, 0.64), cosine, (flux[0], flux[1], flux[2]))], MAX_ORDER)
+    found = project_lobes(
+        [Lobe((0.48, -0.6, 0.64), cosine, (flux[0], flux[1], flux[2]))], MAX_ORDER
+    )
     np.testing.assert_allclose(found, expected, atol=0.01 * expected[0, 0])
 
 
@@ -194,7 +229,9 @@ def test_a_lobe_without_size_is_its_harmonics_alone() -> None:
     np.testing.assert_allclose(disc_means(1.0, MAX_ORDER), 1.0)
     point = project_lobes([Lobe((0.0, 0.0, 1.0), 1.0, (1.0, 1.0, 1.0))], MAX_ORDER)
     zonal = [l * (l + 1) for l in range(MAX_ORDER)]
-    np.testing.assert_allclose(point[0, zonal], [math.sqrt((2 * l + 1) / (4 * math.pi)) for l in range(MAX_ORDER)])
+    np.testing.assert_allclose(
+        point[0, zonal], [math.sqrt((2 * l + 1) / (4 * math.pi)) for l in range(MAX_ORDER)]
+    )
     assert np.abs(np.delete(point[0], zonal)).max() < 1e-12
 
 
@@ -213,7 +250,10 @@ def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
     image[rng.integers(8, 24, 40), rng.integers(0, 64, 40)] = rng.uniform(5.0, 50.0, (40, 1))
     street = Environment(np.zeros(3), image, "street", "street")
     inputs = PlanInputs(street, gather_lamps([]), (0.0, 0.0, 0.0), 1.0, True, (0.7,) * 3, 0.02)
-    errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
+    errors = [
+        truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct")
+        for n in range(len(inputs.lobes) + 1)
+    ]
     plan = plan_scene(inputs, PlanOverrides())
     assert (
         FEW_LOBES_SEARCHED < plan.lobes <= MANY_LOBES_SEARCHED
@@ -225,7 +265,9 @@ def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:
     inputs = inputs_of((3.0, 2000.0), (5.0, 900.0))
     errors = [truncation_error(inputs.energy_beside(n), JUDGED_ORDER, "direct") for n in range(3)]
     assert errors[0] > errors[1] > errors[2] and errors[2] < LOBE_ERROR
-    np.testing.assert_allclose([inputs.energy_beside(n)[0] for n in range(3)], inputs.energy[0], rtol=1e-12)
+    np.testing.assert_allclose(
+        [inputs.energy_beside(n)[0] for n in range(3)], inputs.energy[0], rtol=1e-12
+    )
     np.testing.assert_allclose(inputs.energy_beside(0), inputs.energy)
     left = band_energy(inputs.harmonics - project_lobes(inputs.lobes, MAX_ORDER))
     np.testing.assert_allclose(inputs.energy_beside(2)[1:], left[1:])
@@ -239,17 +281,29 @@ def test_black_light_and_light_that_stays_have_none() -> None:
 
 def test_the_plan_takes_the_fewest_lobes_within_the_share() -> None:
     inputs = inputs_of((3.0, 5000.0), (3.0, 3000.0), (3.0, 20.0))
-    errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
+    errors = [
+        truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct")
+        for n in range(len(inputs.lobes) + 1)
+    ]
     plan = plan_scene(inputs, PlanOverrides())
     assert errors[plan.lobes] <= HARMONICS * inputs.target_error < errors[plan.lobes - 1]
     direct = plan.layers[0].order
-    assert truncation_error(inputs.energy_beside(plan.lobes), direct, "direct") <= HARMONICS * inputs.target_error
-    assert truncation_error(inputs.energy_beside(plan.lobes), direct - 1, "direct") > HARMONICS * inputs.target_error
+    assert (
+        truncation_error(inputs.energy_beside(plan.lobes), direct, "direct")
+        <= HARMONICS * inputs.target_error
+    )
+    assert (
+        truncation_error(inputs.energy_beside(plan.lobes), direct - 1, "direct")
+        > HARMONICS * inputs.target_error
+    )
 
 
 def test_lobes_are_taken_where_they_nearly_reach_the_best() -> None:
     inputs = inputs_of((3.0, 5000.0), (3.0, 3000.0), target_error=1e-4)
-    errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
+    errors = [
+        truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct")
+        for n in range(len(inputs.lobes) + 1)
+    ]
     plan = plan_scene(inputs, PlanOverrides())
     assert errors[plan.lobes] <= MUCH * min(errors)
     assert plan.notes and "expect an error of" in plan.notes[0]
@@ -261,7 +315,8 @@ def test_soft_and_even_light_is_left_to_harmonics() -> None:
 
 
 def test_a_plan_with_lobes_keeps_less_and_errs_less() -> None:
-    plain, sharp = plan_of((1.5, 9000.0), overrides=PlanOverrides(lobes=0)), plan_of((1.5, 9000.0))
+    plain = plan_of((1.5, 9000.0), overrides=PlanOverrides(lobes=0))
+    sharp = plan_of((1.5, 9000.0))
     assert sharp.lobes == 1 and sharp.bytes_per_texel < plain.bytes_per_texel
     assert dict(sharp.errors)["harmonics"] < 0.2 * dict(plain.errors)["harmonics"]
 
@@ -279,6 +334,8 @@ def test_lobes_of_the_scene_are_taken_or_refused() -> None:
 
 def test_lobes_left_to_harmonics_are_listed_with_their_gain() -> None:
     plan = plan_of((3.0, 5000.0), (3.0, 3000.0), overrides=PlanOverrides(lobes=1))
-    (left,) = [each for each in plan.left_out if "of the light" in each.what and "lobe" in each.what]
+    (left,) = [
+        each for each in plan.left_out if "of the light" in each.what and "lobe" in each.what
+    ]
     assert left.what == "lobe 2 of the light" and left.saves[0].amount == 1
     assert not [each for each in plan_of((3.0, 5000.0)).left_out if "lobe" in each.what]

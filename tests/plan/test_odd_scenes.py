@@ -17,7 +17,8 @@ from isogi_core.files.packed_files import in_short, open_regular, read_small
 VOLUME = 'volume = "v.nrrd"\n'
 LIGHT = '[[lights]]\ntype = "point"\nposition = [1, 2, 3]\nintensity = 1\n'
 PROBE = '[[lights]]\ntype = "probe"\nfile = "{}"\n'
-SECONDS, LONGEST = 2.0, 1000
+SECONDS = 2.0
+LONGEST = 1000
 TOGETHER = 120
 
 CODE = """
@@ -76,16 +77,26 @@ SCENES = {
 def zarr(folder: Path, **facts: Any) -> None:
     """The metadata of an array, without its chunks."""
     folder.mkdir()
-    usual = {"zarr_format": 2, "shape": [8, 8, 8], "chunks": [4, 4, 4], "dtype": "<f4", "order": "C"}
+    usual = {
+        "zarr_format": 2,
+        "shape": [8, 8, 8],
+        "chunks": [4, 4, 4],
+        "dtype": "<f4",
+        "order": "C",
+    }
     nothing = dict.fromkeys(("compressor", "filters"))
     (folder / ".zarray").write_text(json.dumps({**usual, **nothing, "fill_value": 0, **facts}))
 
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, tuple[str, float]]:
-    """What is said of each scene, and after how many seconds; the process is given up where one takes for ever."""
+    """What is said of each scene, and after how many seconds; the process is given up where one
+    takes for ever.
+    """
     folder = tmp_path_factory.mktemp("odd")
-    nrrd.write(str(folder / "v.nrrd"), np.random.default_rng(1).random((12, 12, 12)).astype(np.float32))
+    nrrd.write(
+        str(folder / "v.nrrd"), np.random.default_rng(1).random((12, 12, 12)).astype(np.float32)
+    )
     os.mkfifo(folder / "pipe.nrrd")
     os.mkfifo(folder / "pipe.toml")
     (folder / "loop").symlink_to("loop")
@@ -96,17 +107,32 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, tuple[str,
     places = {name: folder / f"{name}.toml" for name in SCENES}
     for name, path in places.items():
         path.write_text(SCENES[name])
-    places |= {"a scene from a pipe": folder / "pipe.toml", "a scene that links to itself": folder / "loop.toml"}
+    places |= {
+        "a scene from a pipe": folder / "pipe.toml",
+        "a scene that links to itself": folder / "loop.toml",
+    }
     command = [sys.executable, "-c", CODE, *map(str, places.values())]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=TOGETHER, stdin=subprocess.DEVNULL, check=False
+        command,
+        capture_output=True,
+        text=True,
+        timeout=TOGETHER,
+        stdin=subprocess.DEVNULL,
+        check=False,
     )
-    told = {place: (said, seconds) for place, said, seconds in map(json.loads, done.stdout.splitlines())}
-    return {name: told.get(str(path), (f"DIED: {done.stderr[-300:]}", 0.0)) for name, path in places.items()}
+    told = {
+        place: (said, seconds) for place, said, seconds in map(json.loads, done.stdout.splitlines())
+    }
+    return {
+        name: told.get(str(path), (f"DIED: {done.stderr[-300:]}", 0.0))
+        for name, path in places.items()
+    }
 
 
 @pytest.mark.parametrize("name", [*SCENES, "a scene from a pipe", "a scene that links to itself"])
-def test_an_odd_scene_is_refused_by_a_sentence(answers: Mapping[str, tuple[str, float]], name: str) -> None:
+def test_an_odd_scene_is_refused_by_a_sentence(
+    answers: Mapping[str, tuple[str, float]], name: str
+) -> None:
     said, seconds = answers[name]
     assert said.endswith(".") and not said.startswith(("TRACEBACK", "DIED")), said[:300]
     assert len(said) < LONGEST and seconds < SECONDS, (len(said), seconds)
@@ -115,8 +141,12 @@ def test_an_odd_scene_is_refused_by_a_sentence(answers: Mapping[str, tuple[str, 
 def test_a_few_thousand_lights_are_a_scene(tmp_path: Path) -> None:
     from isogi_core.plan.assembly import load_scene
 
-    nrrd.write(str(tmp_path / "v.nrrd"), np.random.default_rng(1).random((12, 12, 12)).astype(np.float32))
-    (tmp_path / "a.toml").write_text(VOLUME + '[[lights]]\ntype = "constant"\nradiance = 1\n' * 4_000)
+    nrrd.write(
+        str(tmp_path / "v.nrrd"), np.random.default_rng(1).random((12, 12, 12)).astype(np.float32)
+    )
+    (tmp_path / "a.toml").write_text(
+        VOLUME + '[[lights]]\ntype = "constant"\nradiance = 1\n' * 4_000
+    )
     assert len(load_scene(tmp_path / "a.toml").source.document["lights"]) == 4_000
 
 

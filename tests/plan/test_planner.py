@@ -1,4 +1,6 @@
-"""The planner: the least that gives the picture, for every sort of light, what it refuses, and its error budget."""
+"""The planner: the least that gives the picture, for every sort of light, what it refuses, and its
+error budget.
+"""
 
 import math
 from dataclasses import replace
@@ -17,7 +19,14 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.lighting import rotated_by
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
-from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
+from isogi_core.model.lights import (
+    ConstantLight,
+    DirectionalLight,
+    Light,
+    PointLight,
+    ProbeLight,
+    SkyLight,
+)
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.bands import FAR_BANDS, project_environment, truncation_error
 from isogi_core.plan.budget import (
@@ -40,7 +49,8 @@ from tests.plan.planning import NOTHING, inputs_of, plan_of
 from tests.scale import COMPILED
 
 RED = (0.8, 0.2, 0.2)
-WHITE, BLUE = ConstantLight(), ConstantLight((0.2, 0.3, 1.0))
+WHITE = ConstantLight()
+BLUE = ConstantLight((0.2, 0.3, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +84,12 @@ def test_constant_light_keeps_one_number_for_each_channel(
 ) -> None:
     for light in (WHITE, BLUE):
         plan = plan_of([light], **settings)
-        assert (plan.representation, kinds(plan), plan.bounces, plan.order) == (representation, layers, bounces, 1)
+        assert (plan.representation, kinds(plan), plan.bounces, plan.order) == (
+            representation,
+            layers,
+            bounces,
+            1,
+        )
         assert plan.bytes_per_texel == (4 if plan.channels == 1 else 8)
 
 
@@ -103,7 +118,9 @@ def test_turning_light_keeps_harmonics_of_the_least_order(soft: ProbeLight) -> N
     plan = plan_of([soft])
     assert plan.representation == "transfer"
     direct, indirect = plan.layers
-    assert (direct.kind, direct.order, direct.channels) == ("direct", 2, 1), "bands 0 and 1 are all there is"
+    assert (direct.kind, direct.order, direct.channels) == ("direct", 2, 1), (
+        "bands 0 and 1 are all there is"
+    )
     assert (indirect.kind, indirect.channels) == ("indirect", 1) and indirect.order <= 2
     assert [layer.channels for layer in plan_of([soft], albedo=RED).layers] == [1, 3]
     assert kinds(plan_of([soft], albedo=0.0)) == [("direct", 2, 1)]
@@ -115,7 +132,8 @@ def test_orders_are_least_within_the_target_or_noted(target: float) -> None:
     plan = plan_scene(inputs, PlanOverrides(lobes=0))
     direct, indirect = (layer.order for layer in plan.layers)
     error = math.hypot(
-        truncation_error(inputs.energy, direct, "direct"), truncation_error(inputs.energy, indirect, "indirect")
+        truncation_error(inputs.energy, direct, "direct"),
+        truncation_error(inputs.energy, indirect, "indirect"),
     )
     assert dict(plan.errors)["harmonics"] == pytest.approx(error)
     assert (error > target) == bool(plan.notes)
@@ -127,7 +145,10 @@ def test_orders_are_least_within_the_target_or_noted(target: float) -> None:
 
 def test_more_bands_are_taken_only_where_they_reach_the_target() -> None:
     energy = inputs_of([SkyLight()]).energy
-    errors = {order: truncation_error(energy, order, "direct") for order in range(MOST_BANDS, FAR_BANDS + 1)}
+    errors = {
+        order: truncation_error(energy, order, "direct")
+        for order in range(MOST_BANDS, FAR_BANDS + 1)
+    }
     for order in range(MOST_BANDS + 1, FAR_BANDS + 1):
         within = inputs_of([SkyLight()], target=1.001 * errors[order])
         assert plan_scene(within, PlanOverrides(lobes=0)).layers[0].order == order
@@ -162,20 +183,33 @@ def test_notes_show_small_targets_with_all_digits() -> None:
 
 @pytest.mark.parametrize(
     ("albedo", "lost"),
-    [(0.99, None), (0.997, "Paths end after 1000 bounces: what is lost is 4.94% at most"), (1.0, "100%")],
+    [
+        (0.99, None),
+        (0.997, "Paths end after 1000 bounces: what is lost is 4.94% at most"),
+        (1.0, "100%"),
+    ],
 )
 def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: str | None) -> None:
     notes = plan_of([WHITE], albedo=albedo).notes
-    assert len(notes) == (lost is not None) and all(lost in note and "target of 2%" in note for note in notes if lost)
+    assert len(notes) == (lost is not None) and all(
+        lost in note and "target of 2%" in note for note in notes if lost
+    )
     assert not plan_of([WHITE], PlanOverrides(bounces=LONGEST_PATH), albedo=albedo).notes, "as told"
 
 
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("uffizi_256x128", 100), ("grace_256x128", 64), ("noon_grass_1024x512", 64), ("ennis_256x128", 120)],
+    [
+        ("uffizi_256x128", 100),
+        ("grace_256x128", 64),
+        ("noon_grass_1024x512", 64),
+        ("ennis_256x128", 120),
+    ],
 )
-def test_a_turning_probe_takes_64_bytes_or_reaches_two_percent(shared_data: Path, name: str, most: int) -> None:
+def test_a_turning_probe_takes_64_bytes_or_reaches_two_percent(
+    shared_data: Path, name: str, most: int
+) -> None:
     plan = plan_of([ProbeLight(shared_data / f"probe_{name}.hdr")])
     assert plan.representation == "transfer" and plan.bytes_per_texel <= most
     assert most == 64 or dict(plan.errors)["harmonics"] < 0.021
@@ -183,7 +217,9 @@ def test_a_turning_probe_takes_64_bytes_or_reaches_two_percent(shared_data: Path
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["uffizi_256x128", "wells_256x128", "pisa_256x128", "ennis_256x128"])
+@pytest.mark.parametrize(
+    "name", ["uffizi_256x128", "wells_256x128", "pisa_256x128", "ennis_256x128"]
+)
 def test_a_smaller_target_never_takes_fewer_bands(shared_data: Path, name: str) -> None:
     """Beyond the target that 8 bands bring a light to, too."""
     light = ProbeLight(shared_data / f"probe_{name}.hdr")
@@ -212,7 +248,9 @@ def test_bounces_are_the_fewest_within_their_share(albedo: float, target: float)
         assert albedo**bounces > BOUNCES_SHARE * target
 
 
-@pytest.mark.parametrize(("albedo", "bounces"), [(0.0, 0), (1.0, LONGEST_PATH), (0.999, LONGEST_PATH), (0.7, 12)])
+@pytest.mark.parametrize(
+    ("albedo", "bounces"), [(0.0, 0), (1.0, LONGEST_PATH), (0.999, LONGEST_PATH), (0.7, 12)]
+)
 def test_bounces_at_the_ends(albedo: float, bounces: int) -> None:
     assert plan_of([WHITE], albedo=albedo).bounces == bounces
 
@@ -228,11 +266,14 @@ def test_bounces_at_albedo_0_are_refused_and_no_bounces_are_not(lights: list[Lig
 def test_unreflected_constant_light_has_one_layer(bounces: int | None, albedo: float) -> None:
     with pytest.raises(SceneError, match="representation = 'constant'"):
         plan_of([WHITE], PlanOverrides("constant", bounces=bounces), albedo=albedo)
-    assert plan_of([WHITE], PlanOverrides(bounces=bounces), albedo=albedo).representation == "vicinity"
+    assert (
+        plan_of([WHITE], PlanOverrides(bounces=bounces), albedo=albedo).representation == "vicinity"
+    )
 
 
 def test_bounces_of_the_scene_count_as_no_error() -> None:
-    overrides, chosen = plan_of([WHITE], PlanOverrides(bounces=1)), plan_of([WHITE])
+    overrides = plan_of([WHITE], PlanOverrides(bounces=1))
+    chosen = plan_of([WHITE])
     assert overrides.bounces == 1 and "bounces" not in dict(overrides.errors)
     assert dict(chosen.errors)["bounces"] == pytest.approx(0.7 ** (chosen.bounces + 1))
 
@@ -286,17 +327,24 @@ def test_a_scene_in_the_dark_has_a_plan() -> None:
     for rotating in (True, False):
         plan = plan_of([ConstantLight((0.0, 0.0, 0.0))], rotating=rotating)
         assert plan.representation == "constant"
-    assert plan_of([DirectionalLight(irradiance=(0.0, 0.0, 0.0))], rotating=False).layers[0].scale == 1.0
+    assert (
+        plan_of([DirectionalLight(irradiance=(0.0, 0.0, 0.0))], rotating=False).layers[0].scale
+        == 1.0
+    )
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (1, 2), (3, 5), (32, 64)])
-def test_an_even_probe_is_as_bright_as_constant_light(height: int, width: int, tmp_path: Path) -> None:
+def test_an_even_probe_is_as_bright_as_constant_light(
+    height: int, width: int, tmp_path: Path
+) -> None:
     write_hdr(tmp_path / "even.hdr", np.ones((height, width, 3)))
     assert inputs_of([ProbeLight(tmp_path / "even.hdr")]).brightest == pytest.approx(1.0, rel=1e-9)
 
 
 def test_brightest_is_the_mean_and_twice_the_pull(soft: ProbeLight) -> None:
-    assert inputs_of([soft, ConstantLight((2.0, 2.0, 2.0))]).brightest == pytest.approx(3.0 + 2 * 0.8 / 3, rel=0.01)
+    assert inputs_of([soft, ConstantLight((2.0, 2.0, 2.0))]).brightest == pytest.approx(
+        3.0 + 2 * 0.8 / 3, rel=0.01
+    )
 
 
 @pytest.mark.parametrize(
@@ -315,13 +363,15 @@ def test_light_beyond_what_frames_hold_is_refused(lights: list[Light], word: str
 
 
 def test_vicinity_shading_reads_direct_light_that_is_there() -> None:
-    transfer, constant = plan_of([SkyLight()]), plan_of([WHITE], PlanOverrides(precision="single"))
+    transfer = plan_of([SkyLight()])
+    constant = plan_of([WHITE], PlanOverrides(precision="single"))
     assert vicinity_plan(transfer).layers == transfer.layers[:1]
     assert vicinity_plan(constant).layers == (Layer("direct", half=False),)
     assert vicinity_plan(constant).bounces == 0
 
 
-# --- the budget against measurements ----------------------------------------------------------------------------------
+# --- the budget against measurements
+# ----------------------------------------------------------------------------------
 
 
 ORDERS = {"order": 6, "indirect_order": 3}
@@ -339,7 +389,9 @@ def engine(folder: Path, precision: str) -> TexelLight:
 
 
 def luminances(light: TexelLight, lights: np.ndarray, order: int) -> np.ndarray:
-    """Luminance of each texel that holds light under each of the ``lights`` (k, n²), bands below ``order`` alone."""
+    """Luminance of each texel that holds light under each of the ``lights`` (k, n²), bands below
+    ``order`` alone.
+    """
     return light.transfer[~light.void, 0, : order**2] @ lights[:, : order**2].T
 
 
@@ -359,10 +411,15 @@ def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precisi
     inputs = inputs_of(lights)
     still = project_environment(inputs.environment, 6)
     turns = np.array(
-        [LUMINANCE_WEIGHTS @ rotated_by(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()]
+        [
+            LUMINANCE_WEIGHTS @ rotated_by(still, matrix)
+            for matrix in Rotation.random(24, rng=3).as_matrix()
+        ]
     )
     measured = rounding_of(engine(shared_data, precision), engine(shared_data, "single"), turns, 6)
-    expected = rounding_error(plan_scene(inputs, PlanOverrides(**ORDERS, precision=precision)).layers, inputs)
+    expected = rounding_error(
+        plan_scene(inputs, PlanOverrides(**ORDERS, precision=precision)).layers, inputs
+    )
     assert expected / 1.5 < measured < expected * 1.5
 
 
@@ -370,9 +427,12 @@ def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precisi
 @pytest.mark.data
 @pytest.mark.slow
 def test_one_number_errs_as_the_budget_says(shared_data: Path) -> None:
-    measured = rounding_of(engine(shared_data, "half"), engine(shared_data, "single"), np.ones((1, 1)), 1)
+    measured = rounding_of(
+        engine(shared_data, "half"), engine(shared_data, "single"), np.ones((1, 1)), 1
+    )
     expected = rounding_error(
-        plan_scene(inputs_of([ConstantLight()]), PlanOverrides()).layers, inputs_of([ConstantLight()])
+        plan_scene(inputs_of([ConstantLight()]), PlanOverrides()).layers,
+        inputs_of([ConstantLight()]),
     )
     assert measured == pytest.approx(expected, rel=0.2)
 
@@ -391,8 +451,12 @@ SUN = SkyLight()
         ([SUN], {"rotating": False}, 1),
     ],
 )
-def test_paths_branch_where_reflections_are_noisier(lights: list[Any], changes: dict[str, Any], branches: int) -> None:
-    """Without its lobes direct light is soft, and the light that is reflected is not, unless little is."""
+def test_paths_branch_where_reflections_are_noisier(
+    lights: list[Any], changes: dict[str, Any], branches: int
+) -> None:
+    """Without its lobes direct light is soft, and the light that is reflected is not, unless little
+    is.
+    """
     assert plan_of(lights, **changes).branches == branches
 
 
@@ -405,7 +469,9 @@ def test_plans_of_one_light_have_the_same_branches() -> None:
 
 def test_single_floats_do_not_err() -> None:
     inputs = inputs_of([ConstantLight()])
-    assert rounding_error(plan_scene(inputs, PlanOverrides(precision="single")).layers, inputs) == 0.0
+    assert (
+        rounding_error(plan_scene(inputs, PlanOverrides(precision="single")).layers, inputs) == 0.0
+    )
 
 
 def test_constant_light_loses_nothing_to_harmonics() -> None:
@@ -418,4 +484,6 @@ def test_the_tail_of_bounces_bounds_what_a_closed_hollow_loses(bounces: int) -> 
     """In a furnace each bounce brings R times the last: of all light the rest is R^(b + 1)."""
     albedo = 0.7
     series = albedo ** np.arange(400)
-    assert tail_of_bounces((albedo, 0.1, 0.2), bounces) == pytest.approx(series[bounces + 1 :].sum() / series.sum())
+    assert tail_of_bounces((albedo, 0.1, 0.2), bounces) == pytest.approx(
+        series[bounces + 1 :].sum() / series.sum()
+    )

@@ -1,4 +1,6 @@
-"""Where texels are projected: stiffness of known fields, levels of a range, and what plans make of both."""
+"""Where texels are projected: stiffness of known fields, levels of a range, and what plans make of
+both.
+"""
 
 import math
 import re
@@ -40,7 +42,9 @@ def ball(width: float) -> np.ndarray:
     """A ball of radius 13 whose skin is a ramp of ``width`` voxels; a mask where that is 0."""
     z, y, x = np.indices((SIDE,) * 3) - (SIDE - 1) / 2
     distance = np.sqrt(x * x + y * y + z * z) - 13.1
-    return np.clip(0.5 - distance / width, 0.0, 1.0) if width else (distance < 0.0).astype(float)
+    if width:
+        return np.clip(0.5 - distance / width, 0.0, 1.0)
+    return (distance < 0.0).astype(float)
 
 
 def stiffness(voxels: np.ndarray, *levels: float) -> Stiffness:
@@ -49,7 +53,9 @@ def stiffness(voxels: np.ndarray, *levels: float) -> Stiffness:
 
 def shares(found: Stiffness) -> tuple[float, float, float]:
     """Steep, plateau, noisy at the first isovalue."""
-    steep, plateau, noisy = (float(found.share(each)[0]) for each in (found.steep, found.plateau, found.noisy))
+    steep, plateau, noisy = (
+        float(found.share(each)[0]) for each in (found.steep, found.plateau, found.noisy)
+    )
     return steep, plateau, noisy
 
 
@@ -96,7 +102,8 @@ def test_a_surface_meets_the_faces_that_it_leads_to() -> None:
 def test_cells_beside_a_hole_are_counted() -> None:
     voxels = ball(8.0)
     voxels[SIDE // 2, SIDE // 2, SIDE // 2 + 13] = np.nan
-    found, whole = stiffness(voxels), stiffness(ball(8.0))
+    found = stiffness(voxels)
+    whole = stiffness(ball(8.0))
     assert whole.holed[0] == 0 and 0 < found.holed[0] < 50
     assert 0 < whole.cells[0] - found.cells[0] <= 8
 
@@ -104,7 +111,9 @@ def test_cells_beside_a_hole_are_counted() -> None:
 def test_levels_ascend_and_threads_do_not_change_counts() -> None:
     voxels = np.random.default_rng(4).random((33, 12, 13))
     tiles = Tiles(3)
-    one, many = (measure_stiffness(field_of(voxels), (0.7, 0.2, 0.7), run) for run in (serially, tiles.run))
+    one, many = (
+        measure_stiffness(field_of(voxels), (0.7, 0.2, 0.7), run) for run in (serially, tiles.run)
+    )
     tiles.close()
     assert one.levels.tolist() == np.float32([0.2, 0.7]).tolist()
     for name in ("cells", "steep", "plateau", "noisy", "holed", "faces"):
@@ -118,10 +127,13 @@ def test_a_stiffer_surface_is_expected_to_err_more() -> None:
     assert soft.likely < steep.likely < noise.likely
 
 
-# --- levels of a range ------------------------------------------------------------------------------------------------
+# --- levels of a range
+# ------------------------------------------------------------------------------------------------
 
 
-def radial(profile, size: int = 33, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0), **made) -> Volume:  # type: ignore[no-untyped-def]
+def radial(
+    profile, size: int = 33, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0), **made
+) -> Volume:  # type: ignore[no-untyped-def]
     """A volume of a ``profile`` of the distance from its middle, in the world."""
     axes = [(np.arange(size) - (size - 1) / 2.0) * step for step in spacing[::-1]]
     z, y, x = np.meshgrid(*axes, indexing="ij")
@@ -136,19 +148,27 @@ def test_uniform_levels_are_middles_of_equal_parts() -> None:
 
 @pytest.mark.parametrize("solid", ["above", "below"])
 def test_adaptive_surfaces_are_evenly_spaced(solid: str) -> None:
-    """Of f = r², whose surfaces are balls of radius √c: even levels crowd outside, adaptive ones do not."""
+    """Of f = r², whose surfaces are balls of radius √c: even levels crowd outside, adaptive ones do
+    not.
+    """
     volume = radial(lambda r: r * r, size=65, solid=solid)
     levels = sample_range(volume, (100.0, 900.0), 12, "adaptive")
     radii = np.sqrt(levels.levels)
     even = np.sqrt(sample_range(volume, (100.0, 900.0), 12, "uniform").levels)
     assert (np.diff(levels.levels) > 0.0).all()
-    assert np.diff(radii).std() / np.diff(radii).mean() < 0.2 < np.diff(even).std() / np.diff(even).mean()
+    assert (
+        np.diff(radii).std() / np.diff(radii).mean()
+        < 0.2
+        < np.diff(even).std() / np.diff(even).mean()
+    )
     assert levels.softened == 0.0
     assert levels.note == ""
 
 
 def test_the_least_gradient_is_that_of_the_field() -> None:
-    """|∇f| = 2r of f = r², whatever the voxels' shape; those of a cell's middle, next to the surface."""
+    """|∇f| = 2r of f = r², whatever the voxels' shape; those of a cell's middle, next to the
+    surface.
+    """
     volume = radial(lambda r: r * r, size=65, spacing=(0.5, 1.0, 0.75))
     low, high = (float(volume.normalise_isovalue(each)) for each in (25.0, 225.0))
     found = least_gradients(volume, (low, high)) * abs(volume.scale)
@@ -160,7 +180,8 @@ def test_the_least_gradient_is_that_of_the_field() -> None:
 def test_of_a_large_volume_some_cells_say_nearly_the_same() -> None:
     volume = radial(lambda r: r * r, size=65)
     whole, some = (
-        sample_range(volume, (100.0, 900.0), 12, "adaptive", most).levels for most in (np.inf, volume.voxels.size / 40)
+        sample_range(volume, (100.0, 900.0), 12, "adaptive", most).levels
+        for most in (np.inf, volume.voxels.size / 40)
     )
     assert some != whole
     np.testing.assert_allclose(np.sqrt(some), np.sqrt(whole), atol=0.5)
@@ -211,7 +232,9 @@ def test_noise_leaves_even_levels_and_says_so() -> None:
 
 def test_no_level_is_in_a_gap_of_the_range() -> None:
     """Two plateaus, 0 and 10, a step between: no surface lies beyond 10, and levels stay below."""
-    volume = make_volume(np.repeat([0.0, 10.0, 20.0], [8, 8, 1])[:, None, None] * np.ones((1, 6, 6), np.float32))
+    volume = make_volume(
+        np.repeat([0.0, 10.0, 20.0], [8, 8, 1])[:, None, None] * np.ones((1, 6, 6), np.float32)
+    )
     volume.voxels[-1] = np.nan
     levels = sample_range(volume, (0.0, 20.0), 6, "adaptive").levels
     assert min(levels) > 0.0
@@ -219,17 +242,23 @@ def test_no_level_is_in_a_gap_of_the_range() -> None:
 
 
 def test_ranges_of_powers_of_two_spread_to_their_places() -> None:
-    draw, places = np.random.default_rng(1), 64
-    table, expected = np.full((7, places), np.inf), np.full(places, np.inf)
+    draw = np.random.default_rng(1)
+    places = 64
+    table = np.full((7, places), np.inf)
+    expected = np.full(places, np.inf)
     for _ in range(40):
         level = int(draw.integers(7))
-        first, value = int(draw.integers(places - (1 << level) + 1)), float(draw.random())
+        first = int(draw.integers(places - (1 << level) + 1))
+        value = float(draw.random())
         table[level, first] = min(table[level, first], value)
-        expected[first : first + (1 << level)] = np.minimum(expected[first : first + (1 << level)], value)
+        expected[first : first + (1 << level)] = np.minimum(
+            expected[first : first + (1 << level)], value
+        )
     np.testing.assert_array_equal(spread_down(table), expected)
 
 
-# --- plans ------------------------------------------------------------------------------------------------------------
+# --- plans
+# --------------------------------------------------------------------------------------------------
 
 
 def level(value: float) -> Isovalue:
@@ -248,8 +277,21 @@ def stepped(height: float) -> np.ndarray:
 
 def test_the_error_at_the_nearest_level_counts() -> None:
     plan = plan_of([0.0, 0.02, 0.005])
-    assert [plan.error(level(at)) for at in (-3, 0, 0.4, 0.6, 1, 1.4, 1.6, 9)] == [0, 0, 0, *[0.02] * 3, 0.005, 0.005]
-    assert [plan.projects(level(at)) for at in (0, 0.4, 1, 1.4, 2)] == [False, False, True, True, False]
+    assert [plan.error(level(at)) for at in (-3, 0, 0.4, 0.6, 1, 1.4, 1.6, 9)] == [
+        0,
+        0,
+        0,
+        *[0.02] * 3,
+        0.005,
+        0.005,
+    ]
+    assert [plan.projects(level(at)) for at in (0, 0.4, 1, 1.4, 2)] == [
+        False,
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -262,7 +304,9 @@ def test_the_error_at_the_nearest_level_counts() -> None:
         ([0.02], [(0.0, 0.0)]),
     ],
 )
-def test_spans_hold_just_the_isovalues_that_project(errors: list[float], spans: list[tuple[float, float]]) -> None:
+def test_spans_hold_just_the_isovalues_that_project(
+    errors: list[float], spans: list[tuple[float, float]]
+) -> None:
     plan = plan_of(errors)
     assert plan.spans() == spans and plan.any == bool(spans)
     for at in np.linspace(0.0, len(errors) - 1, 8 * len(errors)).tolist():
@@ -271,8 +315,11 @@ def test_spans_hold_just_the_isovalues_that_project(errors: list[float], spans: 
 
 
 def test_a_steep_surface_is_projected_and_a_smooth_one_is_not() -> None:
-    """The error of a step is SMOOTH_ERROR + STEEP_ERROR: above what a target of 2 % allows, and below that of 4 %."""
-    field, span = field_of(stepped(2.0)), (level(0.0), level(3.0))
+    """The error of a step is SMOOTH_ERROR + STEEP_ERROR: above what a target of 2 % allows, and
+    below that of 4 %.
+    """
+    field = field_of(stepped(2.0))
+    span = (level(0.0), level(3.0))
     plan = plan_projection(field, span, level(2.0), 0.02)
     assert plan.allowed == pytest.approx(INTERPOLATION * 0.02)
     assert plan.error(level(0.5)) == pytest.approx(SMOOTH_ERROR)
@@ -284,11 +331,18 @@ def test_a_steep_surface_is_projected_and_a_smooth_one_is_not() -> None:
 def test_a_sample_of_layers_tells_what_all_of_them_tell() -> None:
     rng = np.random.default_rng(3)
     z, y, x = np.mgrid[:64, :40, :40]
-    voxels = (np.hypot(np.hypot(x - 20, y - 20), z / 2 - 16) / 20 + 0.1 * rng.normal(size=x.shape)).astype(np.float32)
-    whole, part = (measure_stiffness(field_of(voxels), (0.4, 0.6), most=most) for most in (None, voxels.size // 8))
+    voxels = (
+        np.hypot(np.hypot(x - 20, y - 20), z / 2 - 16) / 20 + 0.1 * rng.normal(size=x.shape)
+    ).astype(np.float32)
+    whole, part = (
+        measure_stiffness(field_of(voxels), (0.4, 0.6), most=most)
+        for most in (None, voxels.size // 8)
+    )
     assert (part.cells < 0.2 * whole.cells).all() and (part.cells > 0.05 * whole.cells).all()
     for place in range(2):
-        assert part.expectation(place).likely == pytest.approx(whole.expectation(place).likely, rel=0.1)
+        assert part.expectation(place).likely == pytest.approx(
+            whole.expectation(place).likely, rel=0.1
+        )
         assert whole.expectation(place).likely > SMOOTH_ERROR + 0.2 * NOISY_ERROR
 
 

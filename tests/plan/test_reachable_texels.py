@@ -1,4 +1,6 @@
-"""Texels that isovalues can show, against loops over cells, real frames and the bake's own normals."""
+"""Texels that isovalues can show, against loops over cells, real frames and the bake's own
+normals.
+"""
 
 import tracemalloc
 
@@ -35,12 +37,16 @@ def steps(seed: int, shape: tuple[int, int, int] = (7, 8, 9)) -> np.ndarray:
 
 
 def may_show_a_surface(corners: np.ndarray, lowest: float, highest: float) -> bool:
-    """Whether some isovalue of the range, tried at every value and between any two, parts the corners or is at one."""
+    """Whether some isovalue of the range, tried at every value and between any two, parts the
+    corners or is at one.
+    """
     levels = np.unique(np.append(corners, [lowest, highest]))
     levels = np.append(levels, (levels[1:] + levels[:-1]) / 2)
     levels = levels[(levels >= lowest) & (levels <= highest)]
     flat = corners.min() == corners.max()
-    return not flat and any((corners >= level).any() and (corners <= level).any() for level in levels)
+    return not flat and any(
+        (corners >= level).any() and (corners <= level).any() for level in levels
+    )
 
 
 @pytest.mark.parametrize("span", [(0.5, 0.5), (0.3, 0.3), (0.0, 1.0), (0.1, 0.4), (0.25, 0.5)])
@@ -48,7 +54,9 @@ def test_surface_cells_are_cut_or_touched_by_some_isovalue(span: tuple[float, fl
     voxels = steps(1)
     found = surface_cells(voxels, *span)
     for z, y, x in np.ndindex(found.shape):
-        assert found[z, y, x] == may_show_a_surface(voxels[z : z + 2, y : y + 2, x : x + 2].ravel(), *span)
+        assert found[z, y, x] == may_show_a_surface(
+            voxels[z : z + 2, y : y + 2, x : x + 2].ravel(), *span
+        )
 
 
 def test_cells_with_a_hole_hold_no_surface() -> None:
@@ -60,13 +68,16 @@ def test_cells_with_a_hole_hold_no_surface() -> None:
 
 @pytest.mark.parametrize("shape", [(7, 8, 9), (4, 4, 5), (13, 15, 17), (2, 2, 2), (5, 11, 9)])
 @pytest.mark.parametrize("size", [1, 4, 99])
-def test_shown_texels_are_corners_of_cells_over_a_surface(shape: tuple[int, int, int], size: int) -> None:
+def test_shown_texels_are_corners_of_cells_over_a_surface(
+    shape: tuple[int, int, int], size: int
+) -> None:
     cells = np.random.default_rng(3).random((6, 7, 8)) < 0.03
     expected = np.zeros(shape, np.bool_)
     step = [n / (t - 1) for n, t in zip(cells.shape, shape, strict=True)]
     for lattice_cell in np.ndindex(*(t - 1 for t in shape)):
         over = tuple(
-            slice(int(np.floor(i * s)), int(np.ceil((i + 1) * s))) for i, s in zip(lattice_cell, step, strict=True)
+            slice(int(np.floor(i * s)), int(np.ceil((i + 1) * s)))
+            for i, s in zip(lattice_cell, step, strict=True)
         )
         if cells[over].any():
             expected[tuple(slice(i, i + 2) for i in lattice_cell)] = True
@@ -79,7 +90,9 @@ def test_void_texels_are_those_that_the_bake_finds(lattice: float) -> None:
     volume = make_volume(np.kron(steps(6, (7, 7, 9)), np.ones((5, 5, 5), np.float32)))
     prepared = PreparedScene(scene_of(volume, 0.5, lattice=lattice))
     places = np.arange(np.prod(prepared.shape))[:: 3 if lattice > 1.0 else 1]
-    _, void = locate(np.stack(np.unravel_index(places, prepared.shape), axis=-1).astype(np.int32), prepared)
+    _, void = locate(
+        np.stack(np.unravel_index(places, prepared.shape), axis=-1).astype(np.int32), prepared
+    )
     assert 0.01 < void.mean() < 0.9
     assert np.array_equal(void_texels(prepared.field, prepared.shape, places), void)
 
@@ -92,7 +105,8 @@ def orbital() -> Scene:
 @pytest.mark.parametrize("lattice", [1.0, 0.5, 1.5])
 def test_views_read_no_texel_that_counts_as_unseen(orbital: Scene, lattice: float) -> None:
     scene = load_scene("demo:orbital", lattice=lattice, isovalues=[orbital.isovalue] * 2)
-    prepared, tiles = PreparedScene(scene), Tiles(1)
+    prepared = PreparedScene(scene)
+    tiles = Tiles(1)
     level = scene.volume.normalise_isovalue(scene.isovalue)
     shown = shown_texels(surface_cells(scene.volume.voxels, level, level), prepared.shape)
     for azimuth in (0.0, 120.0, 240.0):
@@ -100,7 +114,9 @@ def test_views_read_no_texel_that_counts_as_unseen(orbital: Scene, lattice: floa
         texels = find_texels(trace(view, prepared.surface(view.isovalue), tiles), prepared, tiles)
         assert texels.chunks
         for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
-            inside = np.stack(np.unravel_index(offsets, (CHUNK,) * 3)) + np.array(index)[:, None] * CHUNK
+            inside = (
+                np.stack(np.unravel_index(offsets, (CHUNK,) * 3)) + np.array(index)[:, None] * CHUNK
+            )
             assert shown[tuple(inside)].all()
 
 
@@ -110,12 +126,18 @@ def test_counts(orbital: Scene) -> None:
     count = count_texels(bare_field(orbital.volume.voxels), shape, level, level, CHUNK)
     shown = shown_texels(surface_cells(orbital.volume.voxels, level, level), shape)
     chunks = {tuple(place) for place in np.argwhere(shown) // CHUNK}
-    assert (count.total, count.shown, count.shown_chunks) == (np.prod(shape), shown.sum(), len(chunks))
+    assert (count.total, count.shown, count.shown_chunks) == (
+        np.prod(shape),
+        shown.sum(),
+        len(chunks),
+    )
     assert count.chunks == np.prod([-(-n // CHUNK) for n in shape])
 
 
 def test_void_texels_are_estimated_from_a_sample() -> None:
-    """A lattice of half a texel a voxel over a field of large steps: a share of the shown texels is void."""
+    """A lattice of half a texel a voxel over a field of large steps: a share of the shown texels is
+    void.
+    """
     voxels = np.kron(steps(5, (24, 24, 24)), np.ones((6, 6, 6), np.float32))
     shape = (60, 60, 60)
     count = count_texels(bare_field(voxels), shape, 0.0, 1.0, CHUNK)
@@ -137,7 +159,9 @@ def test_a_sample_is_evenly_taken(most: int) -> None:
 
 
 def test_counting_takes_little_memory_where_all_texels_are_shown() -> None:
-    """Marks take a byte a texel, of a layer of chunks and a few copies of it; those of all would be more."""
+    """Marks take a byte a texel, of a layer of chunks and a few copies of it; those of all would be
+    more.
+    """
     voxels = np.random.default_rng(4).random((160, 160, 160), np.float32)
     field = bare_field(voxels)
     count_texels(field, (2, 2, 2), 0.0, 1.0, CHUNK)  # has its kernel compiled
@@ -153,19 +177,24 @@ def test_a_constant_volume_shows_nothing() -> None:
     assert (count.total, count.shown, count.void, count.shown_chunks) == (125, 0, 0, 0)
 
 
-# --- chunk by chunk ---------------------------------------------------------------------------------------------------
+# --- chunk by chunk
+# --------------------------------------------------------------------------------------------------
 
 
 RANGES = [[(0.5, 0.5)], [(0.2, 0.3), (0.9, 0.95)], [(7.0, 8.0)]]
 
 
-@pytest.mark.parametrize("shape", [(20, 17, 33), (10, 9, 17), (39, 33, 65), (2, 2, 2), (16, 16, 16)])
+@pytest.mark.parametrize(
+    "shape", [(20, 17, 33), (10, 9, 17), (39, 33, 65), (2, 2, 2), (16, 16, 16)]
+)
 @pytest.mark.parametrize("ranges", RANGES)
 def test_chunks_together_hold_what_the_lattice_shows(
     shape: tuple[int, int, int], ranges: list[tuple[float, float]]
 ) -> None:
     voxels = np.random.default_rng(0).random((20, 17, 33)).astype(np.float32).cumsum(axis=0) / 10
-    expected = np.logical_or.reduce([shown_texels(surface_cells(voxels, *each), shape) for each in ranges])
+    expected = np.logical_or.reduce(
+        [shown_texels(surface_cells(voxels, *each), shape) for each in ranges]
+    )
     found = np.zeros(shape, np.bool_)
     for index, offsets in surface_texels(voxels, shape, 8, ranges):
         assert len(offsets) > 0 and (np.diff(offsets) > 0).all()

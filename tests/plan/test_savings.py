@@ -23,7 +23,9 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.loaded import load_scene
 from tests.plan.planning import plan_of
 
-LAMP, SKY, WHITE = DirectionalLight(), SkyLight(), ConstantLight()
+LAMP = DirectionalLight()
+SKY = SkyLight()
+WHITE = ConstantLight()
 RED = (0.8, 0.2, 0.2)
 CASES: dict[str, tuple[list[Light], dict[str, object]]] = {
     "vicinity": ([WHITE], {"albedo": 0.0}),
@@ -49,7 +51,10 @@ def bytes_of(layers: Sequence[Layer]) -> float:
     total = 0
     for layer in layers:
         record = record_type(layer, DEFAULT_CHUNK_SIDE**3)
-        total += sum(record[name].itemsize for name in record.names or () if name in names) // DEFAULT_CHUNK_SIDE**3
+        total += (
+            sum(record[name].itemsize for name in record.names or () if name in names)
+            // DEFAULT_CHUNK_SIDE**3
+        )
     return total
 
 
@@ -99,31 +104,44 @@ def test_channels_are_left_out_where_they_would_be_the_same() -> None:
 
 
 def test_channels_save_what_a_coloured_scene_adds() -> None:
-    grey, coloured = plan_of([WHITE]), plan_of([WHITE], albedo=RED)
+    grey = plan_of([WHITE])
+    coloured = plan_of([WHITE], albedo=RED)
     (saved,) = found(grey)["two of three channels of light"].saves
     assert saved.amount == coloured.bytes_per_texel - grey.bytes_per_texel == 4
 
 
 def test_bands_are_left_out_of_soft_light_alone() -> None:
-    soft, sharp = plan_of([SKY], PlanOverrides(lobes=0), target=0.4), plan_of([SKY], PlanOverrides(lobes=0))
+    soft = plan_of([SKY], PlanOverrides(lobes=0), target=0.4)
+    sharp = plan_of([SKY], PlanOverrides(lobes=0))
     assert any("of direct light" in what and what.startswith("band") for what in found(soft))
     assert not any("of direct light" in what and what.startswith("band") for what in found(sharp))
     order = soft.layers[0].order
-    told = plan_of([SKY], PlanOverrides(order=5, indirect_order=soft.indirect_order, precision="half"))
-    lean = plan_of([SKY], PlanOverrides(order=order, indirect_order=soft.indirect_order, precision="half"))
+    told = plan_of(
+        [SKY], PlanOverrides(order=5, indirect_order=soft.indirect_order, precision="half")
+    )
+    lean = plan_of(
+        [SKY], PlanOverrides(order=order, indirect_order=soft.indirect_order, precision="half")
+    )
     (saved,) = found(lean)[f"bands {order} to 4 of direct light"].saves
     assert saved.amount == bytes_of(told.layers) - bytes_of(lean.layers)
 
 
 def test_bands_of_reflected_light_count_up_to_direct_lights() -> None:
-    plans = [plan_of([SKY], PlanOverrides(order=5, indirect_order=n, precision="half")) for n in (2, 5)]
+    plans = [
+        plan_of([SKY], PlanOverrides(order=5, indirect_order=n, precision="half")) for n in (2, 5)
+    ]
     (saved,) = found(plans[0])["bands 2 to 4 of reflected light"].saves
     assert saved.amount == bytes_of(plans[1].layers) - bytes_of(plans[0].layers) == 42
-    assert not any(what.endswith("of reflected light") and "band" in what for what in found(plans[1]))
+    assert not any(
+        what.endswith("of reflected light") and "band" in what for what in found(plans[1])
+    )
 
 
 def test_precision_is_left_out_where_it_is_not_kept() -> None:
-    told = {name: PlanOverrides(order=5, indirect_order=3, precision=name) for name in ("bytes", "half", "single")}
+    told = {
+        name: PlanOverrides(order=5, indirect_order=3, precision=name)
+        for name in ("bytes", "half", "single")
+    }
     kept = {name: plan_of([SKY], each) for name, each in told.items()}
     (halves,) = found(kept["half"])["half of each float"].saves
     assert halves.amount == bytes_of(kept["single"].layers) - bytes_of(kept["half"].layers)
@@ -133,26 +151,37 @@ def test_precision_is_left_out_where_it_is_not_kept() -> None:
 
 
 def test_reflected_light_is_left_out_where_there_is_none() -> None:
-    dark, told, lit = plan_of([SKY], albedo=0.0), plan_of([SKY], PlanOverrides(bounces=0)), plan_of([SKY])
+    dark = plan_of([SKY], albedo=0.0)
+    told = plan_of([SKY], PlanOverrides(bounces=0))
+    lit = plan_of([SKY])
     assert found(dark)["reflected light"].why == "Nothing is reflected at albedo 0."
     assert "asks" in found(told)["reflected light"].why
     assert "reflected light" not in found(lit)
-    saved = {each.unit: each.amount for each in found(lit)[f"bounces after number {lit.bounces}"].saves}
+    saved = {
+        each.unit: each.amount for each in found(lit)[f"bounces after number {lit.bounces}"].saves
+    }
     assert saved == {"rays per path, at most": LONGEST_PATH - lit.bounces}
 
 
 @pytest.mark.parametrize(("albedo", "told"), [(0.999, None), (1.0, None), (0.7, 1000)])
-def test_bounces_of_the_longest_paths_save_no_number_of_rays(albedo: float, told: int | None) -> None:
+def test_bounces_of_the_longest_paths_save_no_number_of_rays(
+    albedo: float, told: int | None
+) -> None:
     plan = plan_of([SKY], PlanOverrides(bounces=told), albedo=albedo)
     assert plan.bounces == (told or LONGEST_PATH)
     left = found(plan)[f"bounces after number {plan.bounces}"]
     assert left.saves == ()
-    assert left.why == f"They would bring at most {100 * albedo ** (plan.bounces + 1):.3g}% of the light."
+    assert (
+        left.why
+        == f"They would bring at most {100 * albedo ** (plan.bounces + 1):.3g}% of the light."
+    )
 
 
 def test_savings_of_roulette_are_given_where_measured() -> None:
     def saved(albedo: float, **told: int) -> tuple[Saving, ...]:
-        return found(plan_of([SKY], PlanOverrides(**told), albedo=albedo))["the rest of paths that end by chance"].saves
+        return found(plan_of([SKY], PlanOverrides(**told), albedo=albedo))[
+            "the rest of paths that end by chance"
+        ].saves
 
     measured = (Saving(21, "percent of rays", measured=True),)
     assert saved(0.5) == saved(0.95) == saved(0.7, bounces=30) == measured
@@ -182,7 +211,10 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
 def test_unwritten_chunks_save_megabytes_and_single_texels_none() -> None:
     """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
-    left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30, DEFAULT_CHUNK_SIDE), plan)}
+    left = {
+        each.what: each.saves
+        for each in unseen(TexelCount(1000, 300, 20, 40, 30, DEFAULT_CHUNK_SIDE), plan)
+    }
     assert [(saved.amount, saved.unit) for saved in left["unseen texels"]] == [(700, "texels")]
     assert [(saved.amount, saved.unit) for saved in left["void texels"]] == [(20, "texels")]
     chunks, megabytes = left["empty chunks"]
@@ -194,7 +226,8 @@ def test_unwritten_chunks_save_megabytes_and_single_texels_none() -> None:
 
 
 def test_a_scene_leaves_out_by_its_plan_and_unseen_texels() -> None:
-    wide, one = load_scene("demo:orbital"), load_scene("demo:orbital", isovalues=[0.3, 0.3])
+    wide = load_scene("demo:orbital")
+    one = load_scene("demo:orbital", isovalues=[0.3, 0.3])
     assert one.isovalue == 0.3
     assert one.left_out[: len(one.plan.left_out)] == one.plan.left_out
     assert one.texels.shown < wide.texels.shown <= wide.texels.total == np.prod(wide.lattice_shape)
@@ -205,14 +238,19 @@ def test_a_scene_leaves_out_by_its_plan_and_unseen_texels() -> None:
 def test_a_bake_says_what_plan_it_was_made_by() -> None:
     scene = load_scene("demo:orbital")
     for layer in scene.plan.layers:
-        plan = json.loads(json.dumps(layer_attributes(layer, PreparedScene(scene)), allow_nan=False))["plan"]
+        plan = json.loads(
+            json.dumps(layer_attributes(layer, PreparedScene(scene)), allow_nan=False)
+        )["plan"]
         assert (plan["representation"], plan["bounces"]) == ("transfer", scene.bounces)
         assert [kept["kind"] for kept in plan["layers"]] == ["direct", "indirect"]
-        assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]
+        assert [each["what"] for each in plan["left_out"]] == [
+            each.what for each in scene.plan.left_out
+        ]
 
 
 @pytest.mark.parametrize(
-    ("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False), ([LAMP], False), ([WHITE, LAMP], False)]
+    ("lights", "rotating"),
+    [([WHITE], True), ([SKY], True), ([SKY], False), ([LAMP], False), ([WHITE, LAMP], False)],
 )
 def test_kernels_that_are_left_out_are_not_made_ready(lights: list[Light], rotating: bool) -> None:
     """A server that shows the scene alone neither loads nor compiles them."""

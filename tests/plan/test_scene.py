@@ -1,4 +1,6 @@
-"""Scenes: read from TOML, from a bare volume, or built in; their defaults, their names, and what they refuse."""
+"""Scenes: read from TOML, from a bare volume, or built in; their defaults, their names, and what
+they refuse.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -59,7 +61,11 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
         """,
     )
     assert (scene.id, scene.name) == ("my-scene-1", "My Scene, 1")
-    assert (scene.isovalue, scene.isovalues, scene.surfaces.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
+    assert (scene.isovalue, scene.isovalues, scene.surfaces.albedo) == (
+        70.0,
+        (40.0, 100.5),
+        (0.7, 0.6, 0.5),
+    )
     assert (scene.bounces, scene.plan.representation, scene.plan.channels) == (4, "irradiance", 3)
     assert (scene.solid, scene.settings.lattice, scene.target_error, scene.lighting.rotating) == (
         "below",
@@ -67,7 +73,9 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
         0.05,
         False,
     )
-    assert scene.settings.projection == "orthographic" and scene.camera(0.0, 0.0, 3.0, 30.0).fov < 1e-4
+    assert (
+        scene.settings.projection == "orthographic" and scene.camera(0.0, 0.0, 3.0, 30.0).fov < 1e-4
+    )
     assert scene.volume.shape == (6, 5, 4) and scene.volume.spacing == (1.0, 1.0, 3.0)
     assert [type(light) for light in scene.lighting.lights] == [ConstantLight, SkyLight]
     assert scene.lighting.environment.constant.tolist() == [1.0, 2.0, 3.0]
@@ -77,8 +85,14 @@ def test_a_bare_volume_is_a_scene_with_defaults(folder: Path) -> None:
     scene = load_scene(folder / "ramp.nrrd")
     assert scene.id == scene.name == "ramp"
     assert scene.volume.spacing == (1.0, 2.0, 0.5)
-    assert scene.isovalues == (0.0, 119.0) and 50.0 < scene.isovalue < 70.0, "Otsu's threshold halves a ramp"
-    assert scene.surfaces.albedo == (0.7, 0.7, 0.7) and scene.settings.lattice == 1.0 and scene.target_error == 0.02
+    assert scene.isovalues == (0.0, 119.0) and 50.0 < scene.isovalue < 70.0, (
+        "Otsu's threshold halves a ramp"
+    )
+    assert (
+        scene.surfaces.albedo == (0.7, 0.7, 0.7)
+        and scene.settings.lattice == 1.0
+        and scene.target_error == 0.02
+    )
     assert scene.lighting.rotating and scene.solid == "above" and scene.bounces == 12
     assert scene.lighting.lights == (SkyLight(),)
 
@@ -99,14 +113,21 @@ def test_presets_are_those_that_the_scene_names_in_its_order(folder: Path) -> No
     told = '[{name = "bone", isovalue = 90}, {name = " skin", isovalue = 30.5}]'
     scene = scene_of(folder, f'volume = "ramp.nrrd"\nisovalues = [20, 110]\npresets = {told}')
     assert scene.presets == (Preset("bone", 90.0), Preset("skin", 30.5))
-    assert scene.bake_digest == scene_of(folder, 'volume = "ramp.nrrd"\nisovalues = [20, 110]').bake_digest
+    assert (
+        scene.bake_digest
+        == scene_of(folder, 'volume = "ramp.nrrd"\nisovalues = [20, 110]').bake_digest
+    )
 
 
 def test_presets_are_suggested_where_the_scene_names_none() -> None:
-    assert load_scene(ORBITAL).presets == suggested_presets(find_boundaries(load_scene(ORBITAL).volume, (0.0, 1.0)))
+    assert load_scene(ORBITAL).presets == suggested_presets(
+        find_boundaries(load_scene(ORBITAL).volume, (0.0, 1.0))
+    )
 
 
-@pytest.mark.parametrize(("missing", "holes"), [("119", 1), ("[0, 119]", 2), ("[]", 0), ("-9999", 0)])
+@pytest.mark.parametrize(
+    ("missing", "holes"), [("119", 1), ("[0, 119]", 2), ("[]", 0), ("-9999", 0)]
+)
 def test_values_that_are_missing_are_holes(folder: Path, missing: str, holes: int) -> None:
     scene = scene_of(folder, f'volume = "ramp.nrrd"\nmissing = {missing}')
     assert scene.volume.holes == holes
@@ -191,7 +212,10 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("presets = [{name = 'a', isovalue = 500}]", "'a' has isovalue 500"),
         ("presets = [{name = 'a', isovalue = true}]", "'a' has isovalue True"),
         ("presets = [{name = 'a', isovalue = 3}, {name = 'a', isovalue = 4}]", "same name"),
-        (f"presets = [{', '.join(f'{{name = {str(i)!r}, isovalue = 3}}' for i in range(25))}]", "at most 24"),
+        (
+            f"presets = [{', '.join(f'{{name = {str(i)!r}, isovalue = 3}}' for i in range(25))}]",
+            "at most 24",
+        ),
     ],
 )
 def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, word: str) -> None:
@@ -209,7 +233,10 @@ def test_a_misspelt_setting_is_answered_with_the_nearest(folder: Path) -> None:
     ("line", "word"),
     [
         ('lights = [{ type = "prob", file = "a.hdr" }]', "'prob': did you mean 'probe'?"),
-        ('lights = [{ type = "sky", sun_azimut = 3 }]', "'sun_azimut': did you mean 'sun_azimuth'?"),
+        (
+            'lights = [{ type = "sky", sun_azimut = 3 }]',
+            "'sun_azimut': did you mean 'sun_azimuth'?",
+        ),
         ("[shine]\nroughnes = 1", "'roughnes': did you mean 'roughness'?"),
     ],
 )
@@ -245,11 +272,21 @@ def test_former_settings_are_none_that_scenes_have(folder: Path) -> None:
         ('volume = "ramp.nrrd"\nspacing = [1, 0, 1]', VolumeError, "spacing"),
         ('volume = "gone.nrrd"', VolumeError, "gone.nrrd"),
         ('volume = "ramp.nrrd"\n[[lights]]\ntype = "lamp"', SceneError, "lamp"),
-        (f'volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = {10**400}', SceneError, "radiance"),
-        ('volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = -1', LightError, "radiance"),
+        (
+            f'volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = {10**400}',
+            SceneError,
+            "radiance",
+        ),
+        (
+            'volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = -1',
+            LightError,
+            "radiance",
+        ),
     ],
 )
-def test_a_kernel_that_cannot_be_built_says_why(folder: Path, text: str, error: type[IsogiError], word: str) -> None:
+def test_a_kernel_that_cannot_be_built_says_why(
+    folder: Path, text: str, error: type[IsogiError], word: str
+) -> None:
     with pytest.raises(error, match=word):
         scene_of(folder, text)
 
@@ -280,7 +317,11 @@ def test_shine_changes_frames_and_not_bakes(folder: Path) -> None:
 def test_light_and_target_change_frames_and_not_bakes() -> None:
     same: dict[str, Any] = {"order": 3, "indirect_order": 2, "bounces": 4, "precision": "half"}
     plain = load_scene(ORBITAL, **same)
-    for change in ({"lights": [{"type": "sky", "sun_elevation": 20.0}]}, {"target_error": 0.3}, {"lobes": 0}):
+    for change in (
+        {"lights": [{"type": "sky", "sun_elevation": 20.0}]},
+        {"target_error": 0.3},
+        {"lobes": 0},
+    ):
         other = load_scene(ORBITAL, **same, **change)
         assert other.bake_digest == plain.bake_digest and other.digest != plain.digest
     assert load_scene(ORBITAL, isovalue=0.1, **same).digest == plain.digest
@@ -309,18 +350,25 @@ def test_light_and_target_change_frames_and_not_bakes() -> None:
         ({"normals": "bspline", "offset": 0.3}, ["direct", "indirect"]),
     ],
 )
-def test_a_layers_digest_holds_what_it_depends_on_alone(change: dict[str, Any], kinds: list[str]) -> None:
+def test_a_layers_digest_holds_what_it_depends_on_alone(
+    change: dict[str, Any], kinds: list[str]
+) -> None:
     """Of the layers of the changed scene, those that the plain one has baked too."""
-    plain, other = loaded.load_scene(ORBITAL, bounces=5), load_scene(ORBITAL, **{"bounces": 5, **change})
+    plain = loaded.load_scene(ORBITAL, bounces=5)
+    other = load_scene(ORBITAL, **{"bounces": 5, **change})
     known = {plain.layer_digest(layer) for layer in plain.plan.layers}
-    assert [layer.kind for layer in other.plan.layers if other.layer_digest(layer) in known] == kinds
+    assert [
+        layer.kind for layer in other.plan.layers if other.layer_digest(layer) in known
+    ] == kinds
 
 
 @pytest.mark.parametrize("change", [{"survival": 1.0}, {"branches": 1}, {"branches": 2}], ids=str)
 def test_the_digest_of_reflected_light_holds_what_paths_do(change: dict[str, Any]) -> None:
     plain = load_scene(ORBITAL)
     other = replace(plain, plan=replace(plain.plan, **change))
-    direct, indirect = (plain.layer_digest(layer) == other.layer_digest(layer) for layer in plain.plan.layers)
+    direct, indirect = (
+        plain.layer_digest(layer) == other.layer_digest(layer) for layer in plain.plan.layers
+    )
     assert other.plan != plain.plan and direct and not indirect
 
 
@@ -393,9 +441,16 @@ def test_a_view_of_values_without_gaps_starts_at_an_edge(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("sign", "text", "solid"),
-    [(1, "", "above"), (-1, "", "below"), (-1, 'solid = "above"', "above"), (1, 'solid = "below"', "below")],
+    [
+        (1, "", "above"),
+        (-1, "", "below"),
+        (-1, 'solid = "above"', "above"),
+        (1, 'solid = "below"', "below"),
+    ],
 )
-def test_a_volume_inside_out_is_turned_out(tmp_path: Path, sign: int, text: str, solid: str) -> None:
+def test_a_volume_inside_out_is_turned_out(
+    tmp_path: Path, sign: int, text: str, solid: str
+) -> None:
     """A ball in the middle: its values are high, or it is a field of distances from its centre."""
     z, y, x = np.mgrid[-6:7, -6:7, -6:7]
     np.save(tmp_path / "ball.npy", (sign * (6.0 - np.sqrt(x**2 + y**2 + z**2))).astype(np.float32))
@@ -405,7 +460,10 @@ def test_a_volume_inside_out_is_turned_out(tmp_path: Path, sign: int, text: str,
 
 def test_which_side_is_solid_may_follow_a_volumes_name(tmp_path: Path) -> None:
     np.save(tmp_path / "low.npy", np.arange(64.0, dtype=np.float32).reshape(4, 4, 4))
-    assert [load_scene(f"{tmp_path / 'low.npy'}{told}").solid for told in ("", "#solid=below")] == ["above", "below"]
+    assert [load_scene(f"{tmp_path / 'low.npy'}{told}").solid for told in ("", "#solid=below")] == [
+        "above",
+        "below",
+    ]
 
 
 @pytest.mark.parametrize("factor", [1e-310, 1e-200, 1e200, 1.7e308])
@@ -451,7 +509,11 @@ TRANSFER = "order = 3\nindirect_order = 2\nbounces = 4\nlobes = 0"
     ],
 )
 def test_known_digests_of_layers(folder: Path, text: str, digests: list[str]) -> None:
-    """Baked light is found by these names: where they change, all stores are baked anew. See BAKE_FORMAT."""
+    """Baked light is found by these names: where they change, all stores are baked anew. See
+    BAKE_FORMAT.
+    """
     scene = scene_of(folder, f'volume = "ramp.nrrd"\nalbedo = 0.7\n{text}')
-    names = [scene.layer_digest(layer, shown) for layer in scene.plan.layers for shown in (None, 0.5)]
+    names = [
+        scene.layer_digest(layer, shown) for layer in scene.plan.layers for shown in (None, 0.5)
+    ]
     assert [*names, scene.bake_digest] == digests

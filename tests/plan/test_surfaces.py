@@ -1,4 +1,6 @@
-"""Surfaces of scenes: their material, the albedos and levels that light is kept for, and what is refused."""
+"""Surfaces of scenes: their material, the albedos and levels that light is kept for, and what is
+refused.
+"""
 
 import json
 from itertools import pairwise
@@ -26,7 +28,8 @@ from isogi_core.plan.surfaces import (
 from tests.frame.conftest import ball
 from tests.loaded import load_scene
 
-GLASS, INSIDE = {"material": "glass"}, {"material": "subsurface"}
+GLASS = {"material": "glass"}
+INSIDE = {"material": "subsurface"}
 SUN = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
 
 
@@ -35,7 +38,10 @@ def test_glass_has_an_index_and_an_absorption() -> None:
     scene = load_scene("demo:orbital", **GLASS, absorption=0.1)
     assert not scene.bakes
     assert scene.surfaces.material == Material("glass", 1.5, (0.1, 0.1, 0.1))
-    others = [load_scene("demo:orbital", **GLASS, **more) for more in ({}, {"index": 1.3}, {"absorption": [0.1, 0, 0]})]
+    others = [
+        load_scene("demo:orbital", **GLASS, **more)
+        for more in ({}, {"index": 1.3}, {"absorption": [0.1, 0, 0]})
+    ]
     digests = [each.digest for each in (load_scene("demo:orbital"), scene, *others)]
     assert len(set(digests)) == len(digests)
 
@@ -46,7 +52,10 @@ def test_a_subsurface_has_a_mean_free_path_and_light_of_its_own() -> None:
     assert scene.plan.representation == "irradiance"
     assert not scene.lighting.rotating
     assert scene.bakes == {INSIDE_KIND}
-    others = [load_scene("demo:orbital", **INSIDE, albedo=0.8, **more) for more in ({}, {"mean_free_path": 1})]
+    others = [
+        load_scene("demo:orbital", **INSIDE, albedo=0.8, **more)
+        for more in ({}, {"mean_free_path": 1})
+    ]
     assert len({each.bake_digest for each in (scene, *others)}) == 3
     scene.require_texels()
 
@@ -70,7 +79,9 @@ def test_a_subsurface_has_a_mean_free_path_and_light_of_its_own() -> None:
         ({"mean_free_path": 2}, 'add material = "subsurface"'),
     ],
 )
-def test_what_has_no_meaning_is_refused_in_a_sentence(settings: dict[str, object], said: str) -> None:
+def test_what_has_no_meaning_is_refused_in_a_sentence(
+    settings: dict[str, object], said: str
+) -> None:
     with pytest.raises(SceneError) as refused:
         load_scene("demo:orbital", **settings)
     assert said in str(refused.value)
@@ -80,7 +91,9 @@ def test_what_has_no_meaning_is_refused_in_a_sentence(settings: dict[str, object
 def left_out(**settings: object) -> tuple[LeftOut, ...]:
     """What the material of the orbital leaves out."""
     scene = load_scene("demo:orbital", **settings)
-    return unrefracted(scene.surfaces.material, scene.lighting.lights, scene.lighting.environment.sharp)
+    return unrefracted(
+        scene.surfaces.material, scene.lighting.lights, scene.lighting.environment.sharp
+    )
 
 
 def test_caustics_of_lamps_that_no_ray_meets_are_left_out() -> None:
@@ -97,7 +110,8 @@ def test_light_that_glass_does_not_keep_is_not_given_away() -> None:
         load_scene("demo:orbital", **GLASS).require_texels()
 
 
-# --- albedos ----------------------------------------------------------------------------------------------------------
+# --- albedos
+# --------------------------------------------------------------------------------------------------
 
 
 SKY = {"type": "sky", "sun_azimuth": 20.0, "sun_elevation": 35.0}
@@ -114,9 +128,13 @@ def series(chance: float, albedo: float, bounces: int) -> float:
 @pytest.mark.parametrize(("most", "bounces"), SCENES)
 def test_mixed_light_is_exact_at_nodes_and_at_zero(most: float, bounces: int) -> None:
     nodes = choose_nodes(most, bounces, 0.005)
-    assert nodes[-1] == pytest.approx(most, rel=1e-15) and all(a < b for a, b in pairwise((0.0, *nodes)))
+    assert nodes[-1] == pytest.approx(most, rel=1e-15) and all(
+        a < b for a, b in pairwise((0.0, *nodes))
+    )
     for number, node in enumerate(nodes):
-        np.testing.assert_allclose(mixing_weights(node, nodes, bounces), np.eye(len(nodes))[number], atol=1e-6)
+        np.testing.assert_allclose(
+            mixing_weights(node, nodes, bounces), np.eye(len(nodes))[number], atol=1e-6
+        )
     assert not mixing_weights(0.0, nodes, bounces).any()
 
 
@@ -124,20 +142,30 @@ def test_mixed_light_is_exact_at_nodes_and_at_zero(most: float, bounces: int) ->
 def test_mixed_light_of_any_cavity_is_within_the_error(most: float, bounces: int) -> None:
     nodes = choose_nodes(most, bounces, 0.005)
     rng = np.random.default_rng(5)
-    chances, shares = rng.uniform(0.002, 0.97, (40, 3)), rng.random((40, 3))
+    chances = rng.uniform(0.002, 0.97, (40, 3))
+    shares = rng.random((40, 3))
     for albedo in most * rng.random(20):
         weights = mixing_weights(float(albedo), nodes, bounces)
         for own, parts in zip(chances, shares, strict=True):
             direct = parts @ own
-            true = sum(p * series(f, float(albedo), bounces) for f, p in zip(own, parts, strict=True))
-            kept = [sum(p * series(f, node, bounces) for f, p in zip(own, parts, strict=True)) for node in nodes]
-            assert abs(weights @ kept - true) <= (1.1 * mixing_error(nodes, bounces) + 1e-12) * (direct + true)
+            true = sum(
+                p * series(f, float(albedo), bounces) for f, p in zip(own, parts, strict=True)
+            )
+            kept = [
+                sum(p * series(f, node, bounces) for f, p in zip(own, parts, strict=True))
+                for node in nodes
+            ]
+            assert abs(weights @ kept - true) <= (1.1 * mixing_error(nodes, bounces) + 1e-12) * (
+                direct + true
+            )
 
 
 @pytest.mark.parametrize("allowed", [0.02, 0.005, 0.001])
 def test_nodes_are_the_fewest_within_what_is_allowed(allowed: float) -> None:
     nodes = choose_nodes(0.9, 43, allowed)
-    assert mixing_error(nodes, 43) <= allowed < mixing_error(spread_nodes(len(nodes) - 1, 0.9, 43), 43)
+    assert (
+        mixing_error(nodes, 43) <= allowed < mixing_error(spread_nodes(len(nodes) - 1, 0.9, 43), 43)
+    )
 
 
 def test_where_no_nodes_are_enough_there_are_the_most() -> None:
@@ -148,14 +176,20 @@ def test_three_nodes_mix_no_noise_up() -> None:
     """Noise of the nodes is of the same paths; even if it were not, it would not be doubled."""
     nodes = choose_nodes(0.9, 43, 0.005)
     assert len(nodes) == 3
-    assert all(np.abs(mixing_weights(albedo, nodes, 43)).sum() < 2.0 for albedo in np.linspace(0.0, 0.9, 31))
+    assert all(
+        np.abs(mixing_weights(albedo, nodes, 43)).sum() < 2.0
+        for albedo in np.linspace(0.0, 0.9, 31)
+    )
 
 
-# --- plans -----------------------------------------------------------------------------------------------------------
+# --- plans
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("light", "representation"), [(SKY, "transfer"), (CONSTANT, "constant")])
-def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(light: dict[str, object], representation: str) -> None:
+def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(
+    light: dict[str, object], representation: str
+) -> None:
     scene = load_scene("demo:orbital", lights=[light], albedo=0.3, albedos=[0.0, 0.9])
     direct, indirect = scene.plan.layers
     assert scene.plan.representation == representation and scene.surfaces.albedos == (0.0, 0.9)
@@ -163,16 +197,27 @@ def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(light: dict[str
     assert indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING * 0.02) == scene.plan.nodes
     assert indirect.channels == len(indirect.nodes) == 3
     fixed = load_scene("demo:orbital", lights=[light], albedo=0.9)
-    assert (scene.bounces, scene.plan.survival) == (fixed.bounces, fixed.plan.survival), "as the highest asks"
+    assert (scene.bounces, scene.plan.survival) == (fixed.bounces, fixed.plan.survival), (
+        "as the highest asks"
+    )
     assert dict(scene.plan.errors)["albedo"] == mixing_error(indirect.nodes, scene.bounces)
     left = next(each for each in scene.left_out if each.what == "light after each bounce")
     assert percent(dict(scene.plan.errors)["albedo"]) in left.why and left.saves[0].amount > 0
 
 
 def test_light_for_several_albedos_ignores_the_scenes_own() -> None:
-    scenes = [load_scene("demo:orbital", albedo=albedo, albedos=[0.0, 0.9]) for albedo in (0.3, [0.9, 0.5, 0.1])]
-    assert len({scene.bake_digest for scene in scenes}) == 1 and len({scene.digest for scene in scenes}) == 2
-    assert scenes[0].bake_digest != load_scene("demo:orbital", albedo=0.3, albedos=[0.0, 0.8]).bake_digest
+    scenes = [
+        load_scene("demo:orbital", albedo=albedo, albedos=[0.0, 0.9])
+        for albedo in (0.3, [0.9, 0.5, 0.1])
+    ]
+    assert (
+        len({scene.bake_digest for scene in scenes}) == 1
+        and len({scene.digest for scene in scenes}) == 2
+    )
+    assert (
+        scenes[0].bake_digest
+        != load_scene("demo:orbital", albedo=0.3, albedos=[0.0, 0.8]).bake_digest
+    )
 
 
 def test_light_of_one_albedo_has_the_name_that_it_had() -> None:
@@ -183,7 +228,9 @@ def test_light_of_one_albedo_has_the_name_that_it_had() -> None:
 
 def test_unreflected_light_is_of_any_albedo() -> None:
     scene = load_scene("demo:orbital", lights=[SKY], albedo=0.3, bounces=0)
-    assert scene.surfaces.albedos == (0.0, 1.0) and [layer.nodes for layer in scene.plan.layers] == [()]
+    assert scene.surfaces.albedos == (0.0, 1.0) and [
+        layer.nodes for layer in scene.plan.layers
+    ] == [()]
     assert load_scene("demo:orbital", lights=[SKY], albedo=0.0).surfaces.albedos is None, (
         "none that could be shown brighter"
     )
@@ -201,12 +248,15 @@ def test_unreflected_light_is_of_any_albedo() -> None:
         ({"albedos": [0.0, 0.9], "lights": [LAMP]}, "bounces = 0"),
     ],
 )
-def test_albedos_that_make_no_sense_are_refused(settings: dict[str, object], complaint: str) -> None:
+def test_albedos_that_make_no_sense_are_refused(
+    settings: dict[str, object], complaint: str
+) -> None:
     with pytest.raises(SceneError, match=complaint):
         load_scene("demo:orbital", **{"albedo": 0.3, "lights": [SKY], **settings})
 
 
-# --- levels -----------------------------------------------------------------------------------------------------------
+# --- levels
+# --------------------------------------------------------------------------------------------------
 
 
 LEVELS = (10.0, 20.0, 40.0, 50.0)
@@ -214,17 +264,24 @@ LEVELS = (10.0, 20.0, 40.0, 50.0)
 
 def test_a_surface_moves_a_voxel_from_level_to_level() -> None:
     """Of a distance field that is the distance itself, whatever it is multiplied by."""
-    slow, fast = ball(), make_volume(7.0 * ball().voxels, (1.0, 1.0, 1.0))
+    slow = ball()
+    fast = make_volume(7.0 * ball().voxels, (1.0, 1.0, 1.0))
     levels = np.array(find_levels(slow, (-4.0, 8.0), []))
     assert len(levels) == pytest.approx(13, abs=1)
     np.testing.assert_allclose(np.diff(levels), 12.0 / (len(levels) - 1), atol=0.1)
-    assert len(find_levels(fast, fast.value_range, [])) == len(find_levels(slow, slow.value_range, []))
+    assert len(find_levels(fast, fast.value_range, [])) == len(
+        find_levels(slow, slow.value_range, [])
+    )
 
 
 def test_steep_parts_of_a_range_have_few_levels() -> None:
-    """Where a field is 20 times as steep, levels are 20 times as far apart: surfaces are as near as elsewhere."""
+    """Where a field is 20 times as steep, levels are 20 times as far apart: surfaces are as near as
+    elsewhere.
+    """
     away = ball().voxels.astype(np.float64) * ball().scale + ball().offset
-    steep = make_volume(np.where(away > 2.0, 2.0 + 20.0 * (away - 2.0), away).astype(np.float32), (1.0, 1.0, 1.0))
+    steep = make_volume(
+        np.where(away > 2.0, 2.0 + 20.0 * (away - 2.0), away).astype(np.float32), (1.0, 1.0, 1.0)
+    )
     levels = np.array(find_levels(steep, (-4.0, 122.0), [62.0]))
     assert 62.0 in levels
     ways = np.where(levels > 2.0, 2.0 + (levels - 2.0) / 20.0, levels)
@@ -237,7 +294,12 @@ def test_a_range_of_one_isovalue_has_one_level() -> None:
 
 @pytest.mark.parametrize(
     ("shown", "expected"),
-    [(20.0, {20.0: 1.0}), (25.0, {20.0: 0.75, 40.0: 0.25}), (10.0, {10.0: 1.0}), (60.0, {60.0: 1.0})],
+    [
+        (20.0, {20.0: 1.0}),
+        (25.0, {20.0: 0.75, 40.0: 0.25}),
+        (10.0, {10.0: 1.0}),
+        (60.0, {60.0: 1.0}),
+    ],
 )
 def test_views_mix_the_levels_around_theirs(shown: float, expected: dict[float, float]) -> None:
     assert dict(levels_around(LEVELS, [], shown)) == expected

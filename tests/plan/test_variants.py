@@ -1,4 +1,6 @@
-"""Scenes made of scenes: in other light, of another material, finer, and by the sides of several surfaces."""
+"""Scenes made of scenes: in other light, of another material, finer, and by the sides of several
+surfaces.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -55,7 +57,11 @@ def test_it_is_the_scene_that_its_file_would_be(own: Scene) -> None:
     lit = under(own, "studio", "orbital@studio")
     written = load_scene("demo:orbital", environment="studio")
     assert lit.lighting.lights == (EnvironmentLight("studio"),) == written.lighting.lights
-    assert (lit.digest, lit.bake_digest, lit.plan) == (written.digest, written.bake_digest, written.plan)
+    assert (lit.digest, lit.bake_digest, lit.plan) == (
+        written.digest,
+        written.bake_digest,
+        written.plan,
+    )
     assert lit.digest != own.digest and lit.id == "orbital@studio"
 
 
@@ -89,7 +95,10 @@ def test_a_probe_is_found_beside_the_scene(probe: Path) -> None:
 
 def test_a_targets_light_may_follow_its_name() -> None:
     assert split_settings("a.nrrd#environment=studio") == ("a.nrrd", {"environment": "studio"})
-    assert split_settings("a.nrrd#axes=raw&environment=/b%26c.hdr")[1] == {"axes": "raw", "environment": "/b&c.hdr"}
+    assert split_settings("a.nrrd#axes=raw&environment=/b%26c.hdr")[1] == {
+        "axes": "raw",
+        "environment": "/b&c.hdr",
+    }
 
 
 def test_choices_that_do_not_fit_the_light_are_refused() -> None:
@@ -100,12 +109,25 @@ def test_choices_that_do_not_fit_the_light_are_refused() -> None:
         under(even, "moon", "x")
 
 
-@pytest.mark.parametrize("settings", [{"material": "glass", "index": 1.3}, {"material": "subsurface"}])
-def test_of_another_material_it_is_the_scene_of_its_file(own: Scene, settings: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "settings", [{"material": "glass", "index": 1.3}, {"material": "subsurface"}]
+)
+def test_of_another_material_it_is_the_scene_of_its_file(
+    own: Scene, settings: dict[str, object]
+) -> None:
     assert own.texels
-    made, written = with_material(own, settings, "orbital@=x"), load_scene("demo:orbital", **settings)
-    assert (made.digest, made.bake_digest, made.plan) == (written.digest, written.bake_digest, written.plan)
-    assert made.digest != own.digest and made.id == "orbital@=x" and made.surfaces.material == written.surfaces.material
+    made = with_material(own, settings, "orbital@=x")
+    written = load_scene("demo:orbital", **settings)
+    assert (made.digest, made.bake_digest, made.plan) == (
+        written.digest,
+        written.bake_digest,
+        written.plan,
+    )
+    assert (
+        made.digest != own.digest
+        and made.id == "orbital@=x"
+        and made.surfaces.material == written.surfaces.material
+    )
     assert made.volume is own.volume and made.texels is own.texels
     assert build_scene(made.source).bake_digest == made.bake_digest, "as workers open it"
     assert with_material(made, {"material": "diffuse"}, own.id).digest == own.digest
@@ -114,13 +136,19 @@ def test_of_another_material_it_is_the_scene_of_its_file(own: Scene, settings: d
 def test_a_range_of_albedos_is_not_of_a_subsurface() -> None:
     painted = load_scene("demo:orbital", albedo=0.8, albedos=[0.0, 0.9])
     wax = with_material(painted, {"material": "subsurface"}, "wax")
-    assert wax.surfaces.albedos is None and wax.surfaces.albedo == (0.8, 0.8, 0.8) and not wax.lighting.rotating
+    assert (
+        wax.surfaces.albedos is None
+        and wax.surfaces.albedo == (0.8, 0.8, 0.8)
+        and not wax.lighting.rotating
+    )
     assert with_material(painted, {"material": "glass"}, "glass").surfaces.albedos is None
 
 
 def test_the_plan_tells_which_materials_a_scene_may_have(own: Scene) -> None:
     found = find_materials(own)
-    assert list(found) == list(MATERIALS) and all(isinstance(each, Scene) for each in found.values())
+    assert list(found) == list(MATERIALS) and all(
+        isinstance(each, Scene) for each in found.values()
+    )
     sun = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
     lit = find_materials(load_scene("demo:orbital", lights=[sun]))
     assert isinstance(lit["glass"], Scene) and "Lamps do not reach inside" in str(lit["subsurface"])
@@ -131,12 +159,15 @@ def test_the_plan_tells_which_materials_a_scene_may_have(own: Scene) -> None:
 
 def test_a_target_may_name_its_material() -> None:
     scene = load_scene("demo:orbital#material=glass,index%3D1.3&environment=studio")
-    assert scene.surfaces.material == Material("glass", 1.3) and scene.lighting.lights == (EnvironmentLight("studio"),)
+    assert scene.surfaces.material == Material("glass", 1.3) and scene.lighting.lights == (
+        EnvironmentLight("studio"),
+    )
     with pytest.raises(SceneError, match="is not one of diffuse, glass, subsurface"):
         load_scene("demo:orbital#material=jelly")
 
 
-# --- finer light ------------------------------------------------------------------------------------------------------
+# --- finer light
+# --------------------------------------------------------------------------------------------------
 
 
 SKY = {"type": "sky"}
@@ -146,7 +177,9 @@ def test_finer_light_has_more_texels_and_bands() -> None:
     scene = load_scene("demo:orbital", lights=[SKY])
     better = finer(scene)
     assert better.settings.lattice == 2.0 and better.volume is scene.volume
-    before, after = ({layer.kind: layer.order for layer in each.plan.layers} for each in (scene, better))
+    before, after = (
+        {layer.kind: layer.order for layer in each.plan.layers} for each in (scene, better)
+    )
     assert after == {kind: order + FURTHER for kind, order in before.items()}
     assert better.plan.order == max(after.values()) and better.plan.lobes == scene.plan.lobes
     assert not {scene.layer_digest(layer) for layer in scene.plan.layers} & set(
@@ -170,11 +203,14 @@ def test_another_process_finds_the_same_light() -> None:
 @pytest.mark.parametrize(
     ("settings", "expected"), [({}, True), ({"lattice": 2.5}, False), ({"room": "cornell"}, False)]
 )
-def test_there_is_finer_light_to_a_quarter_of_a_voxel(settings: dict[str, object], expected: bool) -> None:
+def test_there_is_finer_light_to_a_quarter_of_a_voxel(
+    settings: dict[str, object], expected: bool
+) -> None:
     assert has_finer(load_scene("demo:orbital", **settings)) == expected
 
 
-# --- sides of several surfaces ----------------------------------------------------------------------------------------
+# --- sides of several surfaces
+# ----------------------------------------------------------------------------------------
 
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4]}
@@ -197,9 +233,13 @@ def test_there_are_two_sides_of_each_surface(scene: Scene) -> None:
 
 def test_both_sides_transmit_alike() -> None:
     leaf = {"isovalue": 60.0, "albedo": 0.3, "transmission": [0.1, 0.5, 0.1]}
-    scene = load_scene("demo:casting", albedo=0.2, transmission=0.6, surfaces=[leaf], isovalue=127.0)
+    scene = load_scene(
+        "demo:casting", albedo=0.2, transmission=0.6, surfaces=[leaf], isovalue=127.0
+    )
     made = {side: scene_of_side(scene, side, 127.0) for side in sides_of(scene)}
-    assert [each.surfaces.transmission for each in made.values()] == [(0.6,) * 3] * 2 + [(0.1, 0.5, 0.1)] * 2
+    assert [each.surfaces.transmission for each in made.values()] == [(0.6,) * 3] * 2 + [
+        (0.1, 0.5, 0.1)
+    ] * 2
     assert made[Side(1, True)].surfaces.pinned[0].transmission == (0.6,) * 3
     assert len({each.bake_digest for each in made.values()}) == 4
     for each in made.values():
@@ -223,14 +263,24 @@ def test_a_pinned_surface_is_lit_by_all_others(scene: Scene) -> None:
 def test_a_surface_at_the_shown_isovalue_lights_others_once(scene: Scene) -> None:
     made = scene_of_side(scene, Side(1), 90.0)
     assert [each.isovalue for each in made.surfaces.pinned] == [90.0]
-    ends = [scene_of_side(scene, Side(1, True), shown).surfaces.pinned for shown in scene.volume.value_range]
+    ends = [
+        scene_of_side(scene, Side(1, True), shown).surfaces.pinned
+        for shown in scene.volume.value_range
+    ]
     assert [len(each) for each in ends] == [2, 2]
 
 
 @pytest.mark.parametrize("settings", [{"cut": "x<30"}, {"inside_out": True}, {"solid": "below"}])
-def test_sides_of_what_is_cut_or_turned_are_found_again(settings: dict[str, Any], tmp_path: Path) -> None:
+def test_sides_of_what_is_cut_or_turned_are_found_again(
+    settings: dict[str, Any], tmp_path: Path
+) -> None:
     nrrd.write(str(tmp_path / "ball.nrrd"), shell_of(33), index_order="C")
-    scene = load_scene(tmp_path / "ball.nrrd", surfaces=[{"isovalue": 60.0, "clear": 0.5}], isovalue=90.0, **settings)
+    scene = load_scene(
+        tmp_path / "ball.nrrd",
+        surfaces=[{"isovalue": 60.0, "clear": 0.5}],
+        isovalue=90.0,
+        **settings,
+    )
     for side in sides_of(scene):
         made = scene_of_side(scene, side, 100.0)
         assert (made.solid == scene.solid) != side.inner
@@ -255,7 +305,11 @@ def test_a_scene_with_other_clears_is_one_of_its_own(scene: Scene) -> None:
     changed = with_clears(scene, read_clears("0.25, off", 2), "other")
     assert [(each.isovalue, each.clear) for each in changed.surfaces.pinned] == [(60.0, 0.25)]
     assert changed.id == "other" and changed.volume is scene.volume
-    assert changed.bake_digest != scene.bake_digest == with_clears(scene, (0.5, 0.0), "same").bake_digest
+    assert (
+        changed.bake_digest
+        != scene.bake_digest
+        == with_clears(scene, (0.5, 0.0), "same").bake_digest
+    )
     assert build_scene(changed.source).bake_digest == changed.bake_digest, "as workers open it"
     alone = with_clears(scene, (None, None), "alone")
     assert not alone.surfaces.several and not alone.lighting.rotating
@@ -279,7 +333,10 @@ def test_clears_without_meaning_are_refused(text: str, pinned: int, reason: str)
 def test_a_target_may_name_what_its_surfaces_let_pass(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text("[[surfaces]]\nisovalue = 0.03\n[[surfaces]]\nisovalue = 0.05\nclear = 0.5\n")
-    assert [each.clear for each in load_scene(f"{file}#surfaces=0.25,0.5").surfaces.pinned] == [0.25, 0.5]
+    assert [each.clear for each in load_scene(f"{file}#surfaces=0.25,0.5").surfaces.pinned] == [
+        0.25,
+        0.5,
+    ]
     (left,) = load_scene(f"{file}#surfaces=off,0.75&environment=studio").surfaces.pinned
     assert (left.isovalue, left.clear) == (0.05, 0.75)
     with pytest.raises(SceneError, match="each of the 2 pinned surfaces"):

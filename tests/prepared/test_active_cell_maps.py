@@ -1,4 +1,6 @@
-"""Active cells of one volume: maps widened to levels, kept within so many bytes; idle voxels, and voxel codes."""
+"""Active cells of one volume: maps widened to levels, kept within so many bytes; idle voxels, and
+voxel codes.
+"""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +13,12 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells, measure_ranges
+from isogi_core.kernels.tracing.active_cells import (
+    ActiveCells,
+    block_ranges,
+    make_active_cells,
+    measure_ranges,
+)
 from isogi_core.lru_cache import OVERHEAD_BYTES
 from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared import active_cell_maps as module
@@ -51,7 +58,9 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
     return made
 
 
-def between(maps: ActiveCellMaps, lowest: float, highest: float, run: Run = serially) -> ActiveCells:
+def between(
+    maps: ActiveCellMaps, lowest: float, highest: float, run: Run = serially
+) -> ActiveCells:
     """The map of a range of isovalues."""
     return maps.covering(np.array([lowest, highest]), run)
 
@@ -72,11 +81,18 @@ def test_a_map_is_that_of_the_whole_step() -> None:
 
 @pytest.mark.parametrize(
     ("lowest", "highest", "steps"),
-    [(0.0, 0.0, (0, NEAR_ZERO_LEVEL / STEP)),
-     (NEAR_ZERO_LEVEL, NEAR_ZERO_LEVEL, (NEAR_ZERO_LEVEL / STEP, 1)), (1.0, 1.0, (64, np.inf)),
-     (0.51, 0.51, (32, 33)), (0.5, 0.51, (32, 33)), (0.49, 0.51, (31, 33)), (-0.01, 0.0, (-np.inf, 0)),
-     (0.5, 0.53125, (32, 34)), (1e30, 1e36, (64, np.inf))],
-)  # fmt: skip
+    [
+        (0.0, 0.0, (0, NEAR_ZERO_LEVEL / STEP)),
+        (NEAR_ZERO_LEVEL, NEAR_ZERO_LEVEL, (NEAR_ZERO_LEVEL / STEP, 1)),
+        (1.0, 1.0, (64, np.inf)),
+        (0.51, 0.51, (32, 33)),
+        (0.5, 0.51, (32, 33)),
+        (0.49, 0.51, (31, 33)),
+        (-0.01, 0.0, (-np.inf, 0)),
+        (0.5, 0.53125, (32, 34)),
+        (1e30, 1e36, (64, np.inf)),
+    ],
+)
 def test_ranges_are_widened_to_levels_and_no_farther(
     made: list[tuple[float, float]], lowest: float, highest: float, steps: tuple[int, int]
 ) -> None:
@@ -120,7 +136,8 @@ def test_many_threads_make_the_same_map(threads: int) -> None:
 
 @pytest.mark.parametrize("when", [0, 2])
 def test_a_cancelled_map_is_dropped_and_made_later(when: int) -> None:
-    cancelled, pieces = threading.Event(), []
+    cancelled = threading.Event()
+    pieces = []
     tiles = Tiles(1).cancelled_by(cancelled)
 
     def run(piece: Piece, total: int, size: int) -> None:
@@ -143,7 +160,9 @@ def test_a_cancelled_map_is_dropped_and_made_later(when: int) -> None:
     assert maps.at(HALF, run) is again, "what is kept need not be made"
 
 
-RAMP = np.broadcast_to(np.linspace(0.0, 1.0, 70, dtype=np.float32)[:, None, None], VOXELS.shape).copy()
+RAMP = np.broadcast_to(
+    np.linspace(0.0, 1.0, 70, dtype=np.float32)[:, None, None], VOXELS.shape
+).copy()
 
 
 def ask(maps: ActiveCellMaps, isovalues: np.ndarray) -> int:
@@ -155,11 +174,14 @@ def ask(maps: ActiveCellMaps, isovalues: np.ndarray) -> int:
     return len(np.unique(numbers))
 
 
-@pytest.mark.parametrize(("most", "least", "groups"), [(1 << 30, 33, 33), (80_000, 5, 32), (1, 1, 1)])
+@pytest.mark.parametrize(
+    ("most", "least", "groups"), [(1 << 30, 33, 33), (80_000, 5, 32), (1, 1, 1)]
+)
 def test_groups_widen_until_all_of_their_maps_are_kept(
     made: list[tuple[float, float]], most: int, least: int, groups: int
 ) -> None:
-    maps, isovalues = ActiveCellMaps(RAMP, most=most), np.linspace(0.0, 1.0, 500)
+    maps = ActiveCellMaps(RAMP, most=most)
+    isovalues = np.linspace(0.0, 1.0, 500)
     ask(maps, isovalues)
     while made:
         made.clear()
@@ -168,13 +190,16 @@ def test_groups_widen_until_all_of_their_maps_are_kept(
 
 
 def test_groups_stay_narrow_where_few_are_asked_for(made: list[tuple[float, float]]) -> None:
-    maps, isovalues = ActiveCellMaps(RAMP, most=80_000), np.linspace(0.43, 0.51, 50)
+    maps = ActiveCellMaps(RAMP, most=80_000)
+    isovalues = np.linspace(0.43, 0.51, 50)
     assert [ask(maps, isovalues) for _ in range(3)] == [3, 3, 3]
     assert len(made) == 3
     assert all(high - low == 2 * STEP for low, high in made)
 
 
-def test_maps_that_are_large_beside_the_budget_lie_in_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_maps_that_are_large_beside_the_budget_lie_in_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     voxels = np.random.default_rng(4).random((260, 257, 258), np.float32)
     inside = ActiveCellMaps(voxels).at(Isovalue(np.float64(0.97)))
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
@@ -187,7 +212,9 @@ def test_maps_that_are_large_beside_the_budget_lie_in_files(monkeypatch: pytest.
     np.testing.assert_array_equal(inside.margins, outside.margins)
 
 
-def test_dear_maps_reach_ever_farther(made: list[tuple[float, float]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dear_maps_reach_ever_farther(
+    made: list[tuple[float, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     maps = ActiveCellMaps(RAMP, most=0)
     monkeypatch.setattr(maps, "_dear", True)
     for last in np.linspace(0.1, 1.0, 40):
@@ -199,7 +226,8 @@ def test_dear_maps_reach_ever_farther(made: list[tuple[float, float]], monkeypat
 def test_a_large_volume_is_measured_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path))
-    volume, asked = make_volume(VOXELS), list[str]()
+    volume = make_volume(VOXELS)
+    asked = list[str]()
 
     def ranges(voxels: np.ndarray) -> np.ndarray:
         asked.append("ranges")
@@ -215,11 +243,14 @@ def test_a_large_volume_is_measured_once(monkeypatch: pytest.MonkeyPatch, tmp_pa
     for maps in (again, mended, ActiveCellMaps(volume.voxels)):
         np.testing.assert_array_equal(maps.levels, first.levels)
         assert_same(maps.at(HALF), first.at(HALF))
-    for one, other in zip(make_field(volume)[1:3], make_field(replace(volume, digest="other"))[1:3], strict=True):
+    for one, other in zip(
+        make_field(volume)[1:3], make_field(replace(volume, digest="other"))[1:3], strict=True
+    ):
         np.testing.assert_array_equal(one, other)
 
 
-# --- levels -----------------------------------------------------------------------------------------------------------
+# --- levels
+# --------------------------------------------------------------------------------------------------
 
 
 EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
@@ -259,10 +290,15 @@ def test_values_beyond_the_core_are_parted_too() -> None:
 def test_groups_are_two_levels_wide_and_hold_their_isovalues() -> None:
     for voxels in (EVEN, np.concatenate([EVEN / 100, EVEN[:1] + 1])):
         maps = ActiveCellMaps(voxels)
-        isovalues = np.concatenate([voxels.ravel()[::7].astype(np.float64), [-1e36, 0.0, 1.0, 1e36]])
+        isovalues = np.concatenate(
+            [voxels.ravel()[::7].astype(np.float64), [-1e36, 0.0, 1.0, 1e36]]
+        )
         groups, spans = maps.groups(isovalues)
         assert (spans[groups, 0] <= isovalues).all() and (isovalues < spans[groups, 1]).all()
-        assert set(spans.ravel().tolist()) <= set(maps.levels.tolist()) and len(spans) <= len(maps.levels) // 2 + 1
+        assert (
+            set(spans.ravel().tolist()) <= set(maps.levels.tolist())
+            and len(spans) <= len(maps.levels) // 2 + 1
+        )
 
 
 def test_empty_space_at_zero_is_in_no_map_of_isovalues_above() -> None:
@@ -274,10 +310,12 @@ def test_empty_space_at_zero_is_in_no_map_of_isovalues_above() -> None:
     assert np.count_nonzero((wide.tops >> 28) == 0) <= 27 < wide.tops.size
 
 
-# --- idle voxels ------------------------------------------------------------------------------------------------------
+# --- idle voxels
+# --------------------------------------------------------------------------------------------------
 
 
-LOW, HIGH = 0.45, 0.5
+LOW = 0.45
+HIGH = 0.5
 
 
 def volume(holes: bool) -> np.ndarray:
@@ -328,7 +366,8 @@ def test_a_volume_on_one_side_of_the_range_is_one_number() -> None:
     assert np.unique(IdleVoxels(values, LOW, HIGH).flattened(0, 3)).tolist() == [np.float32(0.3)]
 
 
-# --- voxel codes ------------------------------------------------------------------------------------------------------
+# --- voxel codes
+# --------------------------------------------------------------------------------------------------
 
 
 RNG = np.random.default_rng(3)
@@ -357,7 +396,9 @@ def test_codes_are_voxels_exactly(array: np.ndarray, kind: str, solid: str) -> N
     codes = find_codes(volume)
     found = codes.code(volume.voxels)
     assert (codes.kind, found.dtype) == (kind, np.dtype(kind))
-    assert np.array_equal((codes.base + codes.gain * found.astype(np.float64)).astype(np.float32), volume.voxels)
+    assert np.array_equal(
+        (codes.base + codes.gain * found.astype(np.float64)).astype(np.float32), volume.voxels
+    )
     assert codes.gain > 0.0 and np.log2(codes.gain) % 1.0 == 0.0
     assert codes.nbytes == found.nbytes
 
@@ -389,11 +430,17 @@ def test_holes_among_whole_numbers_stay_apart() -> None:
     array[1, 2, 3] = 7
     volume = make_volume(array, missing=[7.0])
     codes = find_codes(volume)
-    assert codes.kind == "float32" and (codes.code(volume.voxels) == np.float32(HOLE_CODE)).sum() == volume.holes > 0
+    assert (
+        codes.kind == "float32"
+        and (codes.code(volume.voxels) == np.float32(HOLE_CODE)).sum() == volume.holes > 0
+    )
 
 
 def test_slabs_are_all_layers_once() -> None:
     for shape in ((128, 256, 256), (7, 3000, 3000), (1000, 4, 4)):
         codes = VoxelCodes("uint8", 1.0, 0.0, None, shape)
         assert [z for a, b in codes.slabs for z in range(a, b)] == list(range(shape[0]))
-        assert all((b - a) * shape[1] * shape[2] <= max(SLAB_CODE_BYTES, shape[1] * shape[2]) for a, b in codes.slabs)
+        assert all(
+            (b - a) * shape[1] * shape[2] <= max(SLAB_CODE_BYTES, shape[1] * shape[2])
+            for a, b in codes.slabs
+        )

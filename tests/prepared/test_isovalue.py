@@ -1,4 +1,6 @@
-"""Isovalues of a file and normalised ones: mypy keeps them apart, and one function makes the latter."""
+"""Isovalues of a file and normalised ones: mypy keeps them apart, and one function makes the
+latter.
+"""
 
 import re
 from pathlib import Path
@@ -35,7 +37,9 @@ def refused(prepared: PreparedScene, view: View) -> None:
 
 
 @pytest.mark.slow
-def test_mypy_keeps_isovalues_of_two_units_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mypy_keeps_isovalues_of_two_units_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With the cache of `make check`, whose settings these are."""
     monkeypatch.chdir(ROOT)
     (tmp_path / "uses.py").write_text(USES)
@@ -47,7 +51,9 @@ def test_mypy_keeps_isovalues_of_two_units_apart(tmp_path: Path, monkeypatch: py
 
 def test_one_function_makes_normalised_isovalues() -> None:
     """Of a number: a parameter's kind has the same name, and is made of nothing."""
-    sources = [path for room in ("isogi_core", "worker", "server") for path in (ROOT / room).rglob("*.py")]
+    sources = [
+        path for room in ("isogi_core", "worker", "server") for path in (ROOT / room).rglob("*.py")
+    ]
     makers = [
         path.relative_to(ROOT).as_posix()
         for path in sources

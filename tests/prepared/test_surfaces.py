@@ -7,7 +7,13 @@ import pytest
 
 import isogi_core.prepared.isosurface_mesh as module
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.isosurface_mesh import Mesh, SurfaceSize, isosurface_mesh, surface_size, vertex_count
+from isogi_core.prepared.isosurface_mesh import (
+    Mesh,
+    SurfaceSize,
+    isosurface_mesh,
+    surface_size,
+    vertex_count,
+)
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import scene_of
 
@@ -24,7 +30,8 @@ def test_near_surfaces_share_cells_until_forgotten() -> None:
     assert one.cells() is not cells
 
 
-# --- meshes -----------------------------------------------------------------------------------------------------------
+# --- meshes
+# --------------------------------------------------------------------------------------------------
 
 
 RADIUS = 7.3
@@ -45,7 +52,9 @@ def triangles_of(mesh: Mesh) -> np.ndarray:
 
 
 def enclosed(mesh: Mesh) -> float:
-    """The volume that is enclosed by triangles, positive where they are anticlockwise from outside."""
+    """The volume that is enclosed by triangles, positive where they are anticlockwise from
+    outside.
+    """
     a, b, c = (mesh.vertices[triangles_of(mesh)[:, n]].astype(float) for n in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
@@ -53,9 +62,13 @@ def enclosed(mesh: Mesh) -> float:
 @pytest.mark.parametrize("solid", ["above", "below"])
 def test_a_ball_is_closed_and_faces_outwards(solid: str) -> None:
     mesh = mesh_of(ball(), 0.0, solid)
-    assert enclosed(mesh) == pytest.approx((1 if solid == "above" else -1) * 4 / 3 * np.pi * RADIUS**3, rel=0.02)
+    assert enclosed(mesh) == pytest.approx(
+        (1 if solid == "above" else -1) * 4 / 3 * np.pi * RADIUS**3, rel=0.02
+    )
     triangles = triangles_of(mesh)
-    sides = np.sort(np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+    sides = np.sort(
+        np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1
+    )
     _, counts = np.unique(sides, axis=0, return_counts=True)
     assert (counts == 2).all()
     assert len(mesh.vertices) - len(counts) + len(triangles) == 2  # Euler
@@ -65,7 +78,8 @@ def test_vertices_lie_on_the_trilinear_surface() -> None:
     values = ball()
     mesh = mesh_of(values, 1.5)
     cell = np.minimum(np.floor(mesh.vertices).astype(int), np.array(values.shape[::-1]) - 2)
-    share, found = mesh.vertices - cell, np.zeros(len(mesh.vertices))
+    share = mesh.vertices - cell
+    found = np.zeros(len(mesh.vertices))
     for x, y, z in np.ndindex(2, 2, 2):
         weight = np.where(np.array([x, y, z]) == 1, share, 1.0 - share).prod(axis=1)
         found += weight * values[cell[:, 2] + z, cell[:, 1] + y, cell[:, 0] + x]
@@ -82,7 +96,8 @@ def test_there_is_no_surface_beside_a_hole_or_beyond_the_values() -> None:
     assert len(mesh.quads) and not len(mesh_of(ball(), 100.0).quads)
 
 
-# --- area and volume --------------------------------------------------------------------------------------------------
+# --- area and volume
+# --------------------------------------------------------------------------------------------------
 
 
 SHEAR = np.array([[0.8, 0.2, 0.0], [0.0, 1.1, -0.3], [0.1, 0.0, 1.4]])
@@ -96,7 +111,9 @@ def places(matrix: np.ndarray = EVEN) -> np.ndarray:
     return np.asarray(np.stack([x, y, z], axis=-1) @ matrix.T)
 
 
-def size_of(values: np.ndarray, isovalue: float, matrix: np.ndarray = EVEN, solid: str = "above") -> SurfaceSize:
+def size_of(
+    values: np.ndarray, isovalue: float, matrix: np.ndarray = EVEN, solid: str = "above"
+) -> SurfaceSize:
     volume = make_volume(values.astype(np.float32), solid=solid)
     return surface_size(volume.voxels, volume.normalise_isovalue(isovalue), matrix)
 
@@ -107,11 +124,14 @@ def placed_ball(radius: float, matrix: np.ndarray) -> np.ndarray:
     return radius - np.linalg.norm(at - at.reshape(-1, 3).mean(axis=0) - 0.17, axis=-1)
 
 
-@pytest.mark.parametrize("matrix", [EVEN, SHEAR, np.diag([1.0, -1.0, 1.0])], ids=["plain", "sheared", "mirrored"])
+@pytest.mark.parametrize(
+    "matrix", [EVEN, SHEAR, np.diag([1.0, -1.0, 1.0])], ids=["plain", "sheared", "mirrored"]
+)
 @pytest.mark.parametrize("radius", [3.1, 5.4, 7.9])
 def test_a_ball_is_as_large_as_its_errors_say(radius: float, matrix: np.ndarray) -> None:
     size = size_of(placed_ball(radius, matrix), 0.0, matrix)
-    area, volume = 4 * np.pi * radius**2, 4 / 3 * np.pi * radius**3
+    area = 4 * np.pi * radius**2
+    volume = 4 / 3 * np.pi * radius**3
     assert abs(size.area - area) < 1.6 * size.area_error < 0.1 * area
     assert abs(size.volume - volume) < 1.6 * size.volume_error < 0.16 * volume
     assert not size.is_open
@@ -121,7 +141,9 @@ def test_finer_voxels_make_smaller_errors() -> None:
     sizes = [size_of(placed_ball(radius, EVEN), 0.0) for radius in (2.7, 5.4, 10.8)]
     for name in ("area", "volume"):
         shares = [getattr(size, f"{name}_error") / getattr(size, name) for size in sizes]
-        assert all(2.5 < coarse / fine < 6.5 for coarse, fine in pairwise(shares)), "four, where steps are halved"
+        assert all(2.5 < coarse / fine < 6.5 for coarse, fine in pairwise(shares)), (
+            "four, where steps are halved"
+        )
 
 
 def test_a_plane_is_exact_and_open() -> None:
@@ -145,7 +167,8 @@ def test_below_and_above_share_a_surface_and_fill_the_box() -> None:
 def trilinear(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The field at places (n, 3; x, y, z in voxels), from its definition."""
     low = np.minimum(at.astype(int), np.array(values.shape)[::-1] - 2)
-    share, total = at - low, np.zeros(len(at))
+    share = at - low
+    total = np.zeros(len(at))
     for corner in np.indices((2, 2, 2)).reshape(3, -1).T:
         weight = np.where(corner == 1, share, 1.0 - share).prod(axis=1)
         total += weight * values[tuple((low + corner).T[::-1])]
@@ -155,7 +178,9 @@ def trilinear(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 def waves() -> np.ndarray:
     """A smooth field of 10 × 9 × 8 voxels."""
     z, y, x = np.indices((10, 9, 8)).astype(float)
-    return np.asarray(np.cos(0.7 * x + 0.3 * y) + np.cos(0.6 * y - 0.4 * z) + np.cos(0.5 * z + 0.3 * x))
+    return np.asarray(
+        np.cos(0.7 * x + 0.3 * y) + np.cos(0.6 * y - 0.4 * z) + np.cos(0.5 * z + 0.3 * x)
+    )
 
 
 @pytest.mark.parametrize(
@@ -164,12 +189,19 @@ def waves() -> np.ndarray:
     ids=["smooth", "rough"],
 )
 def test_fields_agree_with_sums_by_chance(values: np.ndarray, off: tuple[float, float]) -> None:
-    """Volume: the share of random places above. Area: a thin shell's volume over its thickness, |∇f| counted."""
-    box, count, thin, step = np.array(values.shape[::-1]) - 1.0, 400_000, 0.03, 1e-5
+    """Volume: the share of random places above. Area: a thin shell's volume over its thickness,
+    |∇f| counted.
+    """
+    box = np.array(values.shape[::-1]) - 1.0
+    count = 400_000
+    thin = 0.03
+    step = 1e-5
     at = np.random.default_rng(5).random((count, 3)) * (box - 2 * step) + step
     field = trilinear(values, at)
     near = at[np.abs(field - 0.3) < thin]
-    slopes = [trilinear(values, near + step * way) - trilinear(values, near - step * way) for way in EVEN]
+    slopes = [
+        trilinear(values, near + step * way) - trilinear(values, near - step * way) for way in EVEN
+    ]
     area = box.prod() * (np.linalg.norm(slopes, axis=0) / (2 * step)).sum() / count / (2 * thin)
     found = size_of(values, 0.3)
     assert found.volume == pytest.approx(box.prod() * (field > 0.3).mean(), rel=off[0])

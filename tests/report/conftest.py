@@ -17,7 +17,9 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture(scope="session")
 def make_bench(tmp_path_factory: pytest.TempPathFactory) -> MakeBench:
-    """Make a bench of the orbital under a sky, or as settings say, in a picture of 16 × 16 pixels."""
+    """Make a bench of the orbital under a sky, or as settings say, in a picture of 16 × 16
+    pixels.
+    """
 
     def make(size: int = 16, **settings: Any) -> Bench:
         given = {"lights": [SKY], "bounces": 2, "target_error": 0.1, **settings}

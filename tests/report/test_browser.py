@@ -1,4 +1,6 @@
-"""A report's page in a real browser: what it asks for, and whether it can be read in both schemes and on a phone."""
+"""A report's page in a real browser: what it asks for, and whether it can be read in both schemes
+and on a phone.
+"""
 
 from pathlib import Path
 from typing import Literal

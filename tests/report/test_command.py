@@ -30,13 +30,23 @@ Run = Callable[[Bench], Section]
 class Command:
     """``isogi report`` of the small scene into a folder, by studies that cost nothing.
 
-    ``ran`` has the keys of those that were run, in order: one gives the samples' first section, one their second.
+    ``ran`` has the keys of those that were run, in order: one gives the samples' first section, one
+    their second.
     """
 
-    def __init__(self, scene: Path, place: Path, patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-        self.scene, self.place, self.folder = scene, place, place / "a"
+    def __init__(
+        self,
+        scene: Path,
+        place: Path,
+        patch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        self.scene = scene
+        self.place = place
+        self.folder = place / "a"
         self.ran: list[str] = []
-        self._patch, self._capsys = patch, capsys
+        self._patch = patch
+        self._capsys = capsys
         plotless = (replace(section, plots=()) for section in sections())
         patch.setattr(measuring, "STUDIES", tuple(map(self._study, plotless)))
 
@@ -47,9 +57,18 @@ class Command:
 
         return Study(section.key, section.title, work, 1.0)
 
-    def run(self, *more: object, scene: Path | None = None, folder: Path | None = None) -> tuple[int, str, str]:
+    def run(
+        self, *more: object, scene: Path | None = None, folder: Path | None = None
+    ) -> tuple[int, str, str]:
         """Status, output and errors."""
-        words = [str(scene or self.scene), "-o", str(folder or self.folder), "--size", "24", *map(str, more)]
+        words = [
+            str(scene or self.scene),
+            "-o",
+            str(folder or self.folder),
+            "--size",
+            "24",
+            *map(str, more),
+        ]
         status = run(["report", *words])
         return status, *self._capsys.readouterr()
 
@@ -64,7 +83,9 @@ class Command:
     def having(self, key: str, work: Run) -> Iterator[None]:
         """Meanwhile the study of this key does some other ``work``."""
         with self._patch.context() as patch:
-            changed = (replace(each, run=work) if each.key == key else each for each in measuring.STUDIES)
+            changed = (
+                replace(each, run=work) if each.key == key else each for each in measuring.STUDIES
+            )
             patch.setattr(measuring, "STUDIES", tuple(changed))
             yield
 
@@ -82,7 +103,10 @@ class Command:
 
 @pytest.fixture
 def command(
-    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    small_scene: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> Command:
     return Command(small_scene, tmp_path, monkeypatch, capsys)
 
@@ -192,7 +216,9 @@ def test_only_some_are_run_and_the_rest_is_told(command: Command) -> None:
         (["--eye", "900,0,0", "--target", "999,0,0"], "Nothing is to be seen at isovalue 0.5"),
     ],
 )
-def test_wrong_use_is_one_line_and_leaves_no_folder(command: Command, more: list[str], word: str) -> None:
+def test_wrong_use_is_one_line_and_leaves_no_folder(
+    command: Command, more: list[str], word: str
+) -> None:
     status, _, error = command.run(*more)
     assert status == 2 and error.count("\n") == 1 and word in error
     assert command.ran == [] and not any(command.place.iterdir())
@@ -201,7 +227,11 @@ def test_wrong_use_is_one_line_and_leaves_no_folder(command: Command, more: list
 def test_a_folder_of_another_report_is_refused(command: Command) -> None:
     command.run()
     for more, scene, word in (
-        (["--isovalue", 0.6], None, "a report of small at 0.5, which is another view (by its isovalue)"),
+        (
+            ["--isovalue", 0.6],
+            None,
+            "a report of small at 0.5, which is another view (by its isovalue)",
+        ),
         (["--exposure", 3], None, "which is another view (by its exposure)"),
         ([], Path("demo:orbital"), "which is another scene: choose another folder"),
     ):
@@ -214,11 +244,15 @@ def test_a_folder_of_something_else_is_refused(command: Command) -> None:
     (command.place / "index.html").write_text("mine")
     status, _, error = command.run(folder=command.place)
     assert status == 1 and "holds no report: choose a new or an empty folder" in error
-    assert [(path.name, path.read_text()) for path in command.place.iterdir()] == [("index.html", "mine")]
+    assert [(path.name, path.read_text()) for path in command.place.iterdir()] == [
+        ("index.html", "mine")
+    ]
     assert command.ran == []
 
 
-def test_a_missing_library_is_told_before_any_work(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
+def test_a_missing_library_is_told_before_any_work(
+    monkeypatch: pytest.MonkeyPatch, command: Command
+) -> None:
     monkeypatch.setattr(report, "PAGE_LIBRARIES", ("json", "no_such_library"))
     told = "isogi: A report is drawn with no_such_library: pip install 'isogi[report]'.\n"
     assert command.run() == (1, "", told)
@@ -228,7 +262,8 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch: pytest.MonkeyPat
 def test_the_headline_is_the_summarys_first_row() -> None:
     table = sections()[0].tables[0]
     assert report.headline([replace(sections()[0], key="summary")]) == {
-        column.name: cell for column, cell in list(zip(table.columns, table.rows[0], strict=True))[1:]
+        column.name: cell
+        for column, cell in list(zip(table.columns, table.rows[0], strict=True))[1:]
     }
     assert report.headline(sections()) == {}
 
@@ -246,7 +281,11 @@ def test_the_journal_keeps_sections_whole(subject: dict[str, Any], tmp_path: Pat
     with open_journal(tmp_path / "a", subject) as again:
         found = again.find("split")
         assert found is not None and again.find("none") is None
-    assert (found.seconds, found.section.tables, found.section.about) == (2.5, section.tables, section.about)
+    assert (found.seconds, found.section.tables, found.section.about) == (
+        2.5,
+        section.tables,
+        section.about,
+    )
     for picture, kept in zip(section.pictures, found.section.pictures, strict=True):
         assert (picture.caption, picture.kind) == (kept.caption, kept.kind)
         assert np.array_equal(picture.pixels, kept.pixels, equal_nan=True)
@@ -269,7 +308,9 @@ def test_a_journal_without_sections_is_anyones(subject: dict[str, Any], tmp_path
         pass
 
 
-def test_what_other_code_made_goes(monkeypatch: pytest.MonkeyPatch, subject: dict[str, Any], tmp_path: Path) -> None:
+def test_what_other_code_made_goes(
+    monkeypatch: pytest.MonkeyPatch, subject: dict[str, Any], tmp_path: Path
+) -> None:
     with open_journal(tmp_path, subject):
         workshop(tmp_path).mkdir(parents=True)
     monkeypatch.setattr("isogi_report.journal.code_digest", lambda: "other")
@@ -278,7 +319,9 @@ def test_what_other_code_made_goes(monkeypatch: pytest.MonkeyPatch, subject: dic
 
 
 @pytest.mark.parametrize("name", ["split.json", "split.npz"])
-@pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: b"[]", lambda data: b""])
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[: len(data) // 2], lambda data: b"[]", lambda data: b""]
+)
 def test_a_damaged_entry_is_measured_again(
     subject: dict[str, Any], tmp_path: Path, name: str, damage: Callable[[bytes], bytes]
 ) -> None:
@@ -304,7 +347,9 @@ def test_a_report_looks_from_near_unless_told() -> None:
 def test_the_sentence_counts() -> None:
     facts = {"page": "p", "sections": {"a": 1.0}, "found": 0, "headline": {}, "notes": []}
     assert report.sentence(facts) == "p: 1 section."
-    assert "2 sections, 1 of them" in report.sentence({**facts, "sections": {"a": 1.0, "b": 1.0}, "found": 1})
+    assert "2 sections, 1 of them" in report.sentence(
+        {**facts, "sections": {"a": 1.0, "b": 1.0}, "found": 1}
+    )
 
 
 def test_every_study_has_a_key_that_names_files_and_anchors() -> None:

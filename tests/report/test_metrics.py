@@ -46,7 +46,8 @@ def test_what_is_off_the_surface_counts_nowhere() -> None:
 
 def test_the_noise_of_the_reference_is_taken_off() -> None:
     rng = np.random.default_rng(2)
-    truth, sigma = np.full((200, 200), 1.0), 0.1
+    truth = np.full((200, 200), 1.0)
+    sigma = 0.1
     noisy = best_of(truth + sigma * rng.standard_normal(truth.shape), sigma**2)
     off = grey(truth + 0.05 * rng.standard_normal(truth.shape))
     own = score(off, noisy, 1.0)
@@ -64,7 +65,9 @@ def test_more_noise_is_more_flip() -> None:
     pytest.importorskip("flip_evaluator")
     light = np.full((32, 32), 0.5)
     noise = np.random.default_rng(3).standard_normal(light.shape)
-    some, more = (score(grey(np.abs(light + s * noise)), best_of(light), 1.0).flip for s in (0.05, 0.2))
+    some, more = (
+        score(grey(np.abs(light + s * noise)), best_of(light), 1.0).flip for s in (0.05, 0.2)
+    )
     assert some is not None
     assert more is not None
     assert 0.0 < some < more < 1.0

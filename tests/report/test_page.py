@@ -1,4 +1,6 @@
-"""The page of a report and the files beside it: whole, self-contained, true to the sections, and readable."""
+"""The page of a report and the files beside it: whole, self-contained, true to the sections, and
+readable.
+"""
 
 import io
 import json
@@ -26,7 +28,9 @@ NOTE = "Left out, as 4 minutes did not suffice: <everything>."
 def folder(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a report of the samples."""
     place = tmp_path_factory.mktemp("report")
-    write_report(place, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE]))
+    write_report(
+        place, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE])
+    )
     return place
 
 
@@ -48,7 +52,10 @@ def test_the_page_asks_for_nothing_and_runs_nothing(text: str) -> None:
 def test_the_page_holds_every_section_table_plot_and_picture(text: str) -> None:
     assert text.count("<section ") == 3
     assert re.findall(r'<a href="#([^"]+)"', text) == ["split", "none", "setting"]
-    assert text.count('role="img" aria-label="relative RMSE over processor seconds: harmonics, paths.') == 1
+    assert (
+        text.count('role="img" aria-label="relative RMSE over processor seconds: harmonics, paths.')
+        == 1
+    )
     assert text.count('src="data:image/png;base64,') == 4
     for words in (
         "What was done.</p>",
@@ -75,9 +82,13 @@ def test_ids_are_unique_and_all_that_are_pointed_at_are_there(text: str) -> None
 
 
 def test_the_same_report_is_the_same_bytes(folder: Path, small_scene: Path, tmp_path: Path) -> None:
-    write_report(tmp_path, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE]))
+    write_report(
+        tmp_path, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE])
+    )
     names = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    assert names == sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
+    assert names == sorted(
+        path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()
+    )
     assert all((folder / name).read_bytes() == (tmp_path / name).read_bytes() for name in names)
 
 
@@ -113,7 +124,9 @@ def test_pictures_that_are_gone_are_removed(small_scene: Path, tmp_path: Path) -
     assert list(tmp_path.glob("p*/*")) == []
 
 
-@pytest.mark.parametrize(("most", "scale"), [(0.03, 0.05), (0.007, 0.01), (0.2, 0.2), (1.4, 2.0), (0.0, 0.01)])
+@pytest.mark.parametrize(
+    ("most", "scale"), [(0.03, 0.05), (0.007, 0.01), (0.2, 0.2), (1.4, 2.0), (0.0, 0.01)]
+)
 def test_maps_share_a_round_scale(most: float, scale: float) -> None:
     maps = [Picture("", "error", errors(part)) for part in (most, most / 3)]
     assert scales_of(maps) == pytest.approx((scale, scale))
@@ -126,7 +139,9 @@ def test_a_faint_map_has_its_own_scale_and_light_has_none() -> None:
 
 
 def test_errors_are_blue_below_white_at_and_red_above_nothing() -> None:
-    shown = error_colours(np.array([[-9.0, -0.1, 0.0, 0.1, np.nan]], np.float32), 0.1)[0].astype(int)
+    shown = error_colours(np.array([[-9.0, -0.1, 0.0, 0.1, np.nan]], np.float32), 0.1)[0].astype(
+        int
+    )
     red, blue = shown[:, 0], shown[:, 2]
     assert (shown[0] == shown[1]).all(), "beyond the scale is its end"
     assert blue[1] > red[1] + 50 and red[3] > blue[3] + 50
@@ -142,7 +157,9 @@ def pixels_of(png: bytes) -> np.ndarray:
 def test_radiance_is_shown_at_the_exposure(small_scene: Path) -> None:
     light = np.full((24, 24, 3), 0.25, np.float32)
     reports = [report_of(small_scene, [], exposure=exposure) for exposure in (1.0, 2.0)]
-    assert [int(shown_as(light, report.on, report.exposure)[disc()].min()) for report in reports] == [139, 210]  # sRGB
+    assert [
+        int(shown_as(light, report.on, report.exposure)[disc()].min()) for report in reports
+    ] == [139, 210]  # sRGB
 
 
 def test_a_black_surface_is_black_and_not_the_background(small_scene: Path) -> None:
@@ -162,7 +179,9 @@ def test_a_plot_names_its_colours_and_its_fonts(plot: Plot) -> None:
     assert ElementTree.fromstring(svg).tag.endswith("svg")
     assert {key.colour for key in keys(plot)} == {"var(--curve-1)", "var(--curve-2)"}
     assert all(f"stroke: {key.colour}" in svg for key in keys(plot))
-    assert "#0" not in re.sub(r'"#[a-z0-9]{5,}"|url\(#[^)]*\)', "", svg), "a colour that no scheme knows"
+    assert "#0" not in re.sub(r'"#[a-z0-9]{5,}"|url\(#[^)]*\)', "", svg), (
+        "a colour that no scheme knows"
+    )
     assert set(re.findall(r"font-family: ([^;\"]*)", svg)) == {"var(--text)"}
     for words in ("processor seconds", "relative RMSE", ">10 %<", ">1 s<"):
         assert words in svg, words

@@ -11,7 +11,15 @@ import pytest
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.speed import TIMED_SHADINGS, bounce, cast, isovalues_near, primary_rays, table, take_turns
+from isogi_report.speed import (
+    TIMED_SHADINGS,
+    bounce,
+    cast,
+    isovalues_near,
+    primary_rays,
+    table,
+    take_turns,
+)
 from server.cli.command import run
 
 NUMBERS = {
@@ -34,12 +42,16 @@ def measured(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str
     return figures
 
 
-def test_the_figures_are_there_and_make_sense(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
+def test_the_figures_are_there_and_make_sense(
+    capsys: pytest.CaptureFixture[str], small_scene: Path
+) -> None:
     figures = measured(capsys, small_scene)
     assert set(figures["frame_ms"]) == set(TIMED_SHADINGS)
     assert set(figures["encode_ms"]) == {"png", "jpeg", "webp"}
     numbers = [figures[name] for name in NUMBERS]
-    every = np.array(list(chain(numbers, figures["frame_ms"].values(), figures["encode_ms"].values())))
+    every = np.array(
+        list(chain(numbers, figures["frame_ms"].values(), figures["encode_ms"].values()))
+    )
     assert np.isfinite(every).all()
     assert (every > 0).all()
     assert (figures["scene"], figures["isovalue"], figures["size"]) == ("small", 0.5, 32)
@@ -47,7 +59,10 @@ def test_the_figures_are_there_and_make_sense(capsys: pytest.CaptureFixture[str]
 
 
 def test_it_takes_an_isovalue_and_leaves_the_store_alone(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    small_scene: Path,
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "tmp").mkdir()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -66,7 +81,9 @@ def test_it_takes_an_isovalue_and_leaves_the_store_alone(
         (["--repeats", "0"], "repeats"),
     ],
 )
-def test_wrong_use_is_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], word: str) -> None:
+def test_wrong_use_is_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], word: str
+) -> None:
     assert run(["bench", *arguments]) == 2
     out, error = capsys.readouterr()
     assert out == ""
@@ -80,7 +97,11 @@ def test_a_view_of_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_table_has_a_line_for_each_figure() -> None:
-    assert table({"a_ms": 1.23456, "by": {"x": 2, "y": 3.0}}).splitlines() == ["a_ms  1.235", "by.x  2", "by.y  3"]
+    assert table({"a_ms": 1.23456, "by": {"x": 2, "y": 3.0}}).splitlines() == [
+        "a_ms  1.235",
+        "by.x  2",
+        "by.y  3",
+    ]
 
 
 def test_candidates_alternate_and_the_first_round_is_left_out() -> None:
@@ -93,7 +114,10 @@ def test_candidates_alternate_and_the_first_round_is_left_out() -> None:
 
         return work
 
-    assert take_turns({"a": candidate("a"), "b": candidate("b")}, 2) == {"a": [1.0, 2.0], "b": [1.0, 2.0]}
+    assert take_turns({"a": candidate("a"), "b": candidate("b")}, 2) == {
+        "a": [1.0, 2.0],
+        "b": [1.0, 2.0],
+    }
     assert seen == [("a", 0), ("b", 0), ("a", 1), ("b", 1), ("a", 2), ("b", 2)]
 
 
@@ -126,4 +150,6 @@ def test_rays_bounce_off_the_surface_into_the_open_half(small_scene: Path) -> No
     assert np.allclose(np.linalg.norm(lift, axis=0), 0.3, atol=1e-5)
     cosine = (lift / 0.3 * diffuse.directions).sum(axis=0)
     assert (cosine > -1e-6).all()
-    assert cosine.mean() == pytest.approx(2 / 3, abs=0.02)  # E[cos²] / E[cos] of a cosine-weighted hemisphere
+    assert cosine.mean() == pytest.approx(
+        2 / 3, abs=0.02
+    )  # E[cos²] / E[cos] of a cosine-weighted hemisphere

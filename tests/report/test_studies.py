@@ -1,4 +1,6 @@
-"""The studies of a report, of a picture of a few pixels: light baked in memory, the split of an error, its course."""
+"""The studies of a report, of a picture of a few pixels: light baked in memory, the split of an
+error, its course.
+"""
 
 import math
 import threading
@@ -56,7 +58,9 @@ def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: 
     frame = Renderer(bake.renderer.caches, under_sky.tiles).render(under_sky.view, UNREACHED_TARGET)
     stored = bake_view(make_renderer(under_sky.scene, str(tmp_path)), under_sky.view, 16)
     assert stored.surface > 20
-    assert np.array_equal(frame.radiance, stored.radiance) and np.array_equal(frame.error, stored.error)
+    assert np.array_equal(frame.radiance, stored.radiance) and np.array_equal(
+        frame.error, stored.error
+    )
     assert bake.samples == 16.0
     assert bake.seconds > 0.0
 
@@ -66,7 +70,8 @@ def test_texels_far_from_the_surface_are_projected(make_bench: MakeBench) -> Non
     renderer = bench.renderer(bench.scene)
     bake = ViewBake(renderer, bench.view)
     bake.grow(256)
-    frame, texels = bake.frame(), len(bake.shown.places)
+    frame = bake.frame()
+    texels = len(bake.shown.places)
     assert frame.quality.projection
     ways = find_distances(bake.shown, renderer.prepared, renderer.tiles).voxels
     distant = np.flatnonzero(STEEPNESS * ways > 0.05)
@@ -115,14 +120,17 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
 
 
 PACE = 1 << 20
-"""Samples of texels and of pixels that take a second; a power of two, so that sums of them are exact."""
+"""Samples of texels and of pixels that take a second; a power of two, so that sums of them are
+exact.
+"""
 
 
 class Toil:
     """Stands for the ``time`` of a module that measures its work."""
 
     def __init__(self) -> None:
-        self._seconds, self._lock = 0.0, threading.Lock()
+        self._seconds = 0.0
+        self._lock = threading.Lock()
 
     monotonic = staticmethod(time.monotonic)
 
@@ -137,10 +145,15 @@ class Toil:
 
 
 def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have bakes in memory and traced pictures take as long as their samples tell, on any machine."""
-    toil, render = Toil(), Renderer.render
+    """Have bakes in memory and traced pictures take as long as their samples tell, on any
+    machine.
+    """
+    toil = Toil()
+    render = Renderer.render
 
-    def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float) -> None:
+    def refined(
+        light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float
+    ) -> None:
         before = taken(light)
         refine(light, texels, look, until, target)
         toil.spend(taken(light) - before)
@@ -163,7 +176,9 @@ def taken(light: Light) -> int:
 
 @pytest.mark.slow
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
+    """Each point of baked light has cost all samples up to its own, each of traced paths its own
+    alone.
+    """
     measure_toil(monkeypatch)
     (plot,) = studies.study_convergence(under_sky).plots
     assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
@@ -219,8 +234,11 @@ def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: MakeBench) -> None:
     cut = {}
     for lobes in (0, 1):
         bench = make_bench(lobes=lobes, **orders)
-        own, lights = own_light(bench), lit_by_paths(short_paths(bench))
-        cut[lobes] = spread_of(own.light - lights.light, own.noise + lights.noise, mean_of(lights.light)).rmse
+        own = own_light(bench)
+        lights = lit_by_paths(short_paths(bench))
+        cut[lobes] = spread_of(
+            own.light - lights.light, own.noise + lights.noise, mean_of(lights.light)
+        ).rmse
     assert cut[1] < 0.5 * cut[0] and cut[0] > 0.05
 
 
@@ -228,8 +246,11 @@ def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: MakeBench) -> None:
 def test_what_two_references_share_is_not_noise(make_bench: MakeBench) -> None:
     """Of other normals' pictures with 64 paths, against the same with many more."""
     bench = make_bench()
-    few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
-    change, exact = reference_difference(*few), reference_difference(*many)
+    few, many = (
+        (bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096)
+    )
+    change = reference_difference(*few)
+    exact = reference_difference(*many)
     met = ((change.light - exact.light) ** 2).mean()
     assert 0.5 < change.noise.mean() / met < 2.0
     assert change.noise.mean() < sum(lit_by_paths(each).noise.mean() for each in few)
@@ -270,7 +291,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def check(section: Section) -> None:
-    """Tables are whole and in known units, and no number in them is NaN; pictures are of one view."""
+    """Tables are whole and in known units, and no number in them is NaN; pictures are of one
+    view.
+    """
     for table in section.tables:
         assert table.rows
         assert all(column.unit in COLUMN_UNITS for column in table.columns)
@@ -315,7 +338,9 @@ def test_what_gives_way_to_time_is_told(make_bench: MakeBench) -> None:
     assert not late.hurried
 
 
-def test_light_that_does_not_fit_is_not_shown(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_that_does_not_fit_is_not_shown(
+    make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(benches, "BENCH_CACHE_BYTES", 1 << 14)
     bench = make_bench()
     with pytest.raises(StoreError, match="does not fit"):

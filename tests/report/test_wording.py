@@ -1,4 +1,6 @@
-"""What a report writes and shows: cells by their column's unit, where its view stands, and the time left."""
+"""What a report writes and shows: cells by their column's unit, where its view stands, and the time
+left.
+"""
 
 import math
 import time
@@ -19,7 +21,12 @@ from server import progress
     [
         ("text", ["as it is"], "x", ["as it is"]),
         ("share", [0.0971, 1.5, None], "x, %", ["9.7", "150.0", "–"]),
-        ("share", [0.0041, -0.0123, 0.00002, -0.00002, 0.0], "x, %", ["0.41", "−1.23", "< 0.01", "> −0.01", "0.00"]),
+        (
+            "share",
+            [0.0041, -0.0123, 0.00002, -0.00002, 0.0],
+            "x, %",
+            ["0.41", "−1.23", "< 0.01", "> −0.01", "0.00"],
+        ),
         ("seconds", [12.31, 0.4, 140.2, 2000.0], "x, s", ["12.3", "0.400", "140", "2,000"]),
         ("seconds", [0.0176, 0.9], "x, ms", ["17.6", "900"]),
         ("bytes", [59.0, 300.0], "x, B", ["59", "300"]),
@@ -35,7 +42,9 @@ from server import progress
         ("number", [math.nan, 3.0], "x", ["–", "3"]),
     ],
 )
-def test_a_column_is_told_in_one_unit(unit: str, cells: list[Cell], head: str, texts: list[str]) -> None:
+def test_a_column_is_told_in_one_unit(
+    unit: str, cells: list[Cell], head: str, texts: list[str]
+) -> None:
     column = text_column(Column("x", unit), cells)
     assert (column.head.replace("\u00a0", " "), list(column.cells)) == (head, texts)
     assert column.numeric is (unit != "text")
@@ -62,13 +71,17 @@ def test_an_orthographic_camera_says_where_it_looks(camera: Camera) -> None:
     """Its eye, ten million radii away, is of no use to a person."""
     height = 2.0 * 60.0 * math.tan(math.radians(15.0))
     told = standpoint(orthographic(camera, RADIUS))
-    assert told.startswith("orthographic, along ") and told.endswith(f" to 10, 10, 10, {height:.4g} high there")
+    assert told.startswith("orthographic, along ") and told.endswith(
+        f" to 10, 10, 10, {height:.4g} high there"
+    )
     assert "-1," in told
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A clock that stands at its one number; of this module alone, as servers of other tests live by the true one."""
+    """A clock that stands at its one number; of this module alone, as servers of other tests live
+    by the true one.
+    """
     now = [100.0]
     monkeypatch.setattr(measuring, "time", SimpleNamespace(monotonic=lambda: now[0]))
     return now
@@ -96,7 +109,9 @@ def test_time_left_is_never_more_than_the_limit(clock: list[float]) -> None:
     assert bar.left == 15.0
 
 
-def test_the_bar_shows_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_bar_shows_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.01)
     with Pieces("report", 2.0, 0.0, 3600.0).ticking() as bar:
         bar.begin("half of it")

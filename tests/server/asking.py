@@ -28,7 +28,9 @@ def final(client: httpx.Client, scene: str = "small", **query: str | float) -> h
     """The frame of a view once it is final, within two minutes."""
     deadline = time.monotonic() + 120
     while True:
-        answer = client.get(f"/v1/scenes/{scene}/frame", params={"wait_ms": 5000, **query}, timeout=180)
+        answer = client.get(
+            f"/v1/scenes/{scene}/frame", params={"wait_ms": 5000, **query}, timeout=180
+        )
         if answer.headers.get("isogi-provisional") == "?0":
             return answer
         assert answer.status_code in (200, 429), answer.text

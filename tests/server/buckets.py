@@ -43,7 +43,8 @@ def chunks_at(url: str) -> dict[str, str]:
 
 def killed_when(condition: Callable[[], bool], *command: str) -> None:
     """Run a command of isogi, and kill it once a condition holds, unless it has ended by itself."""
-    environment, silent = {**os.environ, "PYTHONPATH": str(ROOT)}, subprocess.DEVNULL
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    silent = subprocess.DEVNULL
     program = [sys.executable, "-m", "server", *command]
     process = subprocess.Popen(program, env=environment, stdout=silent, stderr=silent)
     until(lambda: condition() or process.poll() is not None)

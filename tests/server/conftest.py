@@ -41,13 +41,17 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def told(capsys: pytest.CaptureFixture[str]) -> Told:
-    """``told(*words, status=0)``: what a command prints that ends so; where it fails, on stderr, but for its bars."""
+    """``told(*words, status=0)``: what a command prints that ends so; where it fails, on stderr,
+    but for its bars.
+    """
 
     def told(*words: object, status: int = 0) -> str:
         capsys.readouterr()
         ended = run([str(word) for word in words])
         out, error = capsys.readouterr()
         assert ended == status, error
-        return out if status == 0 else re.sub(r"[^\n]*\r", "", error)
+        if status == 0:
+            return out
+        return re.sub(r"[^\n]*\r", "", error)
 
     return told

@@ -18,7 +18,8 @@ CALLS = ("get", "put", "create_sentinel", "folders", "check_writable")
 
 
 class Failing:
-    """A new store at ``place``; ``fails`` is told the number of each call, from 1, and whether it fails.
+    """A new store at ``place``; ``fails`` is told the number of each call, from 1, and whether it
+    fails.
 
     ``calls`` counts them.
     """
@@ -43,7 +44,11 @@ class FailingFolder(Failing):
 
     def objects(self) -> dict[str, bytes]:
         folder = self.place.folder
-        files = [path for path in folder.rglob("*") if path.is_file() and not {"costs", "used"} & {*path.parts}]
+        files = [
+            path
+            for path in folder.rglob("*")
+            if path.is_file() and not {"costs", "used"} & {*path.parts}
+        ]
         return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
@@ -58,11 +63,17 @@ class FailingBucket(Failing):
 
     def fault(self, call: Call) -> Fault | None:
         """What becomes of a call."""
-        return self.FAULTS[self.calls % len(self.FAULTS)] if self.failing() else None
+        if self.failing():
+            return self.FAULTS[self.calls % len(self.FAULTS)]
+        return None
 
     def objects(self) -> dict[str, bytes]:
         prefix = self.place.url.removeprefix("s3://isogi/") + "/"
-        kept = {key.removeprefix(prefix): data for key, data in self._s3.objects.items() if key.startswith(prefix)}
+        kept = {
+            key.removeprefix(prefix): data
+            for key, data in self._s3.objects.items()
+            if key.startswith(prefix)
+        }
         return {key: data for key, data in kept.items() if not key.startswith(("costs/", "used/"))}
 
 

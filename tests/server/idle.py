@@ -18,10 +18,15 @@ from worker.baker import Baker
 
 
 class Idle:
-    """A server whose light is never baked, for it has no workers: what is wanted stays so until it is dropped."""
+    """A server whose light is never baked, for it has no workers: what is wanted stays so until it
+    is dropped.
+    """
 
     def __init__(self, url: str, baker: Baker, engine: RenderEngine, service: Service) -> None:
-        self.url, self.baker, self.engine, self.service = url, baker, engine, service
+        self.url = url
+        self.baker = baker
+        self.engine = engine
+        self.service = service
 
     @property
     def wanted(self) -> set[tuple[Key, Hashable]]:
@@ -41,7 +46,8 @@ class Idle:
 @contextmanager
 def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     """Such a server of a scene, once it answers."""
-    baker, loaded = Baker(), load_scene(scene)
+    baker = Baker()
+    loaded = load_scene(scene)
     engine = RenderEngine([loaded], str(store), baker=baker)
     engine.hire = lambda: None  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"

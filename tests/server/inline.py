@@ -37,7 +37,9 @@ check = LoadedScene.check
 
 
 def weigh_at(prices: Prices, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have checks weigh the ways to a target at these ``prices``: small pictures would not pay for tasks of texels."""
+    """Have checks weigh the ways to a target at these ``prices``: small pictures would not pay for
+    tasks of texels.
+    """
 
     def _check(self: LoadedScene, view: View, target: float, tiles: Tiles, _: Prices) -> bool:
         return check(self, view, target, tiles, prices)
@@ -50,16 +52,24 @@ class InlinePool:
 
     preparing = ""
 
-    room, together, workers, deaths, trouble = 2, 1, 1, 0, ""
+    room = 2
+    together = 1
+    workers = 1
+    deaths = 0
+    trouble = ""
 
-    def __init__(self, workers: int = 1, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
+    def __init__(
+        self, workers: int = 1, scheduler: str | None = None, kinds: Collection[str] = ()
+    ) -> None:
         """Take what a ``WorkerPool`` takes, and start one thread."""
         self._thread = ThreadPoolExecutor(1)
 
     def submit(self, task: BakeTask, done: Done) -> None:
-        """Bake what arrives when the task is sent; ``done`` is called with the result, or the error.
+        """Bake what arrives when the task is sent; ``done`` is called with the result, or the
+        error.
 
-        It is called on the pool's thread, as a pool's promise is: who submits holds the baker's lock.
+        It is called on the pool's thread, as a pool's promise is: who submits holds the baker's
+        lock.
         """
         self._thread.submit(bake_sent, pickle.dumps(task), done)
 
@@ -89,13 +99,19 @@ class EngineWithoutWorkers(RenderEngine):
         return []
 
 
-def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, **settings: Any) -> View:
+def view_of(
+    scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, **settings: Any
+) -> View:
     """A small view at the scene's own isovalue unless told."""
     camera = scene.camera(azimuth, 20.0, 3.0, 30.0)
-    return View(scene.isovalue if isovalue is None else isovalue, camera, width=40, height=40, **settings)
+    return View(
+        scene.isovalue if isovalue is None else isovalue, camera, width=40, height=40, **settings
+    )
 
 
 def chunks_in(store: Path) -> dict[str, str]:
     """The stored chunks by name, and the digest of each; what a kill left half-written is none."""
-    files = [path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL_SUFFIX]
+    files = [
+        path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL_SUFFIX
+    ]
     return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}

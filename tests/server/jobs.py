@@ -16,13 +16,17 @@ from tests.server.inline import LONG
 def baking(scene: Path, store: Path) -> Iterator[httpx.Client]:
     """A client of a server that bakes."""
     bearer = {"Authorization": f"Bearer {TOKEN}"}
-    with lab_of(scene, store) as lab, httpx.Client(base_url=lab.url, headers=bearer, timeout=60) as client:
+    with (
+        lab_of(scene, store) as lab,
+        httpx.Client(base_url=lab.url, headers=bearer, timeout=60) as client,
+    ):
         yield client
 
 
 def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
     """The document of a job once it has ended; its progress has not fallen meanwhile."""
-    deadline, seen = time.monotonic() + LONG, [0]
+    deadline = time.monotonic() + LONG
+    seen = [0]
     while True:
         facts: dict[str, Any] = client.get(address).json()
         seen.append(facts["progress"])

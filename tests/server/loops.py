@@ -1,4 +1,6 @@
-"""An event loop whose time passes while it has nothing to do, and only then: sleeps take none, and never too long."""
+"""An event loop whose time passes while it has nothing to do, and only then: sleeps take none, and
+never too long.
+"""
 
 import asyncio
 import selectors
@@ -29,5 +31,7 @@ class IdleLoop(asyncio.SelectorEventLoop):
         return self._jumping.now
 
 
-IN_NO_TIME = pytest.mark.parametrize("anyio_backend", [("asyncio", {"loop_factory": IdleLoop})], ids=["in no time"])
+IN_NO_TIME = pytest.mark.parametrize(
+    "anyio_backend", [("asyncio", {"loop_factory": IdleLoop})], ids=["in no time"]
+)
 """Has a coroutine that is a test run in such a loop."""

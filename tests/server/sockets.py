@@ -31,7 +31,8 @@ def small_app() -> FastAPI:
     closing = Closing()
     app = FastAPI()
     app.add_middleware(GracefulShutdown, closing=closing)
-    app.state.closing, app.state.metrics = closing, Metrics()
+    app.state.closing = closing
+    app.state.metrics = Metrics()
 
     async def slow(seconds: float) -> float:
         await asyncio.sleep(seconds)
@@ -52,9 +53,13 @@ class Running:
     """A server on a thread, its address, and the app's counters."""
 
     def __init__(self, server: Server, address: tuple[str, int], metrics: Metrics) -> None:
-        self.server, self.address, self.metrics = server, address, metrics
+        self.server = server
+        self.address = address
+        self.metrics = metrics
 
-    def connect(self, *said: bytes, seconds: float = 10.0, source: str = "127.0.0.1") -> socket.socket:
+    def connect(
+        self, *said: bytes, seconds: float = 10.0, source: str = "127.0.0.1"
+    ) -> socket.socket:
         """A connection on which this was said, from an address of this machine."""
         connection = socket.socket()
         connection.bind((source, 0))
@@ -71,12 +76,17 @@ class Running:
 
     def ask(self, path: str = "/small") -> int:
         """The status that a client gets that behaves well."""
-        with self.connect(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode()) as client:
+        with self.connect(
+            f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode()
+        ) as client:
             return status(answer(client))
 
     def closed(self, why: str) -> float:
         """How many connections were given up for this."""
-        return self.metrics.registry.get_sample_value("isogi_connections_closed_total", {"why": why}) or 0.0
+        return (
+            self.metrics.registry.get_sample_value("isogi_connections_closed_total", {"why": why})
+            or 0.0
+        )
 
     def held(self) -> int:
         """How many connections the server holds."""
@@ -131,12 +141,18 @@ def wait_for(condition: Any, seconds: float = 10.0) -> bool:
 
 
 async def pictures_on(stream: str, views: Sequence[Mapping[str, Any]]) -> list[bytes]:
-    """The picture that a ``stream`` sends of each view, one after the other; none may be refused."""
+    """The picture that a ``stream`` sends of each view, one after the other; none may be
+    refused.
+    """
     pictures = []
     async with connect(stream.replace("http", "ws"), max_size=None) as connection:
         for number, view in enumerate(views):
-            await connection.send(json.dumps({"id": number, "view": {"width": 40, "height": 40, "f": "png", **view}}))
-            while json.loads(facts := await asyncio.wait_for(connection.recv(), 120))["id"] != number:
+            await connection.send(
+                json.dumps({"id": number, "view": {"width": 40, "height": 40, "f": "png", **view}})
+            )
+            while (
+                json.loads(facts := await asyncio.wait_for(connection.recv(), 120))["id"] != number
+            ):
                 await connection.recv()
             assert "problem" not in json.loads(facts)
             picture = await connection.recv()

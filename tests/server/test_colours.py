@@ -13,7 +13,13 @@ from server.answers import colour_scale, scene_schema
 from tests.live import serving
 from tests.server.asking import final
 
-TABLE: dict[str, Any] = {"use": "colour", "of": "gradient", "map": "magma", "range": [0.0, 0.05], "name": "steepness"}
+TABLE: dict[str, Any] = {
+    "use": "colour",
+    "of": "gradient",
+    "map": "magma",
+    "range": [0.0, 0.05],
+    "name": "steepness",
+}
 
 
 def test_the_document_has_what_a_legend_needs() -> None:
@@ -35,9 +41,15 @@ def test_the_document_names_labels_and_their_colours(tmp_path: Path) -> None:
     nrrd.write(str(tmp_path / "seg.nrrd"), parts, index_order="C")
     labels = [{"value": 3, "name": "liver", "colour": "#b5523a"}, {"value": 8, "hidden": True}]
     scale = colour_scale(load_scene(tmp_path / "seg.nrrd", labels=labels))
-    assert scale is not None and (scale.name, scale.map, scale.colours) == ("seg", "labels", ["#b5523a"])
+    assert scale is not None and (scale.name, scale.map, scale.colours) == (
+        "seg",
+        "labels",
+        ["#b5523a"],
+    )
     told = [(label.value, label.name, label.shown) for label in scale.labels]
-    assert told == [(3, "liver", True), (8, "label 8", False)] and scale.labels[0].colour == "#b5523a"
+    assert (
+        told == [(3, "liver", True), (8, "label 8", False)] and scale.labels[0].colour == "#b5523a"
+    )
 
 
 @pytest.fixture

@@ -16,7 +16,13 @@ from tests.loaded import load_scene
         ("fov", "Vertical field of view (0.01 to 179 degrees); default: 30."),
         ("width", "Width of the picture (1 to 16,383 pixels); default: 512."),
         ("roughness", "Roughness of that shine (0.02 to 1); default: the scene's."),
-        ("antialias", "Whether pixels at edges are the mean of 8 to 16 samples (on, off); default: on, off in npy."),
+        (
+            "antialias",
+            (
+                "Whether pixels at edges are the mean of 8 to 16 samples (on, off); default: on, "
+                "off in npy."
+            ),
+        ),
         ("eye", "World x,y,z of the eye, instead of azimuth, elevation and distance."),
     ],
 )
@@ -37,7 +43,8 @@ def test_all_of_a_frame_but_its_format_is_in_the_table() -> None:
 
 
 def test_a_scene_has_the_knobs_that_change_it() -> None:
-    plain, shiny = load_scene("demo:casting"), load_scene("demo:casting", shine={"kind": "metal", "roughness": 0.4})
+    plain = load_scene("demo:casting")
+    shiny = load_scene("demo:casting", shine={"kind": "metal", "roughness": 0.4})
     assert not {"shine", "glow", "time"} & set(defaults(plain))
     assert defaults(shiny)["shine"] == "metal"
     assert defaults(shiny)["roughness"] == 0.4
@@ -46,4 +53,6 @@ def test_a_scene_has_the_knobs_that_change_it() -> None:
 
 def test_the_client_knows_what_is_of_a_picture_alone() -> None:
     """Waiting for light leaves these out: events of a view refuse them."""
-    assert set(isogi_client.PICTURE_PARAMETERS) == set(FrameParams.model_fields) - set(ViewParams.model_fields)
+    assert set(isogi_client.PICTURE_PARAMETERS) == set(FrameParams.model_fields) - set(
+        ViewParams.model_fields
+    )

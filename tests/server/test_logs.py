@@ -27,7 +27,9 @@ logging.getLogger("distributed.nanny").error("no")
 def logged(form: str) -> str:
     """What a process writes that logs in this form."""
     code = CODE.format(form=form)
-    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stderr
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stderr
 
 
 def test_json_is_one_line_an_event_with_its_request() -> None:
@@ -51,10 +53,14 @@ class Clock:
         return self.now
 
 
-def passed(repeats: Repeats, text: str, *values: Any, level: int = logging.WARNING, name: str = "isogi") -> str | None:
+def passed(
+    repeats: Repeats, text: str, *values: Any, level: int = logging.WARNING, name: str = "isogi"
+) -> str | None:
     """What is written of a record; None where nothing is."""
     record = logging.LogRecord(name, level, "", 0, text, values, None)
-    return record.getMessage() if repeats.filter(record) else None
+    if repeats.filter(record):
+        return record.getMessage()
+    return None
 
 
 def test_what_comes_again_is_written_ten_times_a_minute() -> None:
@@ -65,7 +71,10 @@ def test_what_comes_again_is_written_ten_times_a_minute() -> None:
     clock.now = 59
     assert passed(repeats, "bad byte %d", 1) is None
     clock.now = 60
-    assert passed(repeats, "bad byte %d", 2) == "bad byte 2 (and 91 more of its kind, which are not written)"
+    assert (
+        passed(repeats, "bad byte %d", 2)
+        == "bad byte 2 (and 91 more of its kind, which are not written)"
+    )
     assert passed(repeats, "bad byte %d", 3) == "bad byte 3"
     clock.now = 121
     assert passed(repeats, "bad byte %d", 4) == "bad byte 4"
@@ -99,7 +108,9 @@ def test_a_flood_leaves_few_lines() -> None:
 def told(error: Exception, **more: Any) -> dict[str, Any]:
     """A record with an error, as JSON."""
     info = (type(error), error, error.__traceback__)
-    record = logging.makeLogRecord({"name": "isogi", "msg": "failed", "levelname": "ERROR", "exc_info": info, **more})
+    record = logging.makeLogRecord(
+        {"name": "isogi", "msg": "failed", "levelname": "ERROR", "exc_info": info, **more}
+    )
     assert WithRequest().filter(record)
     facts: dict[str, Any] = json.loads(JsonLines().format(record))
     return facts

@@ -1,4 +1,6 @@
-"""The parameters of a view: what is read, what is refused and with which sentence, and the camera that they make."""
+"""The parameters of a view: what is read, what is refused and with which sentence, and the camera
+that they make.
+"""
 
 from pathlib import Path
 
@@ -85,15 +87,26 @@ def test_the_document_has_the_bounds_of_each_parameter(model: type[ViewParams]) 
         for known in field.metadata:
             if isinstance(known, Span):
                 kind = "integer" if known.whole else "number"
-                assert (schema["type"], schema["minimum"], schema["maximum"]) == (kind, known.low, known.high)
+                assert (schema["type"], schema["minimum"], schema["maximum"]) == (
+                    kind,
+                    known.low,
+                    known.high,
+                )
             if isinstance(known, Choice):
                 assert schema["enum"] == list(known.words)
-        assert {"minimum", "maximum"} <= set(schema) or schema["type"] == "string" or name == "isovalue"
+        assert (
+            {"minimum", "maximum"} <= set(schema)
+            or schema["type"] == "string"
+            or name == "isovalue"
+        )
         assert schema.get("default", "none") is not None
 
 
 def test_a_repeated_parameter() -> None:
-    assert str(refusal(("width", "5"), ("width", "5"))) == "width is given more than once: give it once."
+    assert (
+        str(refusal(("width", "5"), ("width", "5")))
+        == "width is given more than once: give it once."
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,7 +125,10 @@ def test_two_ways_of_saying_one_thing(text: str) -> None:
 
 @pytest.mark.parametrize("name", ["target", "up"])
 def test_an_orbit_has_a_target_and_an_up(name: str) -> None:
-    assert read(ViewParams, [("azimuth", "10"), (name, "0,1,3")]).model_fields_set == {"azimuth", name}
+    assert read(ViewParams, [("azimuth", "10"), (name, "0,1,3")]).model_fields_set == {
+        "azimuth",
+        name,
+    }
 
 
 def test_samples_are_for_path_tracing() -> None:
@@ -133,24 +149,33 @@ def test_every_parameter_is_documented() -> None:
 
 
 def test_shine_is_asked_for_where_the_scene_shines() -> None:
-    scene, settings = load_scene("demo:casting", shine={"kind": "plastic", "roughness": 0.4}), Settings()
+    scene = load_scene("demo:casting", shine={"kind": "plastic", "roughness": 0.4})
+    settings = Settings()
     given = [("shine", "metal"), ("roughness", "0.1")]
     assert view_of(scene, read(ViewParams, given), settings).shine == Shine("metal", 0.1, 1.0)
-    assert view_of(scene, read(ViewParams, [("strength", "0.5")]), settings).shine == Shine("plastic", 0.4, 0.5)
+    assert view_of(scene, read(ViewParams, [("strength", "0.5")]), settings).shine == Shine(
+        "plastic", 0.4, 0.5
+    )
     assert view_of(scene, read(ViewParams, [("roughness", "0.4")]), settings).shine is None
     assert str(refusal(("shine", "glass"))).startswith("shine must be")
 
 
-@pytest.mark.parametrize(("name", "value"), [("shine", "metal"), ("roughness", "0.3"), ("strength", "0")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("shine", "metal"), ("roughness", "0.3"), ("strength", "0")]
+)
 def test_a_diffuse_scene_refuses_to_shine(name: str, value: str) -> None:
     with pytest.raises(ParameterError) as caught:
         view_of(load_scene("demo:casting"), read(ViewParams, [(name, value)]), Settings())
     assert caught.value.parameter == name
-    assert str(caught.value) == f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table."
+    assert (
+        str(caught.value)
+        == f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table."
+    )
 
 
 def test_scenes_that_shine_say_as_what_views_may_ask_for() -> None:
-    shining, dull = load_scene("demo:casting", shine={"roughness": 0.5}), load_scene("demo:casting")
+    shining = load_scene("demo:casting", shine={"roughness": 0.5})
+    dull = load_scene("demo:casting")
     document = scene_schema(shining)
     assert document.shines == ["plastic", "metal"]
     defaults = {"shine": "plastic", "roughness": 0.5, "strength": 1.0}
@@ -164,11 +189,19 @@ def test_glow_is_asked_for_where_something_glows() -> None:
     glowing = load_scene("demo:casting", glow=[{"sphere": [84, 64, 70, 8]}])
     assert view_of(glowing, read(ViewParams, [("glow", "2.5")]), Settings()).glow == 2.5
     assert scene_schema(glowing).defaults["glow"] == 1.0
-    assert (scene_schema(glowing).ranges["glow"].min, scene_schema(glowing).ranges["glow"].max) == (0.0, 16.0)
+    assert (scene_schema(glowing).ranges["glow"].min, scene_schema(glowing).ranges["glow"].max) == (
+        0.0,
+        16.0,
+    )
     assert str(refusal(("glow", "17"))).startswith("glow must be")
     dark = load_scene("demo:casting")
-    assert "glow" not in scene_schema(dark).defaults and view_of(dark, read(ViewParams, []), Settings()).glow == 1.0
-    with pytest.raises(ParameterError, match="glow is for scenes in which something glows: leave it out") as caught:
+    assert (
+        "glow" not in scene_schema(dark).defaults
+        and view_of(dark, read(ViewParams, []), Settings()).glow == 1.0
+    )
+    with pytest.raises(
+        ParameterError, match="glow is for scenes in which something glows: leave it out"
+    ) as caught:
         view_of(dark, read(ViewParams, [("glow", "2")]), Settings())
     assert caught.value.parameter == "glow"
 
@@ -192,9 +225,13 @@ def test_an_orbit_goes_round_its_target(scene: Scene) -> None:
     about = camera_of(scene, given("azimuth=110 elevation=-25 distance=2 target=3,4,5"))
     middle = camera_of(scene, given("azimuth=110 elevation=-25 distance=2"))
     assert about.target == (3.0, 4.0, 5.0) and middle.target == scene.volume.centre
-    assert np.subtract(about.eye, about.target) == pytest.approx(np.subtract(middle.eye, middle.target))
+    assert np.subtract(about.eye, about.target) == pytest.approx(
+        np.subtract(middle.eye, middle.target)
+    )
     assert (about.up, about.fov) == (middle.up, middle.fov)
-    assert np.linalg.norm(np.subtract(about.eye, about.target)) == pytest.approx(2.0 * scene.volume.radius)
+    assert np.linalg.norm(np.subtract(about.eye, about.target)) == pytest.approx(
+        2.0 * scene.volume.radius
+    )
 
 
 def test_a_target_alone_is_looked_at_from_where_the_scene_starts(scene: Scene) -> None:
@@ -203,7 +240,8 @@ def test_a_target_alone_is_looked_at_from_where_the_scene_starts(scene: Scene) -
 
 
 def test_an_orbit_may_be_rolled_by_its_up(scene: Scene) -> None:
-    rolled, level = camera_of(scene, given("azimuth=0 up=0,1,0")), camera_of(scene, given("azimuth=0"))
+    rolled = camera_of(scene, given("azimuth=0 up=0,1,0"))
+    level = camera_of(scene, given("azimuth=0"))
     assert (rolled.eye, rolled.target, rolled.up) == (level.eye, level.target, (0.0, 1.0, 0.0))
     with pytest.raises(ViewError, match="along the view"):
         camera_of(scene, given("azimuth=90 elevation=0 up=0,1,0"))
@@ -211,13 +249,18 @@ def test_an_orbit_may_be_rolled_by_its_up(scene: Scene) -> None:
 
 def test_an_eye_looks_at_the_middle_with_z_up(scene: Scene) -> None:
     camera = camera_of(scene, given("eye=50,60,70"))
-    assert (camera.eye, camera.target, camera.up) == ((50.0, 60.0, 70.0), scene.volume.centre, (0.0, 0.0, 1.0))
+    assert (camera.eye, camera.target, camera.up) == (
+        (50.0, 60.0, 70.0),
+        scene.volume.centre,
+        (0.0, 0.0, 1.0),
+    )
     assert camera_of(scene, given("eye=50,60,70 target=0,0,0")).target == (0.0, 0.0, 0.0)
 
 
 def test_a_view_is_in_the_projection_that_it_or_its_scene_names(scene: Scene) -> None:
     flat = scene.with_settings(projection="orthographic")
-    usual, parallel = camera_of(scene, given("azimuth=10")), camera_of(flat, given("azimuth=10"))
+    usual = camera_of(scene, given("azimuth=10"))
+    parallel = camera_of(flat, given("azimuth=10"))
     assert parallel.fov < 1e-4 < usual.fov == 30.0
     assert camera_of(scene, given("azimuth=10 projection=orthographic")) == parallel
     assert camera_of(flat, given("azimuth=10 projection=perspective")) == usual

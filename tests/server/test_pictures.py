@@ -13,7 +13,16 @@ from isogi_core.plan.assembly import load_scene
 from server import pictures
 from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FrameParams, read
-from server.pictures import ENCODER_OPTIONS, encode, format_for, grey, media_range, negotiate, npy_bytes, npy_parts
+from server.pictures import (
+    ENCODER_OPTIONS,
+    encode,
+    format_for,
+    grey,
+    media_range,
+    negotiate,
+    npy_bytes,
+    npy_parts,
+)
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -24,7 +33,10 @@ CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
         *[(accept, "png") for accept in (None, "", "*/*", "image/*", CHROMIUM)],
         *[(accept, "jpeg") for accept in ("image/jpeg", "image/png;q=0, */*")],
         *[(accept, "webp") for accept in ("IMAGE/WEBP", "image/png;q=0.5, image/webp")],
-        *[(accept, "webp") for accept in ("text/html, image/webp;q=0.1", "image/avif,image/webp,*/*;q=0.8")],
+        *[
+            (accept, "webp")
+            for accept in ("text/html, image/webp;q=0.1", "image/avif,image/webp,*/*;q=0.8")
+        ],
         ("application/x-npy", "npy"),
     ],
 )
@@ -32,9 +44,13 @@ def test_accept(accept: str | None, form: str) -> None:
     assert negotiate(accept) == form
 
 
-@pytest.mark.parametrize("accept", ["text/html", "image/avif", "image/png;q=0", "image/png;q=x", "png", ";;,,"])
+@pytest.mark.parametrize(
+    "accept", ["text/html", "image/avif", "image/png;q=0", "image/png;q=x", "png", ";;,,"]
+)
 def test_nothing_fits(accept: str) -> None:
-    with pytest.raises(NotAcceptableError, match="image/png, image/jpeg, image/webp, application/x-npy"):
+    with pytest.raises(
+        NotAcceptableError, match="image/png, image/jpeg, image/webp, application/x-npy"
+    ):
         negotiate(accept)
 
 
@@ -79,11 +95,14 @@ def test_encoders_keep_the_picture(form: str) -> None:
 def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, band: int) -> None:
     """A picture of 7 × 5 pixels whose surface is in every third one."""
     monkeypatch.setattr(pictures, "BAND", band)
-    rng, scene = np.random.default_rng(3), load_scene("demo:orbital")
+    rng = np.random.default_rng(3)
+    scene = load_scene("demo:orbital")
     view = View(scene.isovalue, scene.camera(0.0, 0.0, 3.0, 30.0), width=5, height=7)
-    pixels, points = np.arange(1, 35, 3, dtype=np.uint32), rng.random((12, 3), np.float32)
+    pixels = np.arange(1, 35, 3, dtype=np.uint32)
+    points = rng.random((12, 3), np.float32)
     surface = GBuffer((7, 5), (1.0, 2.0, 0.5), (9.0, 0.0, 0.0), 0.5, pixels, points)
-    radiance, error = rng.random((7, 5, 3), np.float32), rng.random((7, 5), np.float32)
+    radiance = rng.random((7, 5, 3), np.float32)
+    error = rng.random((7, 5), np.float32)
     state = rng.integers(0, 4, (7, 5)).astype(np.uint8)
     frame = Frame(view, radiance, state, error, surface, "", {})
     parts = list(npy_parts(frame))
@@ -110,7 +129,11 @@ def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
 @pytest.mark.parametrize(
     ("values", "near", "form"),
     [
-        *[([[0.0, 255.0]], 1e-4, "|u1"), ([[0.0, 256.0]], 1e-4, "<u2"), ([[-1.0, 300.0]], 1e-4, "<i2")],
+        *[
+            ([[0.0, 255.0]], 1e-4, "|u1"),
+            ([[0.0, 256.0]], 1e-4, "<u2"),
+            ([[-1.0, 300.0]], 1e-4, "<i2"),
+        ],
         ([[-1.0, 40000.0]], 1e-2, "<f4"),
         ([[0.5, 0.1]], 1e-6, "<f4"),
         ([[1e9, 1e9 + 0.001]], 1e-9, "<f8"),
@@ -119,7 +142,9 @@ def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
         ([[np.nan, np.nan]], 0.0, "<f4"),
     ],
 )
-def test_values_take_the_narrowest_numbers(values: list[list[float]], near: float, form: str) -> None:
+def test_values_take_the_narrowest_numbers(
+    values: list[list[float]], near: float, form: str
+) -> None:
     told = np.load(io.BytesIO(pictures.values_npy(np.array(values), near)))
     assert told.dtype == np.dtype(form)
     np.testing.assert_allclose(told, values, rtol=0, atol=near)

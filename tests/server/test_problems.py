@@ -41,13 +41,20 @@ OF_COMMANDS = domain.ReportError, service.LibraryError
 
 
 def test_every_error_of_the_domain_has_a_status() -> None:
-    classes = {c for module in (domain, workers, service) for c in vars(module).values() if isinstance(c, type)}
+    classes = {
+        c
+        for module in (domain, workers, service)
+        for c in vars(module).values()
+        if isinstance(c, type)
+    }
     for error in classes - {domain.IsogiError, *OF_COMMANDS}:
         assert status_of(error("x")) != 500, error
 
 
 def test_a_parameter_is_named() -> None:
-    request = Request({"type": "http", "method": "GET", "path": "/v1/x", "headers": [], "query_string": b""})
+    request = Request(
+        {"type": "http", "method": "GET", "path": "/v1/x", "headers": [], "query_string": b""}
+    )
     answer = asyncio.run(domain_problem(request, service.ParameterError("width is odd.", "width")))
     assert answer.headers["content-type"] == "application/problem+json"
     assert json.loads(bytes(answer.body)) == {
@@ -81,7 +88,9 @@ def app() -> FastAPI:
         ("GET", "/things/0", 500, "The server failed on this request"),
     ],
 )
-def test_the_frameworks_own_errors(ask: Ask, app: FastAPI, method: str, path: str, status: int, sentence: str) -> None:
+def test_the_frameworks_own_errors(
+    ask: Ask, app: FastAPI, method: str, path: str, status: int, sentence: str
+) -> None:
     answer = ask(app, method, path)
     assert answer.status_code == status == answer.json()["status"]
     assert answer.headers["content-type"] == "application/problem+json"

@@ -20,7 +20,9 @@ from worker.progress import TimeLeft
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A clock that stands at its one number; of this module alone, as servers of other tests live by the true one."""
+    """A clock that stands at its one number; of this module alone, as servers of other tests live
+    by the true one.
+    """
     now = [100.0]
     monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
     return now
@@ -51,7 +53,9 @@ def test_each_name_has_a_bar_of_its_own(capsys: pytest.CaptureFixture[str]) -> N
     assert error.count("\n") == 2
 
 
-def test_the_pace_so_far_says_how_much_time_is_left(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_pace_so_far_says_how_much_time_is_left(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
     with Progress("checking", "object") as bar:
         clock[0] += 30.0
         bar.count(1, 3)
@@ -70,7 +74,9 @@ def volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("ISOGI_VOLUME_MB", "ISOGI_VOLUME_CACHE", "ISOGI_VOLUME_CACHE_MB"):
         monkeypatch.setenv(name, os.environ.get(name, ""))
         monkeypatch.delenv(name)
-    nrrd.write(str(tmp_path / "v.nrrd"), np.random.default_rng(1).random((50, 52, 54)), index_order="C")
+    nrrd.write(
+        str(tmp_path / "v.nrrd"), np.random.default_rng(1).random((50, 52, 54)), index_order="C"
+    )
     return tmp_path / "v.nrrd"
 
 
@@ -88,6 +94,8 @@ def test_settings_reach_the_core_and_a_bar_tells_the_time_left(
     assert again.volume.digest == first.volume.digest and len(list(folder.glob("*.voxels"))) == 2
 
 
-def test_a_small_volume_has_neither_bar_nor_copy(volume: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_small_volume_has_neither_bar_nor_copy(
+    volume: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     open_scene(volume, Settings(volume_cache=str(volume.parent / "copies")))
     assert capsys.readouterr().err == "" and not (volume.parent / "copies").exists()

@@ -27,9 +27,13 @@ def test_hosts_are_loopback_names_on_loopback_and_any_elsewhere() -> None:
     assert Settings(host="0.0.0.0").hosts() is None
 
 
-def test_options_precede_the_environment_and_that_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_options_precede_the_environment_and_that_the_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     file = tmp_path / "isogi-server.toml"
-    file.write_text('port = 81\nmax_pixels = 82\nworkers = 83\nallowed_origins = ["https://Lab.example"]\n')
+    file.write_text(
+        'port = 81\nmax_pixels = 82\nworkers = 83\nallowed_origins = ["https://Lab.example"]\n'
+    )
     monkeypatch.setenv("ISOGI_PORT", "91")
     monkeypatch.setenv("ISOGI_MAX_PIXELS", "92")
     settings = read_settings(file, port="1")
@@ -61,7 +65,9 @@ def test_what_is_not_loopback_is_exposed(host: str, exposed: bool) -> None:
     assert Settings(host=host).exposed is exposed
 
 
-@pytest.mark.parametrize("origin", ["*", "lab.example", "https://", "https://*.lab.example", "https://lab.example/a"])
+@pytest.mark.parametrize(
+    "origin", ["*", "lab.example", "https://", "https://*.lab.example", "https://lab.example/a"]
+)
 def test_an_origin_is_a_scheme_and_a_host(origin: str) -> None:
     with pytest.raises(ValidationError, match="is no origin"):
         Settings(allowed_origins=(origin,))
@@ -89,12 +95,17 @@ def certificates(folder: Path) -> dict[str, Path]:
 
 
 def test_a_scheduler_without_certificates_is_refused(tmp_path: Path) -> None:
-    address, known = "tls://lab:8786", certificates(tmp_path)
+    address = "tls://lab:8786"
+    known = certificates(tmp_path)
     assert Settings(scheduler=address, **known).certificates == tuple(known.values())
     for wrong in ({}, {"scheduler": "tcp://lab:8786", **known}, {**known, "scheduler_key": None}):
         with pytest.raises(ValidationError, match="can run code there"):
             Settings(**{"scheduler": address, **wrong})
-    assert Settings(scheduler="tcp://lab:8786", insecure_scheduler=True).certificates == (None, None, None)
+    assert Settings(scheduler="tcp://lab:8786", insecure_scheduler=True).certificates == (
+        None,
+        None,
+        None,
+    )
     with pytest.raises(ValidationError, match="not point to a file"):
         Settings(scheduler=address, **{**known, "scheduler_ca": tmp_path / "none.pem"})
 

@@ -9,8 +9,39 @@ from hypothesis import strategies as st
 from server.values import Choice, Row, Span, finite, seconds_of, seconds_of_age, shown, span
 
 HOSTILE = [
-    *("nan", "NaN", "inf", "-inf", "Infinity", "1e999", "-1e999", "1_0", "1__0", "0x10", "1e", "e5", "."),
-    *("", " ", " 1", "1 ", "1,0", "1;2", "+", "--1", "٣", "１", "½", "1e5e5", "None", "true", "\x00", "1\n"),
+    *(
+        "nan",
+        "NaN",
+        "inf",
+        "-inf",
+        "Infinity",
+        "1e999",
+        "-1e999",
+        "1_0",
+        "1__0",
+        "0x10",
+        "1e",
+        "e5",
+        ".",
+    ),
+    *(
+        "",
+        " ",
+        " 1",
+        "1 ",
+        "1,0",
+        "1;2",
+        "+",
+        "--1",
+        "٣",
+        "１",
+        "½",
+        "1e5e5",
+        "None",
+        "true",
+        "\x00",
+        "1\n",
+    ),
     "9" * 70,
 ]
 
@@ -32,7 +63,9 @@ def test_other_things_are_no_number(value: object) -> None:
     assert math.isnan(finite(value))
 
 
-@pytest.mark.parametrize(("text", "number"), [("1", 1), ("-.5", -0.5), ("+2.", 2), ("1e-3", 0.001), ("0010", 10)])
+@pytest.mark.parametrize(
+    ("text", "number"), [("1", 1), ("-.5", -0.5), ("+2.", 2), ("1e-3", 0.001), ("0010", 10)]
+)
 def test_plain_numbers(text: str, number: float) -> None:
     assert Span(-10, 10).read(text) == number
 
@@ -66,7 +99,9 @@ def test_a_row_of_numbers() -> None:
     assert Row(("x", "y", "z")).read([1, -2.5, 300]) == (1.0, -2.5, 300.0)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "1,2,", "1, 2,3", "1,nan,3", "1,2,inf", "1,2,1e13", None, 5])
+@pytest.mark.parametrize(
+    "text", ["", "1,2", "1,2,3,4", "1,2,", "1, 2,3", "1,nan,3", "1,2,inf", "1,2,1e13", None, 5]
+)
 def test_a_row_that_is_none(text: object) -> None:
     with pytest.raises(ValueError, match="must be 3 finite numbers x,y,z"):
         Row(("x", "y", "z")).read(text)
@@ -92,7 +127,9 @@ def test_ages_may_be_told_in_days_and_weeks(text: str) -> None:
     assert seconds_of_age(text) == AGES[text]
 
 
-@pytest.mark.parametrize("text", ["", "-1", "soon", "10 m", "1d", "nan", "inf", "1_0s", "m", "9e99h", "1" * 50])
+@pytest.mark.parametrize(
+    "text", ["", "-1", "soon", "10 m", "1d", "nan", "inf", "1_0s", "m", "9e99h", "1" * 50]
+)
 def test_what_is_no_span_of_time_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="such as 90, 90s, 10m or 1h"):
         seconds_of(text)
@@ -101,8 +138,20 @@ def test_what_is_no_span_of_time_is_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("seconds", "digits", "text"),
     [
-        *[(0.0, 3, "0 s"), (1e-5, 3, "0 s"), (0.0176, 3, "17.6 ms"), (0.2, 3, "200 ms"), (1, 3, "1 s")],
-        *[(12.345, 3, "12.3 s"), (90, 3, "1.5 min"), (200, 2, "3.3 min"), (3600, 3, "1 h"), (7.2e6, 3, "2,000 h")],
+        *[
+            (0.0, 3, "0 s"),
+            (1e-5, 3, "0 s"),
+            (0.0176, 3, "17.6 ms"),
+            (0.2, 3, "200 ms"),
+            (1, 3, "1 s"),
+        ],
+        *[
+            (12.345, 3, "12.3 s"),
+            (90, 3, "1.5 min"),
+            (200, 2, "3.3 min"),
+            (3600, 3, "1 h"),
+            (7.2e6, 3, "2,000 h"),
+        ],
     ],
 )
 def test_a_span_of_time_is_told(seconds: float, digits: int, text: str) -> None:

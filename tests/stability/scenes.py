@@ -1,4 +1,6 @@
-"""Scenes of hard volumes under hard lights, what renders them with light baked here, and rays at their surfaces."""
+"""Scenes of hard volumes under hard lights, what renders them with light baked here, and rays at
+their surfaces.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -40,7 +42,8 @@ STAND = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.4, "fov": 30.0}
 ABOVE = {"azimuth": 40.0, "elevation": 80.0}
 """Where the camera sees the ``plane``."""
 
-SIDE, HEIGHT = 12, 4.3
+SIDE = 12
+HEIGHT = 4.3
 """Voxels along each side of the plane's volume, and of the plane above the bottom of its box."""
 
 Light = Mapping[str, Any] | np.ndarray
@@ -53,12 +56,16 @@ def plane_volume() -> Volume:
 
 
 def ball_volume(side: int = SIDE) -> Volume:
-    """The field r - distance from the middle: at isovalue 0 a ball of radius r, a third of the side."""
+    """The field r - distance from the middle: at isovalue 0 a ball of radius r, a third of the
+    side.
+    """
     return make_volume(-ball(grid(side, side, side), (0.0, 0.0, 0.0), side / 3.0), name="ball")
 
 
 def body_volume(side: int = 16) -> Volume:
-    """The field of the body, 1 within, 0 without, and a ramp of 3 voxels between: its skin is at isovalue 0.5."""
+    """The field of the body, 1 within, 0 without, and a ramp of 3 voxels between: its skin is at
+    isovalue 0.5.
+    """
     return make_volume(ramp(body(side), 3.0), name="body")
 
 
@@ -67,7 +74,14 @@ def scene_of(volume: Volume, isovalue: float, **settings: Any) -> Scene:
     scene = load_scene("demo:orbital", **{"lights": [dict(CONSTANT)], **settings})
     inputs = replace(scene.inputs, centre=volume.centre, radius=volume.radius)
     plan = plan_scene(inputs, scene.settings.overrides)
-    return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range, inputs=inputs, plan=plan)
+    return replace(
+        scene,
+        volume=volume,
+        isovalue=isovalue,
+        isovalues=volume.value_range,
+        inputs=inputs,
+        plan=plan,
+    )
 
 
 def scenes_of(name: str, specimen: Specimen, **settings: Any) -> list[Scene]:
@@ -91,7 +105,9 @@ def table_of(light: Light, path: Path) -> Mapping[str, Any]:
     return {"type": "probe", "file": str(path)}
 
 
-def spot(height: int, width: int, row: int, column: int, radiance: float, around: float = 0.0) -> np.ndarray:
+def spot(
+    height: int, width: int, row: int, column: int, radiance: float, around: float = 0.0
+) -> np.ndarray:
     """A probe of ``around`` everywhere but in one pixel."""
     image = np.full((height, width, 3), around)
     image[row, column] = radiance
@@ -107,7 +123,10 @@ def view_of(scene: Scene, size: int, **settings: Any) -> View:
 @contextmanager
 def renderer_of(scene: Scene) -> Iterator[Renderer]:
     """A renderer of a scene, without light."""
-    with closing(Tiles()) as tiles, TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # stamps of use come late
+    with (
+        closing(Tiles()) as tiles,
+        TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+    ):  # stamps of use come late
         yield Renderer(Caches(PreparedScene(scene), Path(folder), BENCH_CACHE_BYTES), tiles)
 
 
@@ -119,19 +138,26 @@ def view_bake(scene: Scene, view: View) -> Iterator[ViewBake]:
 
 
 def frame_of(scene: Scene, view: View, samples: int | None = None) -> Frame:
-    """The frame of a view, its light baked to the scene's target error, or with so many samples of each texel."""
+    """The frame of a view, its light baked to the scene's target error, or with so many samples of
+    each texel.
+    """
     if view.shading not in SPECS:
         with renderer_of(scene) as renderer:
             return renderer.render(view)
     with view_bake(scene, view) as bake:
         if not len(bake.texels):
             return bake.renderer.render(view)
-        bake.grow(samples or most_samples(scene.target_error), UNREACHED_TARGET if samples else scene.target_error)
+        bake.grow(
+            samples or most_samples(scene.target_error),
+            UNREACHED_TARGET if samples else scene.target_error,
+        )
         return bake.frame()
 
 
 def picture_of(scene: Scene, view: View, samples: int) -> np.ndarray:
-    """The picture of a view, (h, w, 3) uint8, at the scene's own exposure; ``samples`` are of each texel read."""
+    """The picture of a view, (h, w, 3) uint8, at the scene's own exposure; ``samples`` are of each
+    texel read.
+    """
     return develop(frame_of(scene, view, samples), scene.default_exposure)
 
 
@@ -153,7 +179,9 @@ def is_finite(frame: Frame) -> bool:
 
 
 ARITHMETICS: Mapping[str, Callable[..., None]] = {"float32": cast_batch, "float64": cast_one_by_one}
-"""The float32 traversal, refined in float64, which frames and bakes cast with; and the scalar caster."""
+"""The float32 traversal, refined in float64, which frames and bakes cast with; and the scalar
+caster.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +193,18 @@ class Surface:
     level: Isovalue
 
     def cast(
-        self, origins: np.ndarray, directions: np.ndarray, sides: Any = UNKNOWN_SIDE, by: str = "float32"
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        sides: Any = UNKNOWN_SIDE,
+        by: str = "float32",
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where rays (n, 3) in index space meet it: t (n,), inf where they do not, and the side they came from."""
+        """Where rays (n, 3) in index space meet it: t (n,), inf where they do not, and the side
+        they came from.
+        """
         count = len(origins)
-        t, came = np.empty(count), np.empty(count, np.int8)
+        t = np.empty(count)
+        came = np.empty(count, np.int8)
         given = np.broadcast_to(np.asarray(sides, np.int8), count).copy()
         levels = np.full(count, self.level)
         starts, ways = (np.ascontiguousarray(v.T, np.float64) for v in (origins, directions))
@@ -177,13 +212,19 @@ class Surface:
         return t, came
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """The trilinear field less the isovalue at points (n, 3), by SciPy, float64: solid above 0."""
-        value = map_coordinates(self.field.voxels.astype(np.float64), points.T[::-1], order=1, mode="nearest")
+        """The trilinear field less the isovalue at points (n, 3), by SciPy, float64: solid above
+        0.
+        """
+        value = map_coordinates(
+            self.field.voxels.astype(np.float64), points.T[::-1], order=1, mode="nearest"
+        )
         return value - self.level
 
 
 def surface_of(array: np.ndarray, isovalue: float, **changes: Any) -> Surface:
-    """The isosurface of a volume (z, y, x), its isovalue in its own units; ``changes`` are of the Field."""
+    """The isosurface of a volume (z, y, x), its isovalue in its own units; ``changes`` are of the
+    Field.
+    """
     return surface_in(make_volume(array), isovalue, **changes)
 
 

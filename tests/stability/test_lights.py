@@ -1,4 +1,6 @@
-"""Extreme light: too much of it, none, all from one point, from inside what it lights, and turned."""
+"""Extreme light: too much of it, none, all from one point, from inside what it lights, and
+turned.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -68,7 +70,11 @@ PLACES = {"inside": 2.0, "on the surface": HEIGHT, "touching": HEIGHT + 0.3, "fa
 """Heights of point lamps, in voxels, beside the plane."""
 
 POINTS: Mapping[str, Light] = {
-    f"{name}, intensity {intensity:g}": {"type": "point", "position": [MIDDLE, MIDDLE, z], "intensity": intensity}
+    f"{name}, intensity {intensity:g}": {
+        "type": "point",
+        "position": [MIDDLE, MIDDLE, z],
+        "intensity": intensity,
+    }
     for name, z in PLACES.items()
     for intensity in (0.0, 1.0, 1e30)
 }
@@ -84,7 +90,11 @@ AREAS: Mapping[str, Light] = {
 }
 
 SUNS: Mapping[str, Light] = {
-    f"{angle:g}° wide, irradiance {irradiance:g}": {"type": "directional", "angle": angle, "irradiance": irradiance}
+    f"{angle:g}° wide, irradiance {irradiance:g}": {
+        "type": "directional",
+        "angle": angle,
+        "irradiance": irradiance,
+    }
     for angle in (0.0, 90.0)
     for irradiance in (0.0, 1e30)
 }
@@ -93,7 +103,11 @@ DARK: Mapping[str, Light] = {
     "black probe": PROBES["all black"],
     "black constant": {**CONSTANT, "radiance": 0.0},
     "black sky": {"type": "sky", "scale": 0.0},
-    **{name: light for name, light in (POINTS | SUNS).items() if name.endswith((" 0", "irradiance 0"))},
+    **{
+        name: light
+        for name, light in (POINTS | SUNS).items()
+        if name.endswith((" 0", "irradiance 0"))
+    },
 }
 
 STILL: Mapping[str, Light] = {**PROBES, **SKIES, **POINTS, **AREAS, **SUNS}
@@ -123,21 +137,28 @@ def test_one_bright_pixel_lights_a_plane_by_the_cosine_law(row: int, shading: st
 
 @pytest.mark.parametrize("row", [2, 8, 11])
 def test_harmonics_of_one_pixel_keep_the_cosine_law(row: int) -> None:
-    """14° to 65° from the normal: order 6 leaves 13/256 of a cosine lobe's height, and less, to the next harmonics."""
+    """14° to 65° from the normal: order 6 leaves 13/256 of a cosine lobe's height, and less, to the
+    next harmonics.
+    """
     assert light_under_a_pixel(row, "gi", rotating=True) == pytest.approx(1.0, abs=0.06)
 
 
 def light_under_a_pixel(row: int, shading: str, rotating: bool) -> float:
     """The mean radiance of an open plane under one pixel of a probe, over albedo · E / π."""
     scene = lit(plane_volume(), -HEIGHT, spot(32, 64, row, 10, 1e6), rotating=rotating, lobes=0)
-    samples = {"samples": 64} if shading == "path_traced" else {}
+    if shading == "path_traced":
+        samples = {"samples": 64}
+    else:
+        samples = {}
     frame = frame_of(scene, view_of(scene, 8, shading=shading, **ABOVE, **samples))
     right = scene.surfaces.albedo[0] * irradiance_of_a_pixel(32, 64, row, 1e6) / math.pi
     return float(surface_light(frame).mean()) / right
 
 
 def irradiance_of_a_pixel(height: int, width: int, row: int, radiance: float) -> float:
-    """What a surface with normal +z receives from one pixel above it: L · 2π/w · (sin²θ_bottom - sin²θ_top) / 2."""
+    """What a surface with normal +z receives from one pixel above it: L · 2π/w · (sin²θ_bottom -
+    sin²θ_top) / 2.
+    """
     top, bottom = (math.sin(math.pi * edge / height) ** 2 for edge in (row, row + 1))
     return radiance * math.pi / width * (bottom - top)
 
@@ -145,7 +166,8 @@ def irradiance_of_a_pixel(height: int, width: int, row: int, radiance: float) ->
 @pytest.mark.parametrize("exponent", [-100, -20, 20, 100])
 def test_stronger_light_makes_the_same_frame_bit_for_bit(exponent: int) -> None:
     """Light of 2^exponent, and its error."""
-    usual, strong = frame_under_half_a_sky(1.0), frame_under_half_a_sky(2.0**exponent)
+    usual = frame_under_half_a_sky(1.0)
+    strong = frame_under_half_a_sky(2.0**exponent)
     assert usual[..., :3].any()
     np.testing.assert_array_equal(strong, usual)
 
@@ -176,7 +198,9 @@ def test_frames_without_light_are_black_and_soon_final(light: Light) -> None:
 
 
 def test_harmonics_that_ring_below_zero_make_no_pixel_negative() -> None:
-    """One bright pixel turned to the back of a body; what is kept of the transfer is not cut at zero."""
+    """One bright pixel turned to the back of a body; what is kept of the transfer is not cut at
+    zero.
+    """
     light = spot(32, 64, 16, 40, 1e6)
     scene = lit(body_volume(24), 0.5, light, rotating=True, lobes=0, target_error=0.1)
     with view_bake(scene, view_of(scene, 24)) as bake:
@@ -199,10 +223,15 @@ def test_a_lamp_nearby_counts_as_nearer_by_the_ray_offset() -> None:
 
 def light_below_a_lamp(distance: float) -> float:
     """The radiance right below a lamp of intensity r², at ``distance`` r, over albedo / π."""
-    lamp: dict[str, Any] = {"position": [MIDDLE, MIDDLE, HEIGHT + distance], "intensity": distance**2}
+    lamp: dict[str, Any] = {
+        "position": [MIDDLE, MIDDLE, HEIGHT + distance],
+        "intensity": distance**2,
+    }
     scene = lit(plane_volume(), -HEIGHT, {"type": "point", **lamp})
     frame = frame_of(scene, view_of(scene, 11, **ABOVE))
-    across = np.where(frame.state > 0, np.linalg.norm(frame.position[..., :2] - MIDDLE, axis=-1), math.inf)
+    across = np.where(
+        frame.state > 0, np.linalg.norm(frame.position[..., :2] - MIDDLE, axis=-1), math.inf
+    )
     below = np.unravel_index(across.argmin(), across.shape)
     return float(frame.radiance[below] @ LUMINANCE_WEIGHTS) * math.pi / scene.surfaces.albedo[0]
 
@@ -211,15 +240,20 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 def turning(q: Quaternion, order: int = MAX_ORDER) -> np.ndarray:
-    """The matrix D (n², n²) of a rotation on coefficients: column i is what becomes of harmonic i."""
+    """The matrix D (n², n²) of a rotation on coefficients: column i is what becomes of harmonic
+    i.
+    """
     turned = np.empty((order**2, order**2))
     rotate(order, rotation_matrix(q), np.eye(order**2), turned)
     return turned.T
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The quaternion that does ``b`` first, then ``a``, as a client multiplies them: not brought to unit length."""
-    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    """The quaternion that does ``b`` first, then ``a``, as a client multiplies them: not brought to
+    unit length.
+    """
+    (aw, ax, ay, az) = a
+    (bw, bx, by, bz) = b
     return (
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
@@ -279,13 +313,18 @@ def turned_frame(scene: Scene, q: Quaternion, samples: int) -> Frame:
 
 def test_many_rotations_make_the_picture_of_the_one_they_make() -> None:
     """100,000 quaternions that a client multiplies and never brings to unit length."""
-    turn, count = math.radians(0.7), 100_000
+    turn = math.radians(0.7)
+    count = 100_000
     axis = np.array([2.0, -3.0, 6.0]) / 7.0
-    step, chained = about(axis, turn), IDENTITY
+    step = about(axis, turn)
+    chained = IDENTITY
     for _ in range(count):
         chained = product(step, chained)
     scene = turning_scene()
-    frames = (turned_frame(scene, q, 64) for q in (about(axis, count * turn), unit_quaternion(chained), IDENTITY))
+    frames = (
+        turned_frame(scene, q, 64)
+        for q in (about(axis, count * turn), unit_quaternion(chained), IDENTITY)
+    )
     right, found, unturned = (develop(frame, scene.default_exposure) for frame in frames)
     assert grey_levels(right, found) <= 1
     assert grey_levels(right, unturned) > 1
@@ -293,11 +332,16 @@ def test_many_rotations_make_the_picture_of_the_one_they_make() -> None:
 
 @pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
 def test_a_quarter_turn_is_the_probe_rolled_by_a_quarter(order: int) -> None:
-    """Exactly the same light in two ways, at every order of direct and of reflected light, baked and shown."""
+    """Exactly the same light in two ways, at every order of direct and of reflected light, baked
+    and shown.
+    """
     image = np.random.default_rng(2).uniform(0.0, 1.0, (8, 16, 3)) ** 3
     orders = {"order": order, "indirect_order": order, "bounces": 2}
-    upright, rolled = (lit(body_volume(), 0.5, light, **orders) for light in (image, np.roll(image, 4, axis=1)))
-    one, other = turned_frame(upright, about(Z, math.pi / 2.0), 16), turned_frame(rolled, IDENTITY, 16)
+    upright, rolled = (
+        lit(body_volume(), 0.5, light, **orders) for light in (image, np.roll(image, 4, axis=1))
+    )
+    one = turned_frame(upright, about(Z, math.pi / 2.0), 16)
+    other = turned_frame(rolled, IDENTITY, 16)
     assert float(np.abs(one.radiance - other.radiance).max()) <= 1e-5 * float(one.radiance.max())
 
 

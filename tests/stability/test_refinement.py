@@ -1,6 +1,8 @@
-"""Refinement: each step of each kind of picture has the same bits on any number of threads, and after a restart.
+"""Refinement: each step of each kind of picture has the same bits on any number of threads, and
+after a restart.
 
-``python -m tests.stability.test_refinement`` prints a digest of each step, to compare before and after a change.
+``python -m tests.stability.test_refinement`` prints a digest of each step, to compare before and
+after a change.
 """
 
 import hashlib
@@ -27,7 +29,8 @@ from tests.frame.conftest import refine_chunk
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
 
-SIZE, STEPS = 16, 8
+SIZE = 16
+STEPS = 8
 """Pixels along each side of a picture, and steps that are compared at most."""
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
@@ -40,7 +43,9 @@ BALL = {"sphere": [60.0, 60.0, 40.0, 5.0], "radiance": [4.0, 2.0, 0.5]}
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of picture, by the settings of its scene, and of its view, and the isovalue ``shown`` if it is another."""
+    """A kind of picture, by the settings of its scene, and of its view, and the isovalue ``shown``
+    if it is another.
+    """
 
     scene: Mapping[str, Any] = field(default_factory=dict)
     view: Mapping[str, Any] = field(default_factory=dict)
@@ -48,7 +53,13 @@ class Kind:
 
     def load(self) -> Scene:
         """The orbital, coarse, under a sky, with these settings."""
-        plain = {"lattice": 0.4, "bounces": 1, "lights": [SKY], "target_error": 0.1, "projected": False}
+        plain = {
+            "lattice": 0.4,
+            "bounces": 1,
+            "lights": [SKY],
+            "target_error": 0.1,
+            "projected": False,
+        }
         return load_scene("demo:orbital", **{**plain, **self.scene})
 
 
@@ -56,8 +67,12 @@ KINDS: Mapping[str, Kind] = {
     "plain": Kind(),
     "strict": Kind({"target_error": 0.02}),
     "projected": Kind({"projected": True}, shown=0.05),
-    "walls": Kind({"room": "cornell", "lights": [{"type": "constant"}]}, {"azimuth": 90.0, "elevation": 0.0}),
-    "glass": Kind({"material": "glass", "walls": [FLOOR], "target_error": 0.03}, {"elevation": 20.0}),
+    "walls": Kind(
+        {"room": "cornell", "lights": [{"type": "constant"}]}, {"azimuth": 90.0, "elevation": 0.0}
+    ),
+    "glass": Kind(
+        {"material": "glass", "walls": [FLOOR], "target_error": 0.03}, {"elevation": 20.0}
+    ),
     "shine": Kind({"shine": PLASTIC}),
     "shine among walls": Kind({"shine": PLASTIC, "walls": [FLOOR]}),
     "several": Kind({"isovalue": 0.06, "surfaces": [HALO]}),
@@ -87,14 +102,20 @@ class Site:
         """Bake all light that a frame wants to a ``rung`` of samples."""
         for stage in frame.stages:
             caches = stage.caches or self.renderer.caches
-            light = caches.of(frame.view.shading) if stage.shown is None else caches.projected(stage.shown)
+            if stage.shown is None:
+                light = caches.of(frame.view.shading)
+            else:
+                light = caches.projected(stage.shown)
             for demand in stage.demands:
                 refine_chunk(light, rung, stage.target, demand)
 
     def steps(self) -> Iterator[Frame]:
         """The first frame of its view, and the frame after each step towards a final one."""
-        scene, rung = self.renderer.prepared.scene, FIRST_LEVEL
-        view = replace(view_of(scene, SIZE, **self.kind.view), isovalue=self.kind.shown or scene.isovalue)
+        scene = self.renderer.prepared.scene
+        rung = FIRST_LEVEL
+        view = replace(
+            view_of(scene, SIZE, **self.kind.view), isovalue=self.kind.shown or scene.isovalue
+        )
         for _ in range(STEPS):
             yield (frame := self.renderer.render(view))
             if frame.stages:
@@ -106,20 +127,41 @@ class Site:
 
 def digest_of(frame: Frame) -> str:
     """Names all that a frame shows, and what it says of its quality."""
-    said = (frame.version, frame.counts, frame.total, frame.tail, frame.final, frame.checkable, frame.refinable)
+    said = (
+        frame.version,
+        frame.counts,
+        frame.total,
+        frame.tail,
+        frame.final,
+        frame.checkable,
+        frame.refinable,
+    )
     whole = hashlib.blake2b(repr(said).encode(), digest_size=8)
-    for values in (frame.radiance, frame.state, frame.error, frame.total_error, frame.reported_state, frame.position):
+    for values in (
+        frame.radiance,
+        frame.state,
+        frame.error,
+        frame.total_error,
+        frame.reported_state,
+        frame.position,
+    ):
         whole.update(np.ascontiguousarray(values).tobytes())
     return whole.hexdigest()
 
 
 def digests(name: str, threads: int) -> list[str]:
-    """What names each step of a kind of picture, drawn by so many ``threads``, and at last the objects of its store."""
+    """What names each step of a kind of picture, drawn by so many ``threads``, and at last the
+    objects of its store.
+    """
     kind = KINDS[name]
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder, closing(Tiles(threads)) as tiles:
-        site = Site(kind, Renderer(Caches(PreparedScene(kind.load()), Path(folder), 1 << 28), tiles))
+        site = Site(
+            kind, Renderer(Caches(PreparedScene(kind.load()), Path(folder), 1 << 28), tiles)
+        )
         found = [digest_of(frame) for frame in site.steps()]
-        files = sorted(path for path in Path(folder).rglob("*") if path.is_file() and "/c/" in path.as_posix())
+        files = sorted(
+            path for path in Path(folder).rglob("*") if path.is_file() and "/c/" in path.as_posix()
+        )
         objects = [(str(path.relative_to(folder)), path.read_bytes()) for path in files]
         return [*found, hashlib.blake2b(repr(objects).encode(), digest_size=8).hexdigest()]
 

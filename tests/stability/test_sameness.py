@@ -55,7 +55,9 @@ DoTasks = Callable[[Sequence[BakeTask]], object]
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A ``scene``, a ``store`` for its light, the ``tiles`` that work on frames, and the ``memory`` for light."""
+    """A ``scene``, a ``store`` for its light, the ``tiles`` that work on frames, and the ``memory``
+    for light.
+    """
 
     scene: Scene
     store: Path
@@ -78,11 +80,15 @@ class Site:
 
     def tasks(self, view: View, until: int | None = None) -> list[BakeTask]:
         """What is to be baked until all light of a view is final, or has so many samples."""
-        spec, target = self.renderer.caches.spec(view.shading), self.scene.target_error
+        spec = self.renderer.caches.spec(view.shading)
+        target = self.scene.target_error
         what = (self.scene.source, spec.plan, spec.digest, StoreUrl.of(self.store))
         most = until or most_samples(target)
         demands = self.renderer.render(view, enough=MAX_SAMPLES).demands
-        return [BakeTask(*what, each.index, each.offsets, each.footprints, most, target) for each in demands]
+        return [
+            BakeTask(*what, each.index, each.offsets, each.footprints, most, target)
+            for each in demands
+        ]
 
     def bake(self, view: View, do: DoTasks, until: int | None = None) -> None:
         """Have the tasks of a view done, and look at what they left."""
@@ -101,7 +107,9 @@ class Site:
     @property
     def objects(self) -> dict[str, bytes]:
         """Every chunk object of the store, by its key."""
-        files = [path for path in self.store.rglob("*") if path.is_file() and "/c/" in path.as_posix()]
+        files = [
+            path for path in self.store.rglob("*") if path.is_file() and "/c/" in path.as_posix()
+        ]
         return {str(path.relative_to(self.store)): path.read_bytes() for path in files}
 
 
@@ -134,7 +142,9 @@ def shuffled(tasks: Sequence[BakeTask]) -> None:
 
 @cache
 def chunks_baked(do: DoTasks, *steps: int) -> dict[str, bytes]:
-    """The chunk objects of a store once a view's light is final, and was baked to so many samples first."""
+    """The chunk objects of a store once a view's light is final, and was baked to so many samples
+    first.
+    """
     with site() as own:
         for until in (*steps, None):
             own.bake(own.view(), do, until)
@@ -155,7 +165,9 @@ def assert_same(one: Frame, other: Frame) -> None:
         pytest.param(shuffled, (FIRST_LEVEL, 2 * FIRST_LEVEL), id="in steps"),
     ],
 )
-def test_chunks_are_the_same_bytes_however_they_are_baked(do: DoTasks, steps: tuple[int, ...]) -> None:
+def test_chunks_are_the_same_bytes_however_they_are_baked(
+    do: DoTasks, steps: tuple[int, ...]
+) -> None:
     right = chunks_baked(one_by_one)
     assert right
     assert chunks_baked(do, *steps) == right
@@ -165,11 +177,14 @@ def in_chunks(chunk: int) -> tuple[Frame, np.ndarray]:
     """A frame, and samples and light of all texels (z, y, x, …), baked in chunks of some size."""
     with site(chunk=chunk) as own:
         frame = own.frame(own.view())
-        lattice, store = own.renderer.prepared.lattice, own.renderer.caches.of("gi").chunk_store
+        lattice = own.renderer.prepared.lattice
+        store = own.renderer.caches.of("gi").chunk_store
         texels = np.zeros((*lattice.shape, 1 + store.spec.channels * store.spec.order**2))
         for found in filter(None, map(store.read, np.ndindex(lattice.chunks))):
             at = tuple(lattice.positions(found.index, found.offsets).T)
-            texels[at] = np.column_stack([found.light.samples, found.light.transfer.reshape(len(found.offsets), -1)])
+            texels[at] = np.column_stack(
+                [found.light.samples, found.light.transfer.reshape(len(found.offsets), -1)]
+            )
         return frame, texels
 
 
@@ -223,12 +238,15 @@ class Unskipped(PreparedScene):
 @pytest.mark.parametrize("shading", SHADINGS)
 def test_pictures_do_not_depend_on_the_empty_space_skipped(shading: str) -> None:
     with site() as own, site() as other:
-        view, whole = own.view(shading=shading), other.anew(make=Unskipped)
+        view = own.view(shading=shading)
+        whole = other.anew(make=Unskipped)
         assert_same(*(baked_here(each.renderer, view, FIRST_LEVEL) for each in (own, whole)))
 
 
 def baked_here(renderer: Renderer, view: View, samples: int) -> Frame:
-    """The frame of a view whose light is baked by the renderer's own recipe, with so many samples each texel."""
+    """The frame of a view whose light is baked by the renderer's own recipe, with so many samples
+    each texel.
+    """
     if wanted := wanted_of(renderer.render(view, UNREACHED_TARGET)):
         bake_chunks(renderer, view.shading, wanted, samples)
     return renderer.render(view, UNREACHED_TARGET)
@@ -249,7 +267,8 @@ def test_views_in_turn_are_the_same_in_just_enough_memory() -> None:
     """In the least memory, to a factor of 1.5, that holds the light of either."""
     with site() as own:
         views = [own.view(azimuth=azimuth) for azimuth in (40.0, 220.0)]
-        plenty, limit = [own.frame(view) for view in views], 1 << 14
+        plenty = [own.frame(view) for view in views]
+        limit = 1 << 14
         while (few := rendered(own.anew(memory=limit), views * 2)) is None:
             limit = limit * 3 // 2
         for frame, other in zip(plenty * 2, few, strict=True):

@@ -34,7 +34,8 @@ def test_the_sum_of_paths_is_that_of_exact_addition() -> None:
     """The kernel's sum of all paths of a pixel, beside ``math.fsum`` of one at a time."""
     count = 1 << 9
     with under_half_a_sky(3) as bake:
-        gbuffer, tiles = bake.renderer.gbuffer(bake.view), bake.renderer.tiles
+        gbuffer = bake.renderer.gbuffer(bake.view)
+        tiles = bake.renderer.tiles
         paths = Paths(RotatedLight(bake.spec, bake.view), gbuffer, tiles)
         together = np.zeros((len(gbuffer.points), 1, 3))
         paths.add(together, 0, 0, count)
@@ -59,30 +60,41 @@ def test_rounding_pulls_means_neither_up_nor_down(kept: str) -> None:
 
 @cache
 def errors_of_means(kept: str) -> np.ndarray:
-    """Relative errors of means of 2^20 samples that were rounded after each rung, (texels,) float64."""
+    """Relative errors of means of 2^20 samples that were rounded after each rung, (texels,)
+    float64.
+    """
     layer = Layer("direct", 2, half=kept != "single floats", coarse=1 if kept == "bytes" else None)
-    random, texels = np.random.default_rng(3), 20_000
+    random = np.random.default_rng(3)
+    texels = 20_000
     true = np.exp(random.uniform(-6.0, 0.0, texels)) * random.choice([-1.0, 1.0], texels)
-    mean, total, samples = np.zeros((texels, 4), np.float32), np.zeros(texels), 0
+    mean = np.zeros((texels, 4), np.float32)
+    total = np.zeros(texels)
+    samples = 0
     while samples < MAX_SAMPLES:
         count = max(samples, FIRST_LEVEL)
         added = count * true + math.sqrt(count) * 0.3 * true * random.normal(size=texels)
         light = np.repeat(added[:, None], 4, axis=1)
         mean = round_light(add_to_mean(mean, samples, light, samples + count), layer)
-        total, samples = total + added, samples + count
+        total = total + added
+        samples = samples + count
     return np.asarray(mean[:, 3] * samples / total - 1.0)
 
 
 @pytest.mark.parametrize("count", [1 << 14, pytest.param(MAX_SAMPLES, marks=pytest.mark.slow)])
 def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
-    """Baked rung by rung, as it is kept, beside one sum of the same paths; luminance, over the mean of it."""
+    """Baked rung by rung, as it is kept, beside one sum of the same paths; luminance, over the mean
+    of it.
+    """
     with under_half_a_sky(3) as bake:
-        texels, spec = bake.texels[:8], bake.spec
+        texels = bake.texels[:8]
+        spec = bake.spec
         kept, exact = (Light.dark(spec.plan, len(texels)) for _ in range(2))
         refine(kept, texels, spec, count, UNREACHED_TARGET)
         place, void = locate(texels, spec.prepared)
         layers = spec.plan.layers
-        for part, (halves, _) in zip(exact.parts, sample_transfer(layers, place, void, spec, 0, count), strict=True):
+        for part, (halves, _) in zip(
+            exact.parts, sample_transfer(layers, place, void, spec, 0, count), strict=True
+        ):
             part.coefficients[:] = halves.sum(axis=1)[:, :, : part.layer.order**2] / count
         one, other = (mean_luminance(light, spec)[~void] for light in (kept, exact))
     assert other.mean() > 0.0

@@ -45,16 +45,27 @@ def save(specimen: Specimen, path: Path) -> Path:
     """Write a specimen as a NRRD file, in the nearest type that this knows."""
     array = specimen.make()
     array = array.astype({"f2": "f4", "b1": "u1"}.get(array.dtype.str[1:], array.dtype))
-    header = {"spacings": list(specimen.spacing), "endian": "big" if array.dtype.byteorder == ">" else "little"}
+    header = {
+        "spacings": list(specimen.spacing),
+        "endian": "big" if array.dtype.byteorder == ">" else "little",
+    }
     nrrd.write(str(path), array, header, index_order="C")
     return path
 
 
 @contextmanager
 def service(specimen: Specimen, folder: Path) -> Iterator[FastAPI]:
-    """An app of the scene ``s`` of a specimen, whose light is soon baked on a thread of this process."""
-    settings = {"lights": [dict(CONSTANT)], "target_error": 0.5, "bounces": 1, "isovalue": specimen.isovalues[0]}
-    scene, baker = load_scene(save(specimen, folder / "s.nrrd"), **settings), Baker()
+    """An app of the scene ``s`` of a specimen, whose light is soon baked on a thread of this
+    process.
+    """
+    settings = {
+        "lights": [dict(CONSTANT)],
+        "target_error": 0.5,
+        "bounces": 1,
+        "isovalue": specimen.isovalues[0],
+    }
+    scene = load_scene(save(specimen, folder / "s.nrrd"), **settings)
+    baker = Baker()
     with (
         closing(InlinePool()) as workers,
         closing(EngineWithoutWorkers([scene], str(folder / "light"), baker=baker)) as engine,
@@ -76,7 +87,9 @@ def answers(app: FastAPI, paths: Sequence[str]) -> list[httpx.Response]:
 
 
 def assert_finite(answer: httpx.Response) -> None:
-    """Assert that all numbers of an answer are finite: in its headers, and in its picture, array or JSON."""
+    """Assert that all numbers of an answer are finite: in its headers, and in its picture, array or
+    JSON.
+    """
     assert not [value for value in answer.headers.values() if NO_NUMBER.search(value)], answer.url
     kind = answer.headers.get("content-type", "")
     if kind.startswith("image/"):
@@ -102,7 +115,9 @@ def test_every_endpoint_answers_hard_volumes_in_finite_numbers(name: str, tmp_pa
     """In every shading and every format of pictures."""
     scene = "/v1/scenes/s"
     frames = [{"shading": shading, "f": "npy"} for shading in VIEW_SHADINGS]
-    frames += [{"f": form, "wait_ms": "300", "overlay": "provisional"} for form in ("png", "jpeg", "webp")]
+    frames += [
+        {"f": form, "wait_ms": "300", "overlay": "provisional"} for form in ("png", "jpeg", "webp")
+    ]
     paths = [*PAGES, scene, f"{scene}/coverage?{urlencode(SMALL)}"]
     paths += [f"{scene}/frame?{urlencode({**SMALL, **frame})}" for frame in frames]
     with service(VOLUMES[name], tmp_path) as app:

@@ -1,4 +1,6 @@
-"""Extreme settings: albedo, bounces, isovalues, lattices, offsets and target errors, to their ends."""
+"""Extreme settings: albedo, bounces, isovalues, lattices, offsets and target errors, to their
+ends.
+"""
 
 import math
 from dataclasses import replace
@@ -40,7 +42,9 @@ def shown(scene: Scene, samples: int | None = None) -> Frame:
 
 
 def white_body(**settings: Any) -> np.ndarray:
-    """The radiance of the pixels of a white body in light of 1, with bounces enough to leave most creases."""
+    """The radiance of the pixels of a white body in light of 1, with bounces enough to leave most
+    creases.
+    """
     scene = lit(body_volume(), 0.5, CONSTANT, **{"albedo": 1.0, "bounces": 1000, **settings})
     frame = shown(scene, 64)
     return np.asarray(frame.radiance[frame.state > 0, 0])
@@ -68,15 +72,17 @@ def test_a_white_body_in_light_of_one_has_radiance_one(name: str, value: Any) ->
 def test_without_an_offset_pixels_beside_creases_lose_light() -> None:
     """A known fault: up to half of it.
 
-    A texel in a crease may be nearly shut in by its own isosurface: from right on the surface its paths take more
-    bounces to come out than there are.
+    A texel in a crease may be nearly shut in by its own isosurface: from right on the surface its
+    paths take more bounces to come out than there are.
     """
     pixels = white_body(offset=0.0)
     assert np.abs(pixels - 1.0).max() <= 0.5
     assert float(np.median(pixels)) == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize(("albedo", "black"), [(0.0, [0, 1, 2]), ([1.0, 0.0, 0.0], [1, 2])], ids=["all", "but red"])
+@pytest.mark.parametrize(
+    ("albedo", "black"), [(0.0, [0, 1, 2]), ([1.0, 0.0, 0.0], [1, 2])], ids=["all", "but red"]
+)
 def test_channels_of_albedo_zero_are_black(albedo: Any, black: list[int]) -> None:
     frame = shown(lit(body_volume(), 0.5, CONSTANT, albedo=albedo), 16)
     assert (frame.radiance[..., black] == 0.0).all()
@@ -90,7 +96,9 @@ def test_channels_of_albedo_zero_are_black(albedo: Any, black: list[int]) -> Non
 def test_bounces_in_a_closed_cavity_add_up_to_a_series(albedo: float, bounces: int) -> None:
     """1 + R + … + R^k, and 1 / (1 - R) for 1000."""
     series = math.fsum(albedo**j for j in range(bounces + 1))
-    assert cavity_light(albedo, bounces) / cavity_light(albedo, 0) == pytest.approx(series, rel=0.01)
+    assert cavity_light(albedo, bounces) / cavity_light(albedo, 0) == pytest.approx(
+        series, rel=0.01
+    )
 
 
 @cache
@@ -131,7 +139,9 @@ def test_a_range_of_one_isovalue_shows_it_as_a_wide_one_does() -> None:
 
 @pytest.mark.parametrize("target", [1.0, 0.1, 0.02, 0.002])
 def test_final_light_is_as_good_as_the_target_error(target: float) -> None:
-    """A ball in even light: the root mean square of what it is off by, and the frame's own error."""
+    """A ball in even light: the root mean square of what it is off by, and the frame's own
+    error.
+    """
     scene = lit(ball_volume(), 0.0, CONSTANT, target_error=target, bounces=0)
     frame = shown(scene)
     light = frame.radiance[frame.state > 0, 0] / scene.surfaces.albedo[0]

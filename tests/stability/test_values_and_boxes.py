@@ -1,4 +1,6 @@
-"""Extreme values and boxes: digits are kept, holes stay where they are, and pictures depend on no unit or axis."""
+"""Extreme values and boxes: digits are kept, holes stay where they are, and pictures depend on no
+unit or axis.
+"""
 
 import math
 from dataclasses import replace
@@ -29,14 +31,20 @@ RADIUS = 8.0
 """Of spheres, in voxels of the coarse axes."""
 
 CHORDS = RADIUS - math.sqrt(RADIUS**2 - 0.75)
-"""How far a cube's trilinear field may lie within the sphere: of r² it lacks 1/4 for each axis at most."""
+"""How far a cube's trilinear field may lie within the sphere: of r² it lacks 1/4 for each axis at
+most.
+"""
 
 SHADED = ("lambert", "phong_shadow", "gi")
 EYE = np.array([50.0, 33.0, 21.0])
-"""The eye, from the volume's middle, in voxels; that of the mirrored and permuted field is mirrored and permuted."""
+"""The eye, from the volume's middle, in voxels; that of the mirrored and permuted field is mirrored
+and permuted.
+"""
 
 SUN = np.array([0.5, 0.7, 0.6])
-"""Towards the lamp of all shadings but global illumination, which has the same light from everywhere."""
+"""Towards the lamp of all shadings but global illumination, which has the same light from
+everywhere.
+"""
 
 PLAIN = (0, 1, 2), (1, 1, 1)
 """The axes as they are: their order, and their signs."""
@@ -50,8 +58,10 @@ def test_values_keep_24_bits_of_their_range(name: str) -> None:
     array = RANGES[name].make()
     volume = make_volume(array)
     few = np.random.default_rng(1).choice(volume.voxels.size, 100)
-    values, voxels = array.ravel()[few], volume.voxels.ravel()[few]
-    offset, scale = Fraction(volume.offset), Fraction(volume.scale)
+    values = array.ravel()[few]
+    voxels = volume.voxels.ravel()[few]
+    offset = Fraction(volume.offset)
+    scale = Fraction(volume.scale)
     span = Fraction(volume.core[1]) - Fraction(volume.core[0]) or Fraction(1)
     inner = np.isfinite(voxels) & (np.abs(voxels) <= CORE_LIMIT)
     assert inner.any()
@@ -85,7 +95,8 @@ def hits_of(scene: Scene, view: View) -> np.ndarray:
 
 @pytest.mark.parametrize("value", [1e30, -1e30, 1e300, -9999.0, np.nan, np.inf, -np.inf])
 def test_a_voxel_changes_no_hit_outside_its_eight_cells(value: float) -> None:
-    plain, field = scene_of(make_volume(soft()), 0.5), soft()
+    plain = scene_of(make_volume(soft()), 0.5)
+    field = soft()
     field[HOT] = value
     view = view_of(plain, 128, azimuth=0.0, elevation=0.0)
     before, after = (hits_of(scene, view) for scene in (plain, scene_of(make_volume(field), 0.5)))
@@ -128,7 +139,8 @@ def test_a_sphere_in_thin_voxels_is_as_round_as_in_cubes(ratio: int) -> None:
     scene = scene_of(make_volume(field.astype(np.float32), (1.0 / ratio, 1.0, 1.0)), 0.0)
     with renderer_of(scene) as renderer:
         gbuffer = renderer.gbuffer(view_of(scene, 64, shading="lambert"))
-        points, normals = gbuffer.points, gbuffer.normals(renderer.tiles)
+        points = gbuffer.points
+        normals = gbuffer.normals(renderer.tiles)
     out = points.astype(np.float64) * scene.volume.spacing - scene.volume.centre
     radii = np.linalg.norm(out, axis=1)
     angles = np.arccos(np.clip((out * normals).sum(axis=1) / radii, -1.0, 1.0))
@@ -138,7 +150,9 @@ def test_a_sphere_in_thin_voxels_is_as_round_as_in_cubes(ratio: int) -> None:
 
 @pytest.mark.parametrize("shading", ["lambert", "phong_shadow", "lambert_fog", "gi"])
 def test_the_picture_does_not_depend_on_the_unit_of_length(shading: str) -> None:
-    """Bit by bit for powers of two; others round the paths' hits, so that a few of them go another way."""
+    """Bit by bit for powers of two; others round the paths' hits, so that a few of them go another
+    way.
+    """
     one, *others = (spaced(step, shading) for step in (1.0, 2.0**-99, 2.0**99, 1e-30, 1e30))
     assert one.any()
     levels = [grey_levels(one, other) for other in others]
@@ -152,13 +166,17 @@ def spaced(step: float, shading: str) -> np.ndarray:
 
 
 def test_where_the_box_ends_nothing_but_the_surface_ends() -> None:
-    """Hits of the upper half of the body, and those of the whole body that lie there, by the same rays."""
+    """Hits of the upper half of the body, and those of the whole body that lie there, by the same
+    rays.
+    """
     whole = scene_of(make_volume(soft()), 0.5)
     half = scene_of(make_volume(soft()[16:]), 0.5)
     view = view_of(whole, 96, elevation=50.0)
-    (x, y, z), (u, v, w) = view.camera.eye, view.camera.target
+    (x, y, z) = view.camera.eye
+    (u, v, w) = view.camera.target
     camera = Camera((x, y, z - 16.0), (u, v, w - 16.0), view.camera.up, view.camera.fov)
-    found, expected = hits_of(half, replace(view, camera=camera)), hits_of(whole, view)
+    found = hits_of(half, replace(view, camera=camera))
+    expected = hits_of(whole, view)
     kept = expected[..., 2] >= 16.0
     assert kept.sum() > 500
     assert np.abs(found[kept] - (expected[kept] - np.array([0, 0, 16], np.float32))).max() < 1e-4
@@ -173,9 +191,13 @@ def plain_picture(shading: str) -> np.ndarray:
 
 @pytest.mark.parametrize("shading", SHADED)
 @pytest.mark.parametrize(
-    ("offset", "factor"), [(1e9, 1.0), (-1e9, 1.0), (0.0, 1e-300), (0.0, 1e300), (0.0, 3.7)], ids=str
+    ("offset", "factor"),
+    [(1e9, 1.0), (-1e9, 1.0), (0.0, 1e-300), (0.0, 1e300), (0.0, 3.7)],
+    ids=str,
 )
-def test_the_picture_does_not_depend_on_the_unit_of_value(offset: float, factor: float, shading: str) -> None:
+def test_the_picture_does_not_depend_on_the_unit_of_value(
+    offset: float, factor: float, shading: str
+) -> None:
     """But for a few paths, in 22 of 1,220 texels, that go another way as values are rounded."""
     scene = scene_of(make_volume(offset + factor * soft()), offset + factor * 0.5)
     picture = picture_of(scene, view_of(scene, 20, shading=shading), 256)
@@ -183,20 +205,25 @@ def test_the_picture_does_not_depend_on_the_unit_of_value(offset: float, factor:
 
 
 @pytest.mark.parametrize("shading", SHADED)
-@pytest.mark.parametrize("signs", [each for each in product((1, -1), repeat=3) if -1 in each], ids=str)
+@pytest.mark.parametrize(
+    "signs", [each for each in product((1, -1), repeat=3) if -1 in each], ids=str
+)
 def test_a_mirrored_volume_has_the_mirrored_picture(signs: tuple[int, ...], shading: str) -> None:
     assert grey_levels(turned(PLAIN, shading), turned(((0, 1, 2), signs), shading)) <= 1
 
 
 @pytest.mark.parametrize("shading", SHADED)
 @pytest.mark.parametrize("order", list(permutations(range(3)))[1:], ids=str)
-def test_a_volume_with_permuted_axes_has_the_permuted_picture(order: tuple[int, ...], shading: str) -> None:
+def test_a_volume_with_permuted_axes_has_the_permuted_picture(
+    order: tuple[int, ...], shading: str
+) -> None:
     assert grey_levels(turned(PLAIN, shading), turned((order, (1, 1, 1)), shading)) <= 1
 
 
 @cache
 def turned(axes: Axes, shading: str) -> np.ndarray:
-    """The picture of the field with its axes (x, y, z) permuted and then mirrored, from an eye that went along.
+    """The picture of the field with its axes (x, y, z) permuted and then mirrored, from an eye that
+    went along.
 
     The lamp went along too. The picture is itself mirrored back where the axes changed their hand.
     """
@@ -205,11 +232,18 @@ def turned(axes: Axes, shading: str) -> np.ndarray:
     field = field[tuple(slice(None, None, signs[2 - axis]) for axis in range(3))]
     move = np.eye(3)[list(order)] * np.array(signs)[:, None]
     x, y, z = move @ SUN
-    angles = {"azimuth": math.degrees(math.atan2(y, x)), "elevation": math.degrees(math.atan2(z, math.hypot(x, y)))}
+    angles = {
+        "azimuth": math.degrees(math.atan2(y, x)),
+        "elevation": math.degrees(math.atan2(z, math.hypot(x, y))),
+    }
     lamp = {"type": "directional", **angles}
     scene = scene_of(make_volume(field), 0.5, **({} if shading == "gi" else {"lights": [lamp]}))
     eye = np.array(scene.volume.centre) + move @ EYE
     camera = Camera(tuple(eye), scene.volume.centre, tuple(move @ (0.1, 0.2, 1.0)), 26.0)
     frame = frame_of(scene, View(0.5, camera, width=10, height=10, shading=shading), 2048)
-    picture = develop(frame, 1.0)  # a scene's exposure is found from its front, which is mirrored here
-    return picture if np.linalg.det(move) > 0.0 else picture[:, ::-1]
+    picture = develop(
+        frame, 1.0
+    )  # a scene's exposure is found from its front, which is mirrored here
+    if np.linalg.det(move) > 0.0:
+        return picture
+    return picture[:, ::-1]

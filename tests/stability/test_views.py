@@ -1,4 +1,6 @@
-"""Extreme views: cameras within the solid, on its surface, far away, and with the narrowest and the widest fields."""
+"""Extreme views: cameras within the solid, on its surface, far away, and with the narrowest and the
+widest fields.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -23,12 +25,17 @@ from tests.stability.volumes import body, ramp
 
 SPACING = (1.0, 1.25, 0.8)
 
-NARROWEST, WIDEST, FURTHEST = 0.01, 179.0, 1e7
+NARROWEST = 0.01
+WIDEST = 179.0
+FURTHEST = 1e7
 """Degrees of the field of view, and bounding radii, that a view may ask for at most."""
 
 ORBITS: Mapping[str, Mapping[str, float]] = {
     **{
-        f"azimuth {azimuth:g}, elevation {elevation:g}": {"azimuth": azimuth, "elevation": elevation}
+        f"azimuth {azimuth:g}, elevation {elevation:g}": {
+            "azimuth": azimuth,
+            "elevation": elevation,
+        }
         for azimuth in (-360.0, -90.0, 90.0, 360.0)
         for elevation in (-90.0, 0.0, 90.0)
     },
@@ -56,7 +63,10 @@ def hard_views(renderer: Renderer, size: int) -> dict[str, View]:
     """Thirty views of a scene, ``size`` pixels a side but where that is what is hard."""
     scene = renderer.prepared.scene
     usual = square(scene, scene.camera(**STAND), size)
-    found = {name: square(scene, scene.camera(**{**STAND, **knobs}), size) for name, knobs in ORBITS.items()}
+    found = {
+        name: square(scene, scene.camera(**{**STAND, **knobs}), size)
+        for name, knobs in ORBITS.items()
+    }
     for name, (width, height) in SIZES.items():
         found[name] = View(scene.isovalue, scene.camera(**STAND), width=width, height=height)
     points = renderer.gbuffer(usual).points
@@ -72,7 +82,8 @@ def square(scene: Scene, camera: Camera, size: int) -> View:
 def eyes(scene: Scene, on: np.ndarray) -> dict[str, Camera]:
     """Cameras within the solid, at the point ``on`` of its surface, and on the box; world."""
     volume = scene.volume
-    middle, far_corner = np.array(volume.centre), np.array(volume.extent)
+    middle = np.array(volume.centre)
+    far_corner = np.array(volume.extent)
     within = np.argwhere(volume.voxels == volume.voxels.max())[0][::-1] * np.array(volume.spacing)
     face = middle * (0, 1, 1)
     return {
@@ -125,7 +136,9 @@ def test_hits_lie_on_the_rays_through_the_middles_of_pixels(renderer: Renderer) 
 
 
 def off_the_ray(view: View, pixels: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far ``points`` (m, 3), index space, are from the rays through the middles of their pixels, in voxels."""
+    """How far ``points`` (m, 3), index space, are from the rays through the middles of their
+    pixels, in voxels.
+    """
     spacing = np.array(SPACING, np.longdouble)
     eye = np.array(view.camera.eye, np.longdouble)
     rays = pixel_rays(view)[pixels]
@@ -136,14 +149,16 @@ def off_the_ray(view: View, pixels: np.ndarray, points: np.ndarray) -> np.ndarra
 
 def pixel_rays(view: View) -> np.ndarray:
     """World directions (pixels, 3) through the middles of all pixels, in extended precision."""
-    camera, one = view.camera, np.longdouble(1)
+    camera = view.camera
+    one = np.longdouble(1)
     forward = np.array(camera.target, np.longdouble) - np.array(camera.eye, np.longdouble)
     forward /= np.sqrt((forward**2).sum())
     right = np.cross(forward, np.array(camera.up, np.longdouble))
     right /= np.sqrt((right**2).sum())
     tangent = np.tan(np.deg2rad(one * camera.fov) / 2)
     y, x = np.mgrid[: view.height, : view.width] + one / 2
-    u, v = (x - one * view.width / 2) / (one * view.height / 2), 1 - y / (one * view.height / 2)
+    u = (x - one * view.width / 2) / (one * view.height / 2)
+    v = 1 - y / (one * view.height / 2)
     rays = forward + tangent * (u[..., None] * right + v[..., None] * np.cross(right, forward))
     return rays.reshape(-1, 3)
 
@@ -155,7 +170,9 @@ def test_hits_lie_in_the_box_and_on_the_surface(renderer: Renderer) -> None:
     steepest = max(float(abs(np.diff(volume.voxels, axis=axis)).max()) for axis in range(3))
     for name, view in hard_views(renderer, 32).items():
         points = renderer.gbuffer(view).points
-        assert np.maximum(-points, points - np.subtract(volume.size, 1)).max(initial=0.0) <= 1e-5, name
+        assert np.maximum(-points, points - np.subtract(volume.size, 1)).max(initial=0.0) <= 1e-5, (
+            name
+        )
         off = abs(surface.height(points.astype(np.float64))).max(initial=0.0)
         assert off / steepest <= 1e-5, name
 
@@ -164,21 +181,36 @@ def test_hits_lie_in_the_box_and_on_the_surface(renderer: Renderer) -> None:
 def test_far_eyes_see_what_parallel_rays_meet(renderer: Renderer, eye: str) -> None:
     """But where the surface is seen at a grazing angle."""
     scene = renderer.prepared.scene
-    volume, step = scene.volume, np.array(SPACING)
-    distance = 1e6 * max(volume.extent) if eye == "a million boxes away" else FURTHEST * volume.radius
+    volume = scene.volume
+    step = np.array(SPACING)
+    if eye == "a million boxes away":
+        distance = 1e6 * max(volume.extent)
+    else:
+        distance = FURTHEST * volume.radius
     view = square(scene, far_eye(scene, distance), 48)
-    gbuffer, (right, up, forward) = renderer.gbuffer(view), view.camera.basis()
+    gbuffer = renderer.gbuffer(view)
+    (right, up, forward) = view.camera.basis()
     aside = pixel_rays(view)[gbuffer.pixels] @ np.stack([right, up], axis=1) * distance
-    starts = np.array(volume.centre) + (aside @ np.stack([right, up])).astype(float) - 2.0 * volume.radius * forward
-    t, _ = surface_in(volume, scene.isovalue).cast(starts / step, np.broadcast_to(forward / step, starts.shape))
+    starts = (
+        np.array(volume.centre)
+        + (aside @ np.stack([right, up])).astype(float)
+        - 2.0 * volume.radius * forward
+    )
+    t, _ = surface_in(volume, scene.isovalue).cast(
+        starts / step, np.broadcast_to(forward / step, starts.shape)
+    )
     met = starts / step + np.where(np.isfinite(t), t, 0.0)[:, None] * (forward / step)
     judged = np.isfinite(t) & (gbuffer.normals(renderer.tiles) @ forward < -0.4)
     assert judged.sum() > 200
     assert abs(met - gbuffer.points)[judged].max() < 1e-4
 
 
-@pytest.mark.parametrize(("one", "other"), [(0.0, 360.0), (0.0, -360.0), (90.0, -270.0), (-90.0, 270.0)])
-def test_a_full_turn_of_the_camera_changes_no_hit(renderer: Renderer, one: float, other: float) -> None:
+@pytest.mark.parametrize(
+    ("one", "other"), [(0.0, 360.0), (0.0, -360.0), (90.0, -270.0), (-90.0, 270.0)]
+)
+def test_a_full_turn_of_the_camera_changes_no_hit(
+    renderer: Renderer, one: float, other: float
+) -> None:
     scene = renderer.prepared.scene
     cameras = (scene.camera(**{**STAND, "azimuth": azimuth}) for azimuth in (one, other))
     a, b = (renderer.gbuffer(square(scene, camera, 48)) for camera in cameras)
@@ -209,13 +241,16 @@ def orbital() -> Scene:
 
 
 def camera_in(scene: Scene, query: str) -> Camera:
-    """The camera that a query asks for, its pairs apart by blanks; ViewError where it is refused."""
+    """The camera that a query asks for, its pairs apart by blanks; ViewError where it is
+    refused.
+    """
     pairs = (pair.partition("=") for pair in query.split())
     return camera_of(scene, read(ViewParams, ((name, value) for name, _, value in pairs)))
 
 
 @pytest.mark.parametrize(
-    "query", [f"fov={NARROWEST}", f"fov={WIDEST}", f"distance={FURTHEST}", "distance=0.01", "azimuth=-360"]
+    "query",
+    [f"fov={NARROWEST}", f"fov={WIDEST}", f"distance={FURTHEST}", "distance=0.01", "azimuth=-360"],
 )
 def test_the_ends_of_the_ranges_of_views_may_be_asked_for(orbital: Scene, query: str) -> None:
     assert camera_in(orbital, query)

@@ -1,4 +1,6 @@
-"""Volumes that are hard on a renderer: solids, stiff fields, extreme values, extreme boxes, and closed surfaces."""
+"""Volumes that are hard on a renderer: solids, stiff fields, extreme values, extreme boxes, and
+closed surfaces.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,16 +14,18 @@ Make = Callable[[], np.ndarray]
 SIDE = 32
 """Voxels along each side of ``soft``."""
 
-CLOSED_SIDE, RADIUS = 41, 12.0
+CLOSED_SIDE = 41
+RADIUS = 12.0
 """Voxels along each side of volumes with closed surfaces, and the radius of most of these."""
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A volume (z, y, x) that ``make`` makes, the ``isovalues`` to look at in its own units, and its ``spacing``.
+    """A volume (z, y, x) that ``make`` makes, the ``isovalues`` to look at in its own units, and
+    its ``spacing``.
 
-    ``spacing`` is (x, y, z). ``distance``, in bounding radii, is where a camera sees its surface. ``refused`` is a word
-    of the sentence that refuses the volume, or empty.
+    ``spacing`` is (x, y, z). ``distance``, in bounding radii, is where a camera sees its surface.
+    ``refused`` is a word of the sentence that refuses the volume, or empty.
     """
 
     make: Make
@@ -32,29 +36,39 @@ class Specimen:
 
 
 def grid(*sides: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coordinates x, y, z (each nz, ny, nx) of a volume of ``sides`` (nx, ny, nz) voxels, from its middle."""
+    """Coordinates x, y, z (each nz, ny, nx) of a volume of ``sides`` (nx, ny, nz) voxels, from its
+    middle.
+    """
     x, y, z = (np.arange(n) - (n - 1) / 2 for n in sides)
     return tuple(np.meshgrid(z, y, x, indexing="ij"))[::-1]
 
 
-def ball(axes: tuple[np.ndarray, ...], centre: tuple[float, float, float], radius: float) -> np.ndarray:
+def ball(
+    axes: tuple[np.ndarray, ...], centre: tuple[float, float, float], radius: float
+) -> np.ndarray:
     """Signed distance from a ball's skin, negative within."""
     return np.sqrt(sum((axis - c) ** 2 for axis, c in zip(axes, centre, strict=True))) - radius
 
 
 def body(side: int = 48) -> np.ndarray:
-    """Signed distance from a bored ball, a small one beside it and a plate under both: it shades itself."""
+    """Signed distance from a bored ball, a small one beside it and a plate under both: it shades
+    itself.
+    """
     x, y, z = axes = grid(side, side, side)
     scale = side / 48
     large = ball(axes, (0.0, 0.0, -2.3 * scale), 13.1 * scale)
     small = ball(axes, (9.2 * scale, 3.1 * scale, 8.7 * scale), 7.4 * scale)
-    plate = np.maximum.reduce([abs(x) - 20 * scale, abs(y) - 20 * scale, abs(z + 15 * scale) - 3 * scale])
+    plate = np.maximum.reduce(
+        [abs(x) - 20 * scale, abs(y) - 20 * scale, abs(z + 15 * scale) - 3 * scale]
+    )
     bore = np.hypot(x + 4 * scale, y - 3 * scale) - 4.2 * scale
     return np.minimum(np.minimum(np.maximum(large, -bore), small), plate)
 
 
 def ramp(distance: np.ndarray, width: float) -> np.ndarray:
-    """The field 1 within, 0 without, and linear over ``width`` voxels across the skin; a mask where that is 0."""
+    """The field 1 within, 0 without, and linear over ``width`` voxels across the skin; a mask where
+    that is 0.
+    """
     if width == 0.0:
         return (distance < 0.0).astype(np.float32)
     return np.clip(0.5 - distance / width, 0.0, 1.0).astype(np.float32)
@@ -66,7 +80,9 @@ def soft(side: int = SIDE) -> np.ndarray:
 
 
 def spoiled(share: float, *marks: float) -> np.ndarray:
-    """``soft`` with a share of its voxels, taken by chance and at least one per mark, replaced by the marks in turn."""
+    """``soft`` with a share of its voxels, taken by chance and at least one per mark, replaced by
+    the marks in turn.
+    """
     field = soft()
     count = max(round(share * field.size), len(marks))
     field.flat[np.random.default_rng(1).permutation(field.size)[:count]] = np.resize(marks, count)
@@ -111,8 +127,11 @@ STIFF: Mapping[str, Specimen] = {
     "mask": Specimen(lambda: ramp(body(), 0.0), (0.0, 0.5, 0.999)),
     "mask of bytes": Specimen(lambda: (255 * ramp(body(), 0.0)).astype(np.uint8), (0.5, 254.0)),
     "ramp of a voxel": Specimen(lambda: ramp(body(), 1.0), (0.25, 0.5)),
-    # A wide ramp in eight steps: between them every voxel lies on a plateau, and 0.25 is one of them.
-    "terraces": Specimen(lambda: (np.round(8 * ramp(body(), 24.0)) / 8).astype(np.float32), (0.25, 0.4)),
+    # A wide ramp in eight steps: between them every voxel lies on a plateau, and 0.25 is one of
+    # them.
+    "terraces": Specimen(
+        lambda: (np.round(8 * ramp(body(), 24.0)) / 8).astype(np.float32), (0.25, 0.4)
+    ),
     "metal in a scan": Specimen(metal_in_a_scan, (500.0, 3000.0)),
     "gradients apart by 1e6": Specimen(gradients_apart, (0.0,)),
 }
@@ -123,14 +142,19 @@ SPECKS = "-9999 in 30 %"
 RANGES: Mapping[str, Specimen] = {
     "offset of 1e9": Specimen(lambda: 1e9 + soft(), (1e9 + 0.5,)),
     # Single floats have no step between 1e9 and 1e9 + 64: nearly nothing is left.
-    "offset of 1e9 in single floats": Specimen(lambda: (1e9 + 256 * soft()).astype(np.float32), (1e9 + 32,)),
+    "offset of 1e9 in single floats": Specimen(
+        lambda: (1e9 + 256 * soft()).astype(np.float32), (1e9 + 32,)
+    ),
     "times 1e-300": Specimen(lambda: 1e-300 * soft(), (0.5e-300,)),
     "times 1e300": Specimen(lambda: 1e300 * soft(), (0.5e300,)),
     "wider than any double": Specimen(lambda: 1.79e308 * (2 * soft() - 1), (0.0,)),
     "subnormal": Specimen(lambda: np.ldexp(soft(), -1055), (2.0**-1056,)),
-    "int64 beyond 2^53": Specimen(lambda: 2**60 + np.rint(1024 * soft()).astype(np.int64), (2.0**60 + 512,)),
+    "int64 beyond 2^53": Specimen(
+        lambda: 2**60 + np.rint(1024 * soft()).astype(np.int64), (2.0**60 + 512,)
+    ),
     "uint64 up to the last": Specimen(
-        lambda: np.uint64(2**64 - 1) - np.rint(2**20 * (1 - soft())).astype(np.uint64), (2.0**64 - 2**19,)
+        lambda: np.uint64(2**64 - 1) - np.rint(2**20 * (1 - soft())).astype(np.uint64),
+        (2.0**64 - 2**19,),
     ),
     "half floats": Specimen(lambda: soft().astype(np.float16), (0.5,)),
     "booleans": Specimen(lambda: soft() > 0.5, (0.5,)),
@@ -214,4 +238,6 @@ CLOSED: Mapping[str, tuple[Make, tuple[float, ...]]] = {
     "noise": (closed_noise, (0.0, 0.3, 0.5)),
     "noise of bytes": (lambda: np.floor(8.0 * closed_noise()).astype(np.uint8), (0.0, 2.0, 3.5)),
 }
-"""What makes a volume (CLOSED_SIDE³; z, y, x), and isovalues at and between its values where its surface is closed."""
+"""What makes a volume (CLOSED_SIDE³; z, y, x), and isovalues at and between its values where its
+surface is closed.
+"""

@@ -1,4 +1,6 @@
-"""A folder as a store, at its worst moments: writers that fail, die or delete beside each other lose nothing."""
+"""A folder as a store, at its worst moments: writers that fail, die or delete beside each other
+lose nothing.
+"""
 
 import errno
 import os
@@ -18,8 +20,10 @@ from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, write_whole
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.store import SENTINEL_KEY, Store
 
-KEY, OTHER = "layer/c/0/0/0/0", "layer/c/0/0/1/0"
-OLD, NEW = b"old light", b"new light"
+KEY = "layer/c/0/0/0/0"
+OTHER = "layer/c/0/0/1/0"
+OLD = b"old light"
+NEW = b"new light"
 
 DIES = """
 import os, signal, sys
@@ -31,7 +35,9 @@ found = folder.get(key)
 setattr(os, sys.argv[4], lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 folder.put(key, b"new light", found)
 """
-"""Writes an object, and is killed when it calls the function of `os` that its last argument names."""
+"""Writes an object, and is killed when it calls the function of `os` that its last argument
+names.
+"""
 
 
 @pytest.fixture
@@ -68,7 +74,9 @@ def no_room(monkeypatch: pytest.MonkeyPatch) -> None:
     """Has files that are new take no more than that."""
     plain = Path.open
     monkeypatch.setattr(
-        Path, "open", lambda path, mode="r", **more: (Narrow if mode == "xb" else plain)(path, mode, **more)
+        Path,
+        "open",
+        lambda path, mode="r", **more: (Narrow if mode == "xb" else plain)(path, mode, **more),
     )
 
 
@@ -91,7 +99,10 @@ def failing(name: str) -> Callable[[pytest.MonkeyPatch], None]:
     ids=["write", "lock", "rename"],
 )
 def test_a_write_that_fails_at_any_step_changes_nothing(
-    store: Store, monkeypatch: pytest.MonkeyPatch, step: Callable[[pytest.MonkeyPatch], None], raised: type[StoreError]
+    store: Store,
+    monkeypatch: pytest.MonkeyPatch,
+    step: Callable[[pytest.MonkeyPatch], None],
+    raised: type[StoreError],
 ) -> None:
     kept = files(store)
     with monkeypatch.context() as patch, pytest.raises(raised):
@@ -121,7 +132,9 @@ def test_a_writer_that_is_killed_leaves_objects_whole(store: Store, key: str, mo
 
 
 def test_who_deletes_the_last_of_a_folder_hinders_no_writer(store: Store) -> None:
-    """The folder of an object goes with it, also between a writer's making it and its file there."""
+    """The folder of an object goes with it, also between a writer's making it and its file
+    there.
+    """
     stopped = threading.Event()
 
     def delete() -> None:
@@ -140,8 +153,11 @@ def test_who_deletes_the_last_of_a_folder_hinders_no_writer(store: Store) -> Non
     assert files(store) == [SENTINEL_KEY, KEY]
 
 
-def test_a_writer_makes_the_folder_again_that_went(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    went, partial_file = list[str](), folder_module.partial_file
+def test_a_writer_makes_the_folder_again_that_went(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    went = list[str]()
+    partial_file = folder_module.partial_file
 
     def late(path: Path, data: bytes) -> Any:
         if not went:
@@ -155,9 +171,11 @@ def test_a_writer_makes_the_folder_again_that_went(store: Store, monkeypatch: py
 
 
 def test_readers_of_a_file_that_is_written_see_old_or_new(tmp_path: Path) -> None:
-    path, contents = tmp_path / "file", [bytes([number]) * (1 << 16) for number in range(2)]
+    path = tmp_path / "file"
+    contents = [bytes([number]) * (1 << 16) for number in range(2)]
     write_whole(path, contents[0])
-    stopped, seen = threading.Event(), set[bytes]()
+    stopped = threading.Event()
+    seen = set[bytes]()
 
     def read() -> None:
         while not stopped.is_set():

@@ -1,4 +1,6 @@
-"""A store: its objects and documents, what is absent, and what is not known because the store is away."""
+"""A store: its objects and documents, what is absent, and what is not known because the store is
+away.
+"""
 
 import errno
 import fcntl
@@ -45,7 +47,8 @@ from isogi_core.storage.store import (
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock
 
-KEY, OTHER = "layer/c/0/0/0/0", "layer/c/0/0/1/0"
+KEY = "layer/c/0/0/0/0"
+OTHER = "layer/c/0/0/1/0"
 IMPATIENT = {"seconds": 0.3, "retries": 0}
 
 
@@ -56,7 +59,9 @@ def location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
         return str(request.getfixturevalue("standard_s3"))
     if request.param == "s3":
         return str(request.getfixturevalue("s3").url)
-    return {"folder": str(tmp_path / "light"), "memory": f"memory://{uuid.uuid4().hex}"}[request.param]
+    return {"folder": str(tmp_path / "light"), "memory": f"memory://{uuid.uuid4().hex}"}[
+        request.param
+    ]
 
 
 def bucket(s3: S3Server, clock: Clock | None = None, **more: Any) -> Store:
@@ -72,7 +77,8 @@ def methods(s3: S3Server) -> list[str]:
     return [f"{call.method} {call.key.removeprefix(s3.prefix).lstrip('/')}" for call in s3.calls]
 
 
-# --- objects ------------------------------------------------------------------------------------------------------
+# --- objects
+# --------------------------------------------------------------------------------------------------
 
 
 def test_objects_are_kept_listed_and_deleted(location: str) -> None:
@@ -105,7 +111,9 @@ def test_an_object_is_written_in_place_of_what_was_read_alone(location: str) -> 
 
 
 def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
-    """Where the store can tell; in one process memory can too, for its calls come one after the other."""
+    """Where the store can tell; in one process memory can too, for its calls come one after the
+    other.
+    """
     if location.startswith("memory"):
         pytest.skip("a store in memory cannot tell")
     together = threading.Barrier(8)
@@ -126,7 +134,9 @@ def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
 
 
 def test_a_writer_waits_for_the_one_that_has_the_folder(tmp_path: Path) -> None:
-    """And is refused what that one has changed: between its look at an object and its own, no other writes."""
+    """And is refused what that one has changed: between its look at an object and its own, no other
+    writes.
+    """
     store = Store(tmp_path)
     store.put(KEY, b"light", None)
     with open(tmp_path / SENTINEL_KEY, "r+b") as other, ThreadPoolExecutor(1) as threads:
@@ -150,10 +160,14 @@ def test_a_moved_object_is_under_its_new_name_alone(location: str) -> None:
     store.move(KEY, "aside/0")
     store.move(OTHER, "aside/1")
     assert store.get("aside/0") == StoredObject(b"more") and store.get("aside/1") is None
-    assert {entry.key: entry.size for entry in store.entries()} == {"aside/0": 4, SENTINEL_KEY: len(SENTINEL_CONTENT)}
+    assert {entry.key: entry.size for entry in store.entries()} == {
+        "aside/0": 4,
+        SENTINEL_KEY: len(SENTINEL_CONTENT),
+    }
 
 
-# --- the sentinel -------------------------------------------------------------------------------------------------
+# --- the sentinel
+# -------------------------------------------------------------------------------------------------
 
 
 def test_a_new_store_gets_a_sentinel(location: str) -> None:
@@ -176,12 +190,18 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
     with ThreadPoolExecutor(len(stores)) as threads:
         list(threads.map(first, stores))
     assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
-    assert len(list(Store(location, make=False).keys("layer"))) == len(stores), "no light of theirs is lost"
+    assert len(list(Store(location, make=False).keys("layer"))) == len(stores), (
+        "no light of theirs is lost"
+    )
 
 
 @pytest.mark.parametrize(
     ("sentinel", "raised"),
-    [(b'{"format": 2}', "is of format 2, and this isogi knows 1"), (b"", "damaged"), (b"[]", "damaged")],
+    [
+        (b'{"format": 2}', "is of format 2, and this isogi knows 1"),
+        (b"", "damaged"),
+        (b"[]", "damaged"),
+    ],
 )
 def test_a_store_of_another_format_is_refused(location: str, sentinel: bytes, raised: str) -> None:
     first = Store(location)
@@ -220,7 +240,9 @@ def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
     assert store.get(KEY) is None
 
 
-def test_a_file_system_without_hard_links_is_one_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_without_hard_links_is_one_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: Any) -> None:
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
@@ -239,7 +261,8 @@ def test_a_folder_that_was_unmounted_is_not_baked_into(tmp_path: Path) -> None:
     assert not list((tmp_path / "light").iterdir())
 
 
-# --- an object store that fails -----------------------------------------------------------------------------------
+# --- an object store that fails
+# -----------------------------------------------------------------------------------
 
 
 def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None:
@@ -252,7 +275,9 @@ def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None
 
 
 @pytest.mark.parametrize("fault", [500, 503, 403, "hang", "short", "drop", "no-bucket"])
-def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(s3: S3Server, fault: Fault) -> None:
+def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(
+    s3: S3Server, fault: Fault
+) -> None:
     clock = Clock()
     store = bucket(s3, clock)
     clock.now += CHECKED
@@ -282,7 +307,10 @@ def test_a_bucket_that_is_gone_is_not_taken_for_empty(s3: S3Server) -> None:
 def test_one_object_that_fails_is_no_dead_store(s3: S3Server) -> None:
     store = bucket(s3)
     s3.fault = lambda call: 500 if call.key.endswith(KEY) else None
-    for use in (lambda: store.get(KEY), lambda: store.put(KEY, b"more", StoredObject(b"light", '"tag"'))):
+    for use in (
+        lambda: store.get(KEY),
+        lambda: store.put(KEY, b"more", StoredObject(b"light", '"tag"')),
+    ):
         with pytest.raises(StoreError, match="500") as raised:
             use()
         assert not isinstance(raised.value, StoreAwayError)
@@ -301,7 +329,9 @@ def test_a_call_is_tried_again_so_often_and_no_more(s3: S3Server) -> None:
     assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + [f"GET {SENTINEL_KEY}"] * 3
 
 
-def test_a_wrong_access_key_is_refused_and_not_repeated(s3: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_access_key_is_refused_and_not_repeated(
+    s3: S3Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIASOMEBODYELSE")
     with pytest.raises(StoreAwayError, match="403 Forbidden") as raised:
         Store(StoreUrl(s3.url, **IMPATIENT)).open()
@@ -365,7 +395,9 @@ class served:
         self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
 
     def __enter__(self) -> str:
-        threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+        threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+        ).start()
         return f"http://127.0.0.1:{self._server.server_address[1]}"
 
     def __exit__(self, *_: object) -> None:
@@ -373,7 +405,8 @@ class served:
         self._server.server_close()
 
 
-# --- secrets ------------------------------------------------------------------------------------------------------
+# --- secrets
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -395,18 +428,23 @@ def test_a_store_is_pickled_as_its_url_alone(s3: S3Server) -> None:
     store = bucket(s3)
     sent = pickle.dumps((store, store.url))
     assert not any(secret.encode() in sent for secret in (ACCESS_KEY, SECRET_KEY))
-    assert not any(secret in f"{store!r} {store.url!r} {store.url}" for secret in (ACCESS_KEY, SECRET_KEY))
+    assert not any(
+        secret in f"{store!r} {store.url!r} {store.url}" for secret in (ACCESS_KEY, SECRET_KEY)
+    )
     there, url = pickle.loads(sent)
     assert url == store.url and there.get(KEY) == StoredObject(b"light")
 
 
-def test_a_missing_library_is_named_with_its_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named_with_its_install_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(StoreError, match=r"pip install 'isogi\[s3\]'"):
         Store("s3://bucket/light").open()
 
 
-# --- copies -------------------------------------------------------------------------------------------------------
+# --- copies
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -473,7 +511,8 @@ def test_copies_that_cannot_be_kept_are_none(tmp_path: Path, s3: S3Server) -> No
     assert store.view(KEY) == b"light" == store.view(KEY)
 
 
-# --- documents --------------------------------------------------------------------------------------------------------
+# --- documents
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", ["", "file://"])
@@ -508,7 +547,9 @@ def test_a_place_that_is_none_is_told(tmp_path: Path) -> None:
 def test_a_document_that_others_write_too_is_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, others: int
 ) -> None:
-    documents, put, tried = Documents(tmp_path, "papers"), Store.put, list[str]()
+    documents = Documents(tmp_path, "papers")
+    put = Store.put
+    tried = list[str]()
 
     def contested(store: Store, key: str, *what: Any) -> None:
         tried.append(key)
@@ -527,17 +568,30 @@ def test_a_document_that_others_write_too_is_tried_again(
     assert len(tried) == min(others + 1, MAX_TRIES)
 
 
-# --- what buckets say -------------------------------------------------------------------------------------------------
+# --- what buckets say
+# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ("Error performing GET http://a/b?key=1 in 2s - HTTP error: error sending request", "before an answer"),
-        ("Generic S3 error: HTTP error: request or response body error\n\nDebug source:", "in the middle of an answer"),
-        ("Error performing PUT http://a/b in 1s - HTTP error: operation timed out", "no answer came in time"),
         (
-            'Error performing PUT http://a/b in 1s - Server returned non-2xx status code: 400 Bad Request: {"a":{}}',
+            "Error performing GET http://a/b?key=1 in 2s - HTTP error: error sending request",
+            "before an answer",
+        ),
+        (
+            "Generic S3 error: HTTP error: request or response body error\n\nDebug source:",
+            "in the middle of an answer",
+        ),
+        (
+            "Error performing PUT http://a/b in 1s - HTTP error: operation timed out",
+            "no answer came in time",
+        ),
+        (
+            (
+                "Error performing PUT http://a/b in 1s - Server returned non-2xx status code: 400 "
+                'Bad Request: {"a":{}}'
+            ),
             "status code: 400 Bad Request",
         ),
         (
@@ -552,7 +606,8 @@ def test_what_a_bucket_says_is_a_sentence(said: str, told: str) -> None:
     assert not {"{", "<", "/", "?", "\n"} & {*words}
 
 
-# --- objects of chunks ------------------------------------------------------------------------------------------------
+# --- objects of chunks
+# ------------------------------------------------------------------------------------------------
 
 
 RNG = np.random.default_rng(3)
@@ -567,7 +622,9 @@ def test_a_record_comes_back_from_its_object() -> None:
 def test_every_bit_that_flips_and_every_cut_is_noticed() -> None:
     stored = wrap(RECORD)
     number = int.from_bytes(stored, "little")
-    flipped = ((number ^ 1 << bit).to_bytes(len(stored), "little") for bit in range(8 * len(stored)))
+    flipped = (
+        (number ^ 1 << bit).to_bytes(len(stored), "little") for bit in range(8 * len(stored))
+    )
     cut = (stored[:end] for end in range(len(stored)))
     for broken in (*flipped, *cut, stored + b"\0", bytes(len(stored))):
         with pytest.raises(DamagedChunkError):

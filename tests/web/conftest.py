@@ -39,7 +39,9 @@ def watched(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
 
 @pytest.fixture(scope="module")
 def tab(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
-    """A page for all tests of a file, one after the other: to open one takes a third of a second of the processor."""
+    """A page for all tests of a file, one after the other: to open one takes a third of a second of
+    the processor.
+    """
     with watched(browser) as opened:
         yield opened
 
@@ -55,13 +57,16 @@ def page(tab: tuple[Page, list[str]]) -> Iterator[Page]:
     page.goto("about:blank")
     page.set_viewport_size(VIEWPORT)
     page.emulate_media(color_scheme="null")
-    said, complaints[:] = complaints.copy(), []
+    said = complaints.copy()
+    complaints[:] = []
     assert said == []
 
 
 @pytest.fixture
 def fresh(browser: Browser) -> Iterator[Page]:
-    """A page of one test alone, for what cannot be undone: scripts before all others, and sockets that are routed."""
+    """A page of one test alone, for what cannot be undone: scripts before all others, and sockets
+    that are routed.
+    """
     with watched(browser) as (page, complaints):
         yield page
     assert complaints == []

@@ -14,7 +14,9 @@ def test_no_finding(browser: Browser, live_server: str, scheme: str) -> None:
     page = context.new_page()
     turn = 97 if scheme == "light" else 263  # from where no other test looks
     page.goto(f"{live_server}/?azimuth={turn}&compare=phong&overlay=error")
-    page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
+    page.wait_for_selector(
+        "#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS
+    )
     assert findings(page) == [], "while provisional"
     wait_final(page)
     for summary in page.locator("#controls summary").all():

@@ -23,17 +23,22 @@ from tests.web.visits import (
 pytestmark = BROWSER
 
 
-SHADING, OTHER = "lambert", "lambert_fog"
+SHADING = "lambert"
+OTHER = "lambert_fog"
 """Two that are final without any light."""
 
 WATCH = """() => {
-  const [comparison, other] = [document.querySelector("#comparison"), document.querySelector("#other")];
+  const comparison = document.querySelector("#comparison");
+  const other = document.querySelector("#other");
   window.seen = [];
   const right = comparison.querySelector(".right");
   const note = () => seen.push([comparison.dataset.state, other.hidden, right.textContent]);
-  new MutationObserver(note).observe(comparison, { attributes: true, attributeFilter: ["data-state"] });
+  const watched = { attributes: true, attributeFilter: ["data-state"] };
+  new MutationObserver(note).observe(comparison, watched);
 }"""
-"""Notes the right side's state, whether it is hidden, and its words, each time that its state changes."""
+"""Notes the right side's state, whether it is hidden, and its words, each time that its state
+changes.
+"""
 
 
 @pytest.fixture
@@ -48,9 +53,13 @@ def both_final(page: Page) -> Page:
 
 
 def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> None:
-    left, right = pixels(compared), pixels(compared, "#other")
+    left = pixels(compared)
+    right = pixels(compared, "#other")
     assert np.abs(left - right).mean() > 0.3
-    assert compared.locator(".side").all_inner_texts() == ["Diffuse, no shadows", "Diffuse, depth fog"]
+    assert compared.locator(".side").all_inner_texts() == [
+        "Diffuse, no shadows",
+        "Diffuse, depth fog",
+    ]
     compared.select_option("#shading", OTHER)
     both_final(compared)
     assert compared.input_value("#compare") == SHADING
@@ -73,15 +82,24 @@ def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -
 
 def test_the_divider_is_moved_by_hand_and_by_keys(compared: Page) -> None:
     address = compared.url
-    divider, (left, _, width, _) = compared.locator("#divider"), stage_of(compared)
+    divider = compared.locator("#divider")
+    (left, _, width, _) = stage_of(compared)
     drag(compared, middle(divider), left + 0.25 * width - middle(divider)[0], 60)
     expect(divider).to_have_attribute("aria-valuenow", re.compile(r"^(24|25)(\.\d)?$"))
     assert middle(divider)[0] == pytest.approx(left + 0.25 * width, abs=2)
     divider.focus()
-    for key, place in (("Home", 0), ("ArrowRight", 2), ("PageUp", 12), ("Shift+ArrowLeft", 2), ("End", 100)):
+    for key, place in (
+        ("Home", 0),
+        ("ArrowRight", 2),
+        ("PageUp", 12),
+        ("Shift+ArrowLeft", 2),
+        ("End", 100),
+    ):
         compared.keyboard.press(key)
         expect(divider).to_have_attribute("aria-valuenow", str(place))
-    expect(divider).to_have_attribute("aria-valuetext", "100 % Diffuse, no shadows, 0 % Diffuse, depth fog")
+    expect(divider).to_have_attribute(
+        "aria-valuetext", "100 % Diffuse, no shadows, 0 % Diffuse, depth fog"
+    )
     assert written(compared) == address, "the object did not turn"
 
 
@@ -90,7 +108,9 @@ def test_the_address_holds_what_is_compared(page: Page, live_server: str) -> Non
     expect(page.locator("#comparison")).to_be_hidden()
     page.select_option("#compare", "phong")
     assert written(page).endswith("compare=phong")
-    hidden = page.eval_on_selector_all("#compare option", "all => all.filter(o => o.disabled).map(o => o.value)")
+    hidden = page.eval_on_selector_all(
+        "#compare option", "all => all.filter(o => o.disabled).map(o => o.value)"
+    )
     assert hidden == [SHADING]
 
 
@@ -158,7 +178,9 @@ def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> Non
     page.click("#add-plane")
     wait_final(page)
     query = query_of(page)
-    assert re.fullmatch(r"x>\d+(\.\d+)?;y<\d+(\.\d+)?|y<\d+(\.\d+)?;x>\d+(\.\d+)?", query["cut"]), query
+    assert re.fullmatch(r"x>\d+(\.\d+)?;y<\d+(\.\d+)?|y<\d+(\.\d+)?;x>\d+(\.\d+)?", query["cut"]), (
+        query
+    )
     assert query["window"].count(",") == 2, "a plane that faces the viewer"
     page.locator("#oblique").get_by_role("button", name="Remove").click()
     expect(page.locator(".handle")).to_have_count(6)

@@ -1,4 +1,6 @@
-"""What the page hands out: lines that make the same picture, pictures and meshes as files, and keyframes of a film."""
+"""What the page hands out: lines that make the same picture, pictures and meshes as files, and
+keyframes of a film.
+"""
 
 import io
 import json
@@ -33,7 +35,9 @@ def panel(page: Page, live_server: str) -> Page:
     return page
 
 
-def test_the_surface_comes_as_a_mesh_with_its_light(panel: Page, live_server: str, tmp_path: Path) -> None:
+def test_the_surface_comes_as_a_mesh_with_its_light(
+    panel: Page, live_server: str, tmp_path: Path
+) -> None:
     with panel.expect_download(timeout=FINAL_MS) as download:
         panel.click("#export-start")
         expect(panel.locator("#export progress")).to_be_visible()
@@ -46,7 +50,9 @@ def test_the_surface_comes_as_a_mesh_with_its_light(panel: Page, live_server: st
 
 def test_a_volume_is_offered_where_texels_are_voxels(panel: Page, live_server: str) -> None:
     kinds = panel.locator("#export-kind option")
-    assert [each.get_attribute("value") for each in kinds.all()] == ["glb", "usdz", "ply"], "half a lattice"
+    assert [each.get_attribute("value") for each in kinds.all()] == ["glb", "usdz", "ply"], (
+        "half a lattice"
+    )
 
     def whole(route: Route) -> None:
         scene = route.fetch().json()
@@ -59,7 +65,10 @@ def test_a_volume_is_offered_where_texels_are_voxels(panel: Page, live_server: s
 
 
 def test_an_export_is_stopped(panel: Page, live_server: str) -> None:
-    panel.route("**/v1/jobs/*", lambda route: route.continue_() if route.request.method == "DELETE" else route.abort())
+    panel.route(
+        "**/v1/jobs/*",
+        lambda route: route.continue_() if route.request.method == "DELETE" else route.abort(),
+    )
     panel.click("#export-start")
     expect(panel.locator("#export .note")).to_contain_text("continues by itself")
     with panel.expect_response(lambda answer: answer.request.method == "DELETE") as stopped:
@@ -69,7 +78,9 @@ def test_an_export_is_stopped(panel: Page, live_server: str) -> None:
     expect(panel.locator("#export-start")).to_be_visible()
 
 
-def test_views_are_kept_shown_again_and_saved_for_films(page: Page, live_server: str, tmp_path: Path) -> None:
+def test_views_are_kept_shown_again_and_saved_for_films(
+    page: Page, live_server: str, tmp_path: Path
+) -> None:
     page.goto(f"{live_server}/?{VIEW}")
     page.click("#share-button:enabled")
     expect(page.locator("#views-save")).to_be_disabled()
@@ -83,7 +94,9 @@ def test_views_are_kept_shown_again_and_saved_for_films(page: Page, live_server:
         page.click("#views-save")
     download.value.save_as(tmp_path / "keys.json")
     first, second = views_in(json.loads((tmp_path / "keys.json").read_text()))
-    assert (first["isovalue"], first["azimuth"]) == ("0.45", "-70.5") and second["azimuth"] != "-70.5"
+    assert (first["isovalue"], first["azimuth"]) == ("0.45", "-70.5") and second[
+        "azimuth"
+    ] != "-70.5"
     expect(page.locator("#views-line code")).to_have_text(
         "isogi film small.toml --views-file small-views.json -o small.mp4"
     )
@@ -118,7 +131,9 @@ def shared(page: Page, address: str) -> Page:
 @pytest.fixture
 def menu(steady: Page, live_server: str) -> Page:
     """A view with its menu open, its picture final; opened where it is not yet."""
-    return steady if steady.url.startswith(live_server) else shared(steady, f"{live_server}/?{SHARED_VIEW}")
+    if steady.url.startswith(live_server):
+        return steady
+    return shared(steady, f"{live_server}/?{SHARED_VIEW}")
 
 
 def picture_on(page: Page) -> np.ndarray:
@@ -142,10 +157,14 @@ def pixels_in(picture: bytes) -> np.ndarray:
 @pytest.mark.journey
 def test_the_curl_line_saves_the_picture_that_is_shown(menu: Page, tmp_path: Path) -> None:
     command = line(menu, "curl")
-    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)
+    subprocess.run(
+        ["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True
+    )
     assert np.array_equal(pixels_in((tmp_path / "small-0.45.png").read_bytes()), picture_on(menu))
     assert all(part in command for part in ("azimuth=-70.5", "overlay=error", "wait_ms=10000"))
-    assert "yaw" not in command and "exposure" not in command, "what the scene's defaults say is left out"
+    assert "yaw" not in command and "exposure" not in command, (
+        "what the scene's defaults say is left out"
+    )
     assert "Authorization" not in command
 
 
@@ -166,14 +185,20 @@ def test_the_python_line_asks_for_the_picture_that_is_shown(
     exec(line(menu, "python"), {})
     assert (called["address"], called["scene"]) == (live_server, "small")
     assert (called["wait"], called["file"]) == ("final", "small-0.45.png")
-    answer = menu.request.get(f"{called['address']}/v1/scenes/{called['scene']}/frame", params=called["view"])
+    answer = menu.request.get(
+        f"{called['address']}/v1/scenes/{called['scene']}/frame", params=called["view"]
+    )
     assert np.array_equal(pixels_in(answer.body()), picture_on(menu))
 
 
 def test_copying_copies_and_says_so(menu: Page) -> None:
     context: BrowserContext = menu.context
     context.grant_permissions(["clipboard-read", "clipboard-write"])
-    for name, button in (("link", "Copy link"), ("curl", "Copy curl line"), ("python", "Copy Python line")):
+    for name, button in (
+        ("link", "Copy link"),
+        ("curl", "Copy curl line"),
+        ("python", "Copy Python line"),
+    ):
         menu.get_by_role("button", name=button).click()
         said = {"link": "Link", "curl": "curl line", "python": "Python line"}[name]
         expect(menu.locator("#share [role=status]")).to_have_text(f"{said} copied")
@@ -184,13 +209,19 @@ def test_copying_copies_and_says_so(menu: Page) -> None:
 def test_where_a_token_is_wanted_the_line_names_its_variable(page: Page, live_server: str) -> None:
     def behind_a_token(route: Route) -> None:
         answer = route.fetch()
-        route.fulfill(response=answer, headers={**answer.headers, "cache-control": "private, no-cache"})
+        route.fulfill(
+            response=answer, headers={**answer.headers, "cache-control": "private, no-cache"}
+        )
 
     page.route("**/v1/scenes", behind_a_token)
-    assert '-H "Authorization: Bearer $ISOGI_TOKEN"' in line(shared(page, f"{live_server}/?{PLAIN}"), "curl")
+    assert '-H "Authorization: Bearer $ISOGI_TOKEN"' in line(
+        shared(page, f"{live_server}/?{PLAIN}"), "curl"
+    )
 
 
-def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_server: str, tmp_path: Path) -> None:
+def test_a_picture_is_saved_large_and_final_with_its_notes(
+    page: Page, live_server: str, tmp_path: Path
+) -> None:
     open_final(page, f"{live_server}/?{SHARED_VIEW}").click("#save-button")
     with page.expect_download(timeout=FINAL_MS) as download:
         page.click("#save-start")
@@ -199,7 +230,10 @@ def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_serv
     with Image.open(tmp_path / "saved.png") as picture:
         picture.load()
         assert picture.width == 1920
-        assert picture.info["Source"].startswith(f"{live_server}/?") and "azimuth=-70.5" in picture.info["Source"]
+        assert (
+            picture.info["Source"].startswith(f"{live_server}/?")
+            and "azimuth=-70.5" in picture.info["Source"]
+        )
         assert "at 0.45" in picture.info["Title"]
         comment = picture.info["Comment"]
     assert comment.startswith("Done, 1920 × ")
@@ -216,7 +250,9 @@ def saved(page: Page, path: Path) -> np.ndarray:
         return np.asarray(picture.convert("RGB"), float)
 
 
-def test_scale_and_axes_are_in_a_saved_picture_on_wish(page: Page, live_server: str, tmp_path: Path) -> None:
+def test_scale_and_axes_are_in_a_saved_picture_on_wish(
+    page: Page, live_server: str, tmp_path: Path
+) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     plain = saved(page, tmp_path / "plain.png")
     page.check("#save-rulers")
@@ -224,7 +260,12 @@ def test_scale_and_axes_are_in_a_saved_picture_on_wish(page: Page, live_server: 
     rows, columns = np.nonzero(np.abs(stamped - plain).max(axis=-1) > 2)
     high, wide, _ = plain.shape
     assert len(rows) > 1000
-    assert rows.min() > 0.7 * high and rows.max() < high and columns.min() >= 0 and columns.max() < 0.4 * wide
+    assert (
+        rows.min() > 0.7 * high
+        and rows.max() < high
+        and columns.min() >= 0
+        and columns.max() < 0.4 * wide
+    )
 
 
 def test_saving_survives_a_lost_server_and_can_be_stopped(page: Page, live_server: str) -> None:
@@ -250,7 +291,9 @@ def test_what_cannot_become_final_may_be_saved_as_it_is(page: Page, live_server:
     page.route("**/frame?*", stuck())
     page.click("#save-start")
     note = page.locator("#save > .note")
-    expect(note).to_have_text("No more light is coming: Refining, about 70 % error.", timeout=FINAL_MS)
+    expect(note).to_have_text(
+        "No more light is coming: Refining, about 70 % error.", timeout=FINAL_MS
+    )
     with page.expect_download() as download:
         page.click("#save-now")
     assert download.value.suggested_filename.endswith("-preview.png")
@@ -264,7 +307,11 @@ def stuck() -> Callable[[Route], None]:
         if route.request.headers.get("if-none-match"):
             return route.fulfill(status=304)
         true = route.fetch()
-        state = {"isogi-provisional": "?1", "isogi-chunks": "needed=4, final=3", "isogi-error": "0.7"}
+        state = {
+            "isogi-provisional": "?1",
+            "isogi-chunks": "needed=4, final=3",
+            "isogi-error": "0.7",
+        }
         route.fulfill(response=true, headers=true.headers | state)
 
     return answer

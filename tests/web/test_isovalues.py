@@ -1,4 +1,6 @@
-"""The isovalue on the page, and what it shows: presets, stops of the slider, area and volume, and steps in time."""
+"""The isovalue on the page, and what it shows: presets, stops of the slider, area and volume, and
+steps in time.
+"""
 
 import re
 from collections.abc import Iterator
@@ -41,7 +43,8 @@ def chips(page: Page) -> list[str]:
 
 def test_a_chip_sets_the_isovalue_and_is_pressed_while_it_is_set(preset: Page) -> None:
     assert chips(preset) == ["start 0.5", "shell 0.3", "0.62"]
-    shell, found = preset.get_by_role("button", name="shell 0.3"), preset.get_by_role("button", name="0.62")
+    shell = preset.get_by_role("button", name="shell 0.3")
+    found = preset.get_by_role("button", name="0.62")
     expect(preset.get_by_role("button", name="start 0.5")).to_have_attribute("aria-pressed", "true")
     shell.click()
     expect(preset.locator("#isovalue-number")).to_have_value("0.3")
@@ -87,7 +90,9 @@ def isovalue(page: Page) -> float:
     return float(page.input_value("#isovalue-number"))
 
 
-def test_page_keys_on_the_slider_go_to_stops_and_arrows_are_fine(shown: Page, stops: list[float]) -> None:
+def test_page_keys_on_the_slider_go_to_stops_and_arrows_are_fine(
+    shown: Page, stops: list[float]
+) -> None:
     above = [stop for stop in stops if stop > 0.5]
     shown.focus("#isovalue")
     for key, wanted in (("PageUp", above[0]), ("PageUp", above[1]), ("PageDown", above[0])):
@@ -101,13 +106,17 @@ def test_page_keys_on_the_slider_go_to_stops_and_arrows_are_fine(shown: Page, st
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_ticks_stand_where_the_sliders_thumb_does(shown: Page, stops: list[float], width: int) -> None:
+def test_ticks_stand_where_the_sliders_thumb_does(
+    shown: Page, stops: list[float], width: int
+) -> None:
     shown.set_viewport_size({"width": width, "height": 800})
     box = "element => Object.values(element.getBoundingClientRect().toJSON())"
     left, top, across, _ = shown.eval_on_selector("#stops path", box)[:4]
     x, y, wide, high = shown.eval_on_selector("#isovalue", box)[:4]
     ends = (x + 8, x + wide - 8)  # the middle of its thumb
-    assert [left, left + across] == pytest.approx(np.interp([stops[0], stops[-1]], [0.2, 0.8], ends).tolist(), abs=0.1)
+    assert [left, left + across] == pytest.approx(
+        np.interp([stops[0], stops[-1]], [0.2, 0.8], ends).tolist(), abs=0.1
+    )
     assert 0 <= top - (y + high) <= 2
     assert (shown.get_attribute("#stops path", "d") or "").count("M") == len(stops)
 
@@ -125,9 +134,13 @@ def test_area_and_volume_are_those_of_the_surface(page: Page, live_server: str) 
     page.click("#size summary")
     expect(page.locator("#size dd").first).to_have_text(re.compile(r"^[\d.]+ ± [\d.]+ voxel²$"))
     before = rows(page)
-    known = httpx.get(f"{live_server}/v1/scenes/small/size", params={"isovalue": 0.4}, timeout=60).json()
+    known = httpx.get(
+        f"{live_server}/v1/scenes/small/size", params={"isovalue": 0.4}, timeout=60
+    ).json()
     for name in ("area", "volume"):
-        value, error = (float(text) for text in re.findall(r"[\d.]+", before[name.capitalize()])[:2])
+        value, error = (
+            float(text) for text in re.findall(r"[\d.]+", before[name.capitalize()])[:2]
+        )
         assert abs(value - known[name]) < 0.1 * error
         assert abs(error / known[f"{name}_error"] - 1) < 0.06, "of two digits"
     expect(page.locator("#size .note")).to_contain_text("Of the whole surface")
@@ -183,7 +196,9 @@ def test_a_link_opens_at_its_step(page: Page, series: str) -> None:
 
 
 def test_the_series_is_played_round_and_round(page: Page, series: str) -> None:
-    """No step is skipped: what the slider says goes up by one, and from the last step to the first."""
+    """No step is skipped: what the slider says goes up by one, and from the last step to the
+    first.
+    """
     open_final(page, series)
     page.evaluate(
         """() => {

@@ -1,4 +1,6 @@
-"""Light on the page: chosen, kept in the address, brought as a file, and turned by the ball that mirrors it."""
+"""Light on the page: chosen, kept in the address, brought as a file, and turned by the ball that
+mirrors it.
+"""
 
 from base64 import b64encode
 from pathlib import Path
@@ -83,7 +85,9 @@ def test_a_probe_is_opened_shown_and_deleted(page: Page, site: Site, probe: byte
     page.wait_for_url("**environment=*", timeout=FINAL_MS)
     expect(page.locator("#environment option:checked")).to_have_text("blue", timeout=FINAL_MS)
     page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
-    assert [each["name"] for each in site.client.get("/v1/environments").json()["environments"]][-1] == "blue"
+    assert [each["name"] for each in site.client.get("/v1/environments").json()["environments"]][
+        -1
+    ] == "blue"
     picture = pixels(wait_final(page))
     middle = picture[40:56, 40:56].mean(axis=(0, 1))
     assert middle[2] > 1.3 * middle[0], "the surface is blue"
@@ -106,7 +110,9 @@ def test_why_a_probe_is_refused_is_said(browser: Browser, site: Site) -> None:
     page = browser.new_page()
     open_shown(page, str(site.client.base_url))
     give(page, "flat.hdr", b"#?RADIANCE\n\n-Y 8 +X 8\n" + bytes(256))
-    expect(page.locator("#upload-note p")).to_contain_text("twice as wide as high", timeout=FINAL_MS)
+    expect(page.locator("#upload-note p")).to_contain_text(
+        "twice as wide as high", timeout=FINAL_MS
+    )
     page.close()
 
 
@@ -127,10 +133,17 @@ def sun_on(page: Page) -> np.ndarray:
     return np.array([(2 * columns.mean() + 1) / size - 1, 1 - (2 * rows.mean() + 1) / size])
 
 
-def mirrored(azimuth: float, elevation: float, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """Where a mirror ball shows the sun: where its normal is half-way between the sun and the eye."""
+def mirrored(
+    azimuth: float, elevation: float, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
+) -> np.ndarray:
+    """Where a mirror ball shows the sun: where its normal is half-way between the sun and the
+    eye.
+    """
     camera = orbit((0.0, 0.0, 0.0), 1.0, azimuth, elevation, 1.0, 30.0)
-    sun = rotation_matrix(quaternion_from_angles(yaw, pitch, roll)) @ orbit((0.0, 0.0, 0.0), 1.0, *SUN, 1.0, 30.0).eye
+    sun = (
+        rotation_matrix(quaternion_from_angles(yaw, pitch, roll))
+        @ orbit((0.0, 0.0, 0.0), 1.0, *SUN, 1.0, 30.0).eye
+    )
     halfway = sun + camera.eye
     right, up, _ = camera.basis()
     return np.array([halfway @ right, halfway @ up]) / np.linalg.norm(halfway)
@@ -164,14 +177,18 @@ def test_what_is_mirrored_follows_the_pointer(page: Page, live_server: str) -> N
     for elevation in (40, 90):
         opened(page, f"{live_server}/?shading=lambert&azimuth=30&elevation={elevation}")
         for wanted in ((14, 0), (-14, 10)):
-            way, moved = np.divide(wanted, np.hypot(*wanted)), dragged(page, *wanted)
-            assert 0.5 < moved @ way / np.hypot(*wanted) < 1.2, "less than the pointer, away from the ball's middle"
+            way = np.divide(wanted, np.hypot(*wanted))
+            moved = dragged(page, *wanted)
+            assert 0.5 < moved @ way / np.hypot(*wanted) < 1.2, (
+                "less than the pointer, away from the ball's middle"
+            )
             assert np.linalg.norm(moved - moved @ way * way) < 0.25 * np.hypot(*wanted), elevation
 
 
 def test_arrows_turn_it_and_its_knobs_follow(page: Page, live_server: str) -> None:
     opened(page, f"{live_server}/?shading=lambert&azimuth=30&elevation=20")
-    before, azimuth = sun_on(page), page.input_value("#azimuth")
+    before = sun_on(page)
+    azimuth = page.input_value("#azimuth")
     page.focus("#globe")
     page.keyboard.press("ArrowRight")
     after = sun_on(page)

@@ -1,4 +1,6 @@
-"""Who draws: the visitor's card what moves, the server what rests; and the server all where there is no card."""
+"""Who draws: the visitor's card what moves, the server what rests; and the server all where there
+is no card.
+"""
 
 import json
 import math
@@ -17,11 +19,14 @@ pytestmark = BROWSER
 DRAWN = "#live:not([hidden])"
 SHOWN = "#live:not([hidden], [data-faded])"
 FADED = "#live[data-faded]"
-LOSE = "() => document.querySelector('#live').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+LOSE = """() => document.querySelector('#live').getContext('webgl2')
+  .getExtension('WEBGL_lose_context').loseContext()"""
 
 
 class Wire:
-    """What goes over a page's stream; pictures of views at rest wait for a word where they are ``held``."""
+    """What goes over a page's stream; pictures of views at rest wait for a word where they are
+    ``held``.
+    """
 
     def __init__(self, page: Page) -> None:
         self.asked: list[dict[str, Any]] = []
@@ -31,7 +36,8 @@ class Wire:
         page.route_web_socket(re.compile("/stream$"), self._join)
 
     def _join(self, route: WebSocketRoute) -> None:
-        server, self._page = route.connect_to_server(), route
+        server = route.connect_to_server()
+        self._page = route
 
         def asked(message: str | bytes) -> None:
             self.asked.append(json.loads(message))
@@ -65,7 +71,10 @@ def wire(fresh: Page) -> Wire:
 def asked(fresh: Page) -> Iterator[list[str]]:
     """What a page asks for of the card's addresses."""
     found: list[str] = []
-    fresh.on("request", lambda request: found.append(request.url) if "/card" in request.url.split("?")[0] else None)
+    fresh.on(
+        "request",
+        lambda request: found.append(request.url) if "/card" in request.url.split("?")[0] else None,
+    )
     yield found
     found[:] = [url for url in found if "/web/" not in url]
 
@@ -75,7 +84,9 @@ def of_server(asked: list[str]) -> list[str]:
 
 
 def open_drawn(page: Page, server: str, more: str = "draw=card") -> None:
-    """Open the page, small as software draws it, and turn the view until the card draws it, where it is to."""
+    """Open the page, small as software draws it, and turn the view until the card draws it, where
+    it is to.
+    """
     page.set_viewport_size({"width": 360, "height": 480})
     page.goto(f"{server}/?scene=small&{more}")
     wait_final(page)
@@ -103,7 +114,9 @@ def picture_of(page: Page, name: str) -> np.ndarray:
     return np.asarray(Image.open(shoot(page, f"live-{name}", clip=inside)).convert("RGB"), float)
 
 
-def test_the_card_draws_what_moves_and_the_server_what_rests(fresh: Page, wire: Wire, live_server: str) -> None:
+def test_the_card_draws_what_moves_and_the_server_what_rests(
+    fresh: Page, wire: Wire, live_server: str
+) -> None:
     open_drawn(fresh, live_server)
     wire.asked.clear()
     wire.pictures.clear()
@@ -122,7 +135,9 @@ def test_the_card_draws_what_moves_and_the_server_what_rests(fresh: Page, wire: 
     fresh.keyboard.press("ArrowLeft")
     expect(fresh.locator(SHOWN)).to_have_count(1)
     smooth = settled(fresh)
-    assert fresh.get_attribute("#stage", "data-state") == "updating", "nothing is said of what only the card shows"
+    assert fresh.get_attribute("#stage", "data-state") == "updating", (
+        "nothing is said of what only the card shows"
+    )
     wire.let_go()
     wait_final(fresh)
     expect(fresh.locator(FADED)).to_have_count(1)
@@ -145,7 +160,9 @@ def settled(page: Page) -> np.ndarray:
     return now
 
 
-def test_a_lost_card_leaves_the_view_to_the_server(fresh: Page, wire: Wire, live_server: str) -> None:
+def test_a_lost_card_leaves_the_view_to_the_server(
+    fresh: Page, wire: Wire, live_server: str
+) -> None:
     open_drawn(fresh, live_server)
     turn(fresh, 4)
     address = written(fresh)
@@ -169,7 +186,9 @@ def angle(search: str) -> float:
     return float(found[1]) if found else math.nan
 
 
-def test_software_is_refused_by_its_name(fresh: Page, wire: Wire, asked: list[str], live_server: str) -> None:
+def test_software_is_refused_by_its_name(
+    fresh: Page, wire: Wire, asked: list[str], live_server: str
+) -> None:
     open_drawn(fresh, live_server, "")
     turn(fresh)
     expect(fresh.locator("#live")).to_be_hidden()

@@ -1,11 +1,23 @@
-"""Manners of the page in a real browser: the way back, the whole screen, and what it says of what cannot be shown."""
+"""Manners of the page in a real browser: the way back, the whole screen, and what it says of what
+cannot be shown.
+"""
 
 import re
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, VIEWPORTS, are_apart, box_of, open_final, pixels, slide, stage_of, wait_final
+from tests.web.visits import (
+    BROWSER,
+    VIEWPORTS,
+    are_apart,
+    box_of,
+    open_final,
+    pixels,
+    slide,
+    stage_of,
+    wait_final,
+)
 
 pytestmark = BROWSER
 
@@ -71,18 +83,25 @@ def test_a_picture_at_rest_has_the_screens_own_pixels(browser: Browser, live_ser
     context = browser.new_context(viewport={"width": 390, "height": 700}, device_scale_factor=3)
     page = open_final(context.new_page(), f"{live_server}/?shading=lambert")
     whole = 3 * int(page.evaluate("document.querySelector('#stage').clientWidth"))
-    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    page.wait_for_function(
+        "width => document.querySelector('#picture').naturalWidth === width", arg=whole
+    )
     page.focus("#stage")
     page.keyboard.press("ArrowLeft")
-    page.wait_for_function("width => document.querySelector('#picture').naturalWidth < width", arg=whole)
-    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    page.wait_for_function(
+        "width => document.querySelector('#picture').naturalWidth < width", arg=whole
+    )
+    page.wait_for_function(
+        "width => document.querySelector('#picture').naturalWidth === width", arg=whole
+    )
     context.close()
 
 
 def test_drafts_lie_over_the_picture_until_the_view_rests(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?shading=lambert")
     left, top, width, height = stage_of(page)
-    draft, words = page.locator("#draft"), page.locator("#picture").get_attribute("alt") or ""
+    draft = page.locator("#draft")
+    words = page.locator("#picture").get_attribute("alt") or ""
     expect(draft).to_be_hidden()
     page.mouse.move(left + width / 2, top + height / 2)
     page.mouse.down()
@@ -127,7 +146,11 @@ def test_no_panel_covers_the_controls(sketched: Page, width: int, height: int) -
     for name in ("save", "share"):
         sketched.click(f"#{name}-button")
         panel, controls = (box_of(sketched.locator(f"#{each}")) for each in (name, "controls"))
-        assert are_apart(panel, controls) and panel["x"] >= 0 and panel["y"] + panel["height"] <= height, name
+        assert (
+            are_apart(panel, controls)
+            and panel["x"] >= 0
+            and panel["y"] + panel["height"] <= height
+        ), name
         sketched.keyboard.press("Escape")
 
 
@@ -147,6 +170,8 @@ def test_key_c_brings_its_section_into_sight(sketched: Page, width: int, height:
     sketched.keyboard.press("c")
     summary = sketched.locator("#cuts summary")
     expect(summary).to_be_in_viewport(ratio=1)
-    assert are_apart(box_of(summary), box_of(sketched.locator("#stage"))), "the picture does not cover it"
+    assert are_apart(box_of(summary), box_of(sketched.locator("#stage"))), (
+        "the picture does not cover it"
+    )
     sketched.keyboard.press("c")
     expect(sketched.locator("#cuts")).not_to_have_attribute("open", "")

@@ -10,14 +10,26 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 from tests.live import serving
-from tests.web.visits import BROWSER, FINAL_MS, open_final, open_shown, pixels, query_of, shoot, slide, wait_final
+from tests.web.visits import (
+    BROWSER,
+    FINAL_MS,
+    open_final,
+    open_shown,
+    pixels,
+    query_of,
+    shoot,
+    slide,
+    wait_final,
+)
 
 pytestmark = BROWSER
 
 
 @pytest.fixture(scope="module")
 def sunlit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A server of a scene with a lamp, which light inside a surface cannot meet, and something that glows."""
+    """A server of a scene with a lamp, which light inside a surface cannot meet, and something that
+    glows.
+    """
     folder = tmp_path_factory.mktemp("sunlit")
     lamp = '[[lights]]\ntype = "directional"\nazimuth = 0\nelevation = 50\nirradiance = 1\n'
     glow = "[[glow]]\nsphere = [40, 40, 40, 5]\nradiance = 1\n"
@@ -72,13 +84,16 @@ def test_a_number_is_applied_once_its_slider_is_let_go(page: Page, live_server: 
 
 def test_glass_has_a_tint_beside_how_much_it_absorbs(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?material=glass,absorption=0.05")
-    tint, clear = page.locator("#material-absorption-tint"), pixels(page)
+    tint = page.locator("#material-absorption-tint")
+    clear = pixels(page)
     expect(tint).to_have_value("#ffffff")
     expect(page.get_by_label("Tint").last).to_have_attribute("type", "color")
     tint.fill("#00ff00")
     assert material(page) == "glass,absorption=0.05,0,0.05"
     red, green, blue = (pixels(wait_final(page)).astype(int) - clear).mean(axis=(0, 1))
-    assert green > max(1.0, 3.0 * abs(red), 3.0 * abs(blue)), "less is absorbed of it, though bright pixels look paler"
+    assert green > max(1.0, 3.0 * abs(red), 3.0 * abs(blue)), (
+        "less is absorbed of it, though bright pixels look paler"
+    )
     expect(tint).to_have_value("#3fff3f")
     slide(page, "material-absorption", 0)
     page.dispatch_event("#material-absorption", "change")
@@ -109,7 +124,10 @@ def tint(page: Page, colour: str) -> None:
     """Choose a colour, as a hand would."""
     page.eval_on_selector(
         "#tint",
-        '(input, colour) => { input.value = colour; input.dispatchEvent(new Event("input", { bubbles: true })); }',
+        (
+            '(input, colour) => { input.value = colour; input.dispatchEvent(new Event("input", { '
+            "bubbles: true })); }"
+        ),
         colour,
     )
 
@@ -159,11 +177,14 @@ def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> No
 @pytest.fixture(scope="module")
 def segmented(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A server of a segmentation of two halves, one red and one green."""
-    folder, parts = tmp_path_factory.mktemp("labels"), np.zeros((12, 12, 12), np.uint8)
+    folder = tmp_path_factory.mktemp("labels")
+    parts = np.zeros((12, 12, 12), np.uint8)
     parts[2:10, 2:10, 2:6], parts[2:10, 2:10, 6:10] = 3, 8
     nrrd.write(str(folder / "seg.nrrd"), parts, index_order="C")
     tables = ((3, "liver", "#c02020"), (8, "spleen", "#20a040"))
-    labels = "".join(f'[[labels]]\nvalue = {v}\nname = "{name}"\ncolour = "{code}"\n' for v, name, code in tables)
+    labels = "".join(
+        f'[[labels]]\nvalue = {v}\nname = "{name}"\ncolour = "{code}"\n' for v, name, code in tables
+    )
     lit = '[[lights]]\ntype = "constant"\nradiance = 1.0\n'
     plain = 'volume = "seg.nrrd"\nbounces = 0\ntarget_error = 0.3\nprojected = false\n'
     (folder / "parts.toml").write_text(plain + lit + labels)
@@ -178,7 +199,9 @@ def greenness(path: Path) -> np.ndarray:
     return np.asarray(green > red + 30)
 
 
-def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(page: Page, segmented: str, tmp_path: Path) -> None:
+def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(
+    page: Page, segmented: str, tmp_path: Path
+) -> None:
     open_final(page, segmented)
     page.get_by_label("spleen").focus()
     page.keyboard.press("Space")
@@ -196,7 +219,9 @@ def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(page: Page, segm
     assert not greenness(tmp_path / "0.png").any(), "the spleen is gone"
     rows, columns = np.nonzero(np.abs(found[1] - found[0]).max(axis=-1) > 2)
     high, wide, _ = found[0].shape
-    assert len(rows) > 500 and rows.min() > 0.8 * high and columns.min() > 0.7 * wide, "a row for the liver"
+    assert len(rows) > 500 and rows.min() > 0.8 * high and columns.min() > 0.7 * wide, (
+        "a row for the liver"
+    )
     page.keyboard.press("Escape")
     page.click("#labels-all")
     wait_final(page)

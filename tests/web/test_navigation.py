@@ -1,4 +1,6 @@
-"""Moving the picture, points that a person clicks, and marks that stay where they are as the camera turns."""
+"""Moving the picture, points that a person clicks, and marks that stay where they are as the camera
+turns.
+"""
 
 from urllib.parse import urljoin
 
@@ -29,7 +31,8 @@ ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 CENTRE = (11.5, 9.5, 7.5)
 OUT = np.array(orbit((0.0, 0.0, 0.0), 1.0, 25.0, 15.0, 1.0, 30.0).eye)
-RIGHT, DOWN = 70, -40  # pixels of a drag
+RIGHT = 70
+DOWN = -40  # pixels of a drag
 
 
 @pytest.fixture
@@ -43,7 +46,9 @@ def target_of(page: Page) -> list[float]:
 
 
 def pull(page: Page, hand: str, way: int) -> None:
-    """Drag the picture, by the middle button, two fingers, or the left button while a key is held."""
+    """Drag the picture, by the middle button, two fingers, or the left button while a key is
+    held.
+    """
     place = middle(page.locator("#stage"))
     if hand == "fingers":
         drag_fingers(page, *place, way)
@@ -56,12 +61,18 @@ def pull(page: Page, hand: str, way: int) -> None:
 
 
 def drag_fingers(page: Page, x: float, y: float, way: int, apart: float = 1.0) -> None:
-    """Two fingers, 80 pixels from each other, that move and end up ``apart`` times as far from each other."""
+    """Two fingers, 80 pixels from each other, that move and end up ``apart`` times as far from each
+    other.
+    """
     session = page.context.new_cdp_session(page)
     for step in range(6):
-        share, type_ = step / 5, "touchMove" if step else "touchStart"
-        middle, half = (x + way * share * RIGHT, y + way * share * DOWN), 40 * (1 + share * (apart - 1))
-        points = [{"x": middle[0] + side * half, "y": middle[1], "id": side + 1} for side in (-1, 1)]
+        share = step / 5
+        type_ = "touchMove" if step else "touchStart"
+        middle = (x + way * share * RIGHT, y + way * share * DOWN)
+        half = 40 * (1 + share * (apart - 1))
+        points = [
+            {"x": middle[0] + side * half, "y": middle[1], "id": side + 1} for side in (-1, 1)
+        ]
         session.send("Input.dispatchTouchEvent", {"type": type_, "touchPoints": points})
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
@@ -69,16 +80,21 @@ def drag_fingers(page: Page, x: float, y: float, way: int, apart: float = 1.0) -
 def test_the_surface_follows_the_pointer_pixel_by_pixel(shown: Page) -> None:
     *_, height = stage_of(shown)
     pixel = 2 * 3 * np.linalg.norm(CENTRE) * np.tan(np.radians(15)) / height
-    kept, before, way = query_of(shown), surface_of(shown), 1
+    kept = query_of(shown)
+    before = surface_of(shown)
+    way = 1
     for hand in ("middle", "Control", "Alt", "fingers"):
         pull(shown, hand, way)
-        assert kept.items() <= query_of(shown).items(), f"nothing but the target has changed: {hand}"
+        assert kept.items() <= query_of(shown).items(), (
+            f"nothing but the target has changed: {hand}"
+        )
         after = surface_of(shown)
         level = np.abs((before - CENTRE) @ OUT) < 0.5  # as deep as the target, or nearly so
         moved = np.roll(before, (way * DOWN, way * RIGHT), (0, 1)) - after
         error = np.linalg.norm(moved[np.roll(level, (way * DOWN, way * RIGHT), (0, 1))], axis=1)
         assert np.nanmedian(error) < 1.5 * pixel, hand
-        before, way = after, -way
+        before = after
+        way = -way
 
 
 def test_two_fingers_move_and_zoom_at_once(shown: Page) -> None:
@@ -110,7 +126,8 @@ def test_keys_move_the_picture_and_reset_brings_it_back(shown: Page) -> None:
 def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
     left, top, width, height = stage_of(shown)
     before = surface_of(shown)
-    row, column = height // 2 + 30, width // 2 - 60
+    row = height // 2 + 30
+    column = width // 2 - 60
     assert np.isfinite(before[row, column]).all()
     shown.mouse.dblclick(left + column + 0.5, top + row + 0.5)
     shown.wait_for_url(lambda url: "target=" in url)
@@ -124,7 +141,11 @@ def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
 def test_axis_views_keep_distance_and_target(shown: Page) -> None:
     shown.focus("#stage")
     shown.keyboard.press("d")
-    kept = {name: value for name, value in query_of(shown).items() if name not in ("azimuth", "elevation")}
+    kept = {
+        name: value
+        for name, value in query_of(shown).items()
+        if name not in ("azimuth", "elevation")
+    }
     for name, axis in AXES.items():
         for sign, word, key in ((1, "plus", name), (-1, "minus", f"Shift+{name.upper()}")):
             button = shown.get_by_role("button", name=f"From {word} {name}", exact=True)
@@ -137,7 +158,11 @@ def test_axis_views_keep_distance_and_target(shown: Page) -> None:
             shown.keyboard.press("ArrowLeft")
             shown.keyboard.press(key)
             assert query_of(shown) == clicked
-            assert {name: value for name, value in clicked.items() if name not in ("azimuth", "elevation")} == kept
+            assert {
+                name: value
+                for name, value in clicked.items()
+                if name not in ("azimuth", "elevation")
+            } == kept
 
 
 def mark(page: Page) -> tuple[float, float]:
@@ -147,7 +172,9 @@ def mark(page: Page) -> tuple[float, float]:
 
 
 def nearest(points: np.ndarray, position: list[float]) -> tuple[int, int, float]:
-    """Column and row of the pixel that shows what is nearest to a position, and how near that is."""
+    """Column and row of the pixel that shows what is nearest to a position, and how near that
+    is.
+    """
     away = np.nan_to_num(np.linalg.norm(points - position, axis=-1), nan=np.inf)
     row, column = np.unravel_index(np.argmin(away), away.shape)
     return int(column), int(row), float(away.min())
@@ -247,7 +274,9 @@ def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
 
 def measured(page: Page) -> list[str]:
     """The measures in the list."""
-    return [text.replace("×", "").strip() for text in page.locator("#measures li").all_inner_texts()]
+    return [
+        text.replace("×", "").strip() for text in page.locator("#measures li").all_inner_texts()
+    ]
 
 
 def in_voxels(text: str) -> float:
@@ -258,7 +287,11 @@ def in_voxels(text: str) -> float:
 def test_two_points_give_a_distance_and_three_an_angle(shown: Page) -> None:
     points = surface_of(shown)
     *_, width, height = stage_of(shown)
-    places = [(width // 2 + 60, height // 2), (width // 2 - 70, height // 2 + 10), (width // 2, height // 2 - 40)]
+    places = [
+        (width // 2 + 60, height // 2),
+        (width // 2 - 70, height // 2 + 10),
+        (width // 2, height // 2 - 40),
+    ]
     a, b, c = (points[row, column] for column, row in places)
     click(shown, *places[0])
     shown.click("#point-measure")
@@ -271,9 +304,9 @@ def test_two_points_give_a_distance_and_three_an_angle(shown: Page) -> None:
     expect(shown.locator("#measuring")).to_be_hidden()
     u, v = a - b, c - b
     angle = np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v)))
-    assert [float(text.removeprefix("Angle ").rstrip("°")) for text in measured(shown)] == pytest.approx(
-        [angle], abs=1.0
-    )
+    assert [
+        float(text.removeprefix("Angle ").rstrip("°")) for text in measured(shown)
+    ] == pytest.approx([angle], abs=1.0)
     assert shown.locator("#marks text").inner_html() == measured(shown)[0].removeprefix("Angle ")
 
 
@@ -347,7 +380,8 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     points = surface_of(shown)
     assert "projection=orthographic" in shown.url
     *_, width, height = stage_of(shown)
-    column, row = width // 2 - 50, height // 2 + 25
+    column = width // 2 - 50
+    row = height // 2 + 25
     click(shown, column, row)
     expect(shown.locator("#marks circle")).to_be_visible()
     point = position(shown)

@@ -1,4 +1,6 @@
-"""The page in a real browser, against the real server: what a person does, and what they then see."""
+"""The page in a real browser, against the real server: what a person does, and what they then
+see.
+"""
 
 import json
 import re
@@ -35,7 +37,9 @@ pytestmark = BROWSER
 
 
 def at_defaults(page: Page, base: str, shading: str) -> Page:
-    """The page at the scene's defaults but for the shading, its picture final; opened where it is not yet."""
+    """The page at the scene's defaults but for the shading, its picture final; opened where it is
+    not yet.
+    """
     if not page.url.startswith(base):
         page.goto(base)
     unfold(page).click("#reset")
@@ -64,8 +68,12 @@ def numbers_of(page: Page) -> dict[str, float]:
     return {name: float(value) for name, value in query_of(page).items() if name in KNOBS}
 
 
-def drag_until_drafts(page: Page, drafts: Callable[[], list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Drag to and fro until a draft is shown, as a hand does on a machine that is slow to answer."""
+def drag_until_drafts(
+    page: Page, drafts: Callable[[], list[dict[str, Any]]]
+) -> list[dict[str, Any]]:
+    """Drag to and fro until a draft is shown, as a hand does on a machine that is slow to
+    answer.
+    """
     x, y = middle(page.locator("#stage"))
     page.mouse.move(x, y)
     page.mouse.down()
@@ -84,7 +92,9 @@ def turned(after: float, before: float) -> float:
 
 
 class Stream:
-    """What goes over a page's stream: the ``views`` and ``receipts`` that it sends, and the ``answers`` that come."""
+    """What goes over a page's stream: the ``views`` and ``receipts`` that it sends, and the
+    ``answers`` that come.
+    """
 
     def __init__(self) -> None:
         self.views: list[dict[str, Any]] = []
@@ -93,7 +103,10 @@ class Stream:
 
     def follow(self, socket: WebSocket) -> None:
         socket.on("framesent", self._sent)
-        socket.on("framereceived", lambda data: isinstance(data, str) and self.answers.append(json.loads(data)))
+        socket.on(
+            "framereceived",
+            lambda data: isinstance(data, str) and self.answers.append(json.loads(data)),
+        )
 
     def _sent(self, data: str | bytes) -> None:
         message = json.loads(data)
@@ -118,15 +131,20 @@ def scene_of(page: Page, base: str) -> dict[str, Any]:
 
 
 @pytest.mark.journey
-def test_becomes_final_without_a_reload_and_asks_only_the_server(page: Page, live_server: str) -> None:
-    loads, asked = list[str](), list[str]()
+def test_becomes_final_without_a_reload_and_asks_only_the_server(
+    page: Page, live_server: str
+) -> None:
+    loads = list[str]()
+    asked = list[str]()
     page.on("framenavigated", lambda frame: loads.append(frame.url))
     page.on("request", lambda request: asked.append(request.url))
     open_final(page, live_server)
     assert len(loads) == 1
     assert asked
     here = urlsplit(live_server).netloc
-    assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {here}
+    assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {
+        here
+    }
     expect(page.locator("#status-line")).to_have_text(re.compile(r"^Done, .* error$"))
     expect(page.locator("#progress")).to_have_attribute("aria-valuenow", "100")
     expect(page.locator("#badge")).to_be_hidden()
@@ -146,7 +164,9 @@ def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_serve
         assert item["what"] in facts and item["why"] in facts
         assert all(saved["unit"] in facts for saved in item["saves"])
     assert shown.locator("#plan-left-out li").count() == len(scene["plan"]["left_out"])
-    assert shown.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
+    assert shown.evaluate("document.documentElement.scrollWidth <= innerWidth"), (
+        "nothing sticks out"
+    )
     shoot(shown, "plan", full_page=True)
     shown.click("#volume summary")
     assert " × ".join(str(side) for side in scene["volume"]["size"]) in shown.inner_text("#volume")
@@ -180,7 +200,9 @@ def test_isovalue_slider_changes_picture_and_address(sketched: Page) -> None:
 
 
 def test_isovalue_can_be_typed(sketched: Page) -> None:
-    least, most = (float(sketched.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max"))
+    least, most = (
+        float(sketched.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max")
+    )
     wanted = round(least + 0.4 * (most - least), 3)
     sketched.fill("#isovalue-number", str(wanted))
     sketched.press("#isovalue-number", "Enter")
@@ -190,7 +212,8 @@ def test_isovalue_can_be_typed(sketched: Page) -> None:
 
 @pytest.mark.journey
 def test_drag_turns_the_object_as_if_held(sketched: Page) -> None:
-    before, start = pixels(sketched), scene_angles(sketched)
+    before = pixels(sketched)
+    start = scene_angles(sketched)
     drag(sketched, middle(sketched.locator("#stage")), 90, 40)
     after = numbers_of(sketched)
     assert -90.0 < turned(after["azimuth"], start["azimuth"]) < -5.0
@@ -241,7 +264,8 @@ def test_arrows_in_a_slider_belong_to_the_slider(sketched: Page) -> None:
 def test_light_can_be_turned(shown: Page) -> None:
     start = scene_angles(shown)["yaw"]
     for hand in ("right button", "shift", "slider", "ball"):
-        before, yaw = pixels(shown), numbers_of(shown).get("yaw", start)
+        before = pixels(shown)
+        yaw = numbers_of(shown).get("yaw", start)
         turn_light(shown, hand)
         assert abs(turned(numbers_of(shown)["yaw"], yaw)) > 5.0, hand
         wait_final(shown)
@@ -252,7 +276,9 @@ def test_light_can_be_turned(shown: Page) -> None:
     ("rotating", "note"),
     [(True, "The light is the same from all sides."), (False, "The light of this scene is fixed.")],
 )
-def test_light_that_turns_in_vain_has_no_knobs(page: Page, live_server: str, rotating: bool, note: str) -> None:
+def test_light_that_turns_in_vain_has_no_knobs(
+    page: Page, live_server: str, rotating: bool, note: str
+) -> None:
     def still(route: Route) -> None:
         route.fulfill(json={**route.fetch().json(), "turns": False, "rotating": rotating})
 
@@ -281,14 +307,18 @@ def test_shading_choice(shown: Page, live_server: str) -> None:
 def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None:
     views = watched(page).views
     page.goto(f"{live_server}/?overlay=provisional&azimuth=211&elevation=-17")
-    page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
+    page.wait_for_selector(
+        "#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS
+    )
     assert unfold(page).input_value("#overlay") == "provisional"
     for overlay in ("none", "error", "provisional"):
         page.select_option("#overlay", overlay)
         page.wait_for_timeout(100)
         assert views[-1]["view"]["overlay"] == overlay
         assert query_of(page).get("overlay", "none") == overlay
-        expect(page.locator("#error-scale")).to_be_visible(visible=overlay == "error")  # with the picture
+        expect(page.locator("#error-scale")).to_be_visible(
+            visible=overlay == "error"
+        )  # with the picture
 
 
 def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_server: str) -> None:
@@ -296,11 +326,17 @@ def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_serv
     stream = watched(page)
     open_final(page, live_server)
     before = len(stream.answers)
-    drafts = drag_until_drafts(page, lambda: [answer for answer in stream.answers[before:] if answer["draft"]])
+    drafts = drag_until_drafts(
+        page, lambda: [answer for answer in stream.answers[before:] if answer["draft"]]
+    )
     wait_final(page)
     assert drafts[0]["media_type"] == "image/jpeg"
     last = stream.answers[-1]
-    assert (last["media_type"], last["final"], last["id"]) == ("image/png", True, stream.views[-1]["id"])
+    assert (last["media_type"], last["final"], last["id"]) == (
+        "image/png",
+        True,
+        stream.views[-1]["id"],
+    )
     assert drafts[0]["width"] < last["width"]
     assert last["width"] == pytest.approx(stage_of(page)[2], abs=1)
     assert stream.receipts == [answer["id"] for answer in stream.answers]
@@ -325,7 +361,8 @@ def test_reload_restores_the_view(shown: Page) -> None:
     drag(shown, middle(shown.locator("#stage")), 50, 30, "right")
     shown.select_option("#shading", "lambert")
     wait_final(shown)
-    address, before = query_of(shown), pixels(shown)
+    address = query_of(shown)
+    before = pixels(shown)
     shown.reload()
     wait_final(shown)
     assert difference(pixels(shown), before) == 0.0
@@ -334,11 +371,15 @@ def test_reload_restores_the_view(shown: Page) -> None:
 
 
 def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> None:
-    open_final(page, f"{live_server}/?isovalue=1e300&azimuth=765&pitch=abc&shading=none&scene=nothing")
+    open_final(
+        page, f"{live_server}/?isovalue=1e300&azimuth=765&pitch=abc&shading=none&scene=nothing"
+    )
     assert page.input_value("#isovalue") == page.get_attribute("#isovalue", "max")
     assert float(page.input_value("#azimuth")) == 45.0
     expect(page.locator("#trouble")).to_be_hidden()
-    expect(page.locator("#notice")).to_contain_text("There is no scene “nothing”: this is small. No surface at 1e+300:")
+    expect(page.locator("#notice")).to_contain_text(
+        "There is no scene “nothing”: this is small. No surface at 1e+300:"
+    )
 
 
 def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> None:
@@ -358,14 +399,18 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> 
 
 
 @pytest.mark.parametrize(("width", "height", "first"), [(1280, 800, 3), (390, 844, 0)])
-def test_light_and_camera_come_first(browser: Browser, live_server: str, width: int, height: int, first: int) -> None:
+def test_light_and_camera_come_first(
+    browser: Browser, live_server: str, width: int, height: int, first: int
+) -> None:
     context = browser.new_context(viewport={"width": width, "height": height})
     page = open_shown(context.new_page(), live_server)
     tops = [box_of(page.locator(f"#{name}-title")) for name in ("isovalue", "light", "camera")]
     ends = [box["y"] + box["height"] for box in tops]
     assert ends == sorted(ends)
     assert all(end < height for end in ends[:first])
-    assert not re.search(r"\b(texels?|chunks?|void|SH|noise|[Mm]arks|provisional)\b", page.inner_text("body"))
+    assert not re.search(
+        r"\b(texels?|chunks?|void|SH|noise|[Mm]arks|provisional)\b", page.inner_text("body")
+    )
     expect(page.locator("#error")).to_be_hidden()
     context.close()
 
@@ -373,7 +418,10 @@ def test_light_and_camera_come_first(browser: Browser, live_server: str, width: 
 def test_dark_scheme(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
     page = open_final(context.new_page(), live_server)
-    ink, paper = (page.evaluate(f"getComputedStyle(document.body).{what}") for what in ("color", "backgroundColor"))
+    ink, paper = (
+        page.evaluate(f"getComputedStyle(document.body).{what}")
+        for what in ("color", "backgroundColor")
+    )
     assert brightness(ink) > 200
     assert brightness(paper) < 60
     shoot(page, "dark")
@@ -382,7 +430,8 @@ def test_dark_scheme(browser: Browser, live_server: str) -> None:
 
 @pytest.mark.journey
 def test_server_gone_and_back(fresh: Page, live_server: str) -> None:
-    away, open_streams = False, list[WebSocketRoute]()
+    away = False
+    open_streams = list[WebSocketRoute]()
 
     def pass_on(stream: WebSocketRoute) -> None:
         if away:
@@ -424,8 +473,12 @@ def test_every_control_has_a_name(shown: Page) -> None:
 def scene_angles(page: Page) -> dict[str, float]:
     """The knobs where the page starts, asked of the server that it came from."""
     base = urljoin(page.url, "/").rstrip("/")
-    width, height = page.eval_on_selector("#stage", "stage => [stage.clientWidth, stage.clientHeight]")
-    fit = page.request.get(f"{base}/v1/scenes/small/fit", params={"width": width, "height": height}).json()
+    width, height = page.eval_on_selector(
+        "#stage", "stage => [stage.clientWidth, stage.clientHeight]"
+    )
+    fit = page.request.get(
+        f"{base}/v1/scenes/small/fit", params={"width": width, "height": height}
+    ).json()
     start = {**scene_of(page, base)["defaults"], **fit}
     return {name: float(start[name]) for name in KNOBS}
 
@@ -434,7 +487,9 @@ def turn_light(page: Page, hand: str) -> None:
     if hand == "slider":
         slide(page, "yaw", 0.8)
     elif hand == "ball":
-        page.locator("#globe").drag_to(page.locator("#light label").first, source_position={"x": 40, "y": 58})
+        page.locator("#globe").drag_to(
+            page.locator("#light label").first, source_position={"x": 40, "y": 58}
+        )
     elif hand == "shift":
         page.keyboard.down("Shift")
         drag(page, middle(page.locator("#stage")), 120, 0)

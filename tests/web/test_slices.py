@@ -1,4 +1,6 @@
-"""Slices beside the picture: linked by a cross hair, with the surface's contour; what a cut takes away is hatched."""
+"""Slices beside the picture: linked by a cross hair, with the surface's contour; what a cut takes
+away is hatched.
+"""
 
 import io
 from pathlib import Path
@@ -64,9 +66,14 @@ def line(page: Page, axis: str, plane: str) -> Locator:
 
 
 def place(page: Page, axis: str, right: float, up: float) -> tuple[float, float]:
-    """The place on the screen where a slice has a voxel, by its indices along the slice's two axes."""
-    box, (wide, high) = box_of(plane(page, axis)), {"z": SIZE[:2], "y": SIZE[::2], "x": SIZE[1:]}[axis]
-    return box["x"] + (right + 0.5) / wide * box["width"], box["y"] + (1 - (up + 0.5) / high) * box["height"]
+    """The place on the screen where a slice has a voxel, by its indices along the slice's two
+    axes.
+    """
+    box = box_of(plane(page, axis))
+    (wide, high) = {"z": SIZE[:2], "y": SIZE[::2], "x": SIZE[1:]}[axis]
+    return box["x"] + (right + 0.5) / wide * box["width"], box["y"] + (1 - (up + 0.5) / high) * box[
+        "height"
+    ]
 
 
 def share(line: Locator) -> float:
@@ -79,7 +86,9 @@ def cut_of(page: Page) -> str:
 
 
 def cross_hair(page: Page) -> list[float]:
-    """The voxel of the cross hair, and black and white where they were chosen, as a link has them."""
+    """The voxel of the cross hair, and black and white where they were chosen, as a link has
+    them.
+    """
     return [float(number) for number in query_of(page).get("slices", "").split(",") if number]
 
 
@@ -95,11 +104,14 @@ def grey(locator: Locator) -> np.ndarray:
 
 
 def contour(page: Page, axis: str, beside: bool = False) -> np.ndarray:
-    """Where the contour is on a slice, or those of surfaces beside: x and y of its pixels, in voxels of the slice."""
+    """Where the contour is on a slice, or those of surfaces beside: x and y of its pixels, in
+    voxels of the slice.
+    """
     rgba = page.evaluate(
         """([axis, beside]) => {
           const canvas = document.querySelector(`#slices [data-axis=${axis}] .lines`);
-          const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+          const { width, height } = canvas;
+          const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
           const found = [];
           for (let i = 0; i < width * height; i += 1) {
             const [red, , blue, alpha] = data.subarray(4 * i, 4 * i + 4);
@@ -116,17 +128,30 @@ def contour(page: Page, axis: str, beside: bool = False) -> np.ndarray:
 
 def field(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
     """The values of the scene ``small``, by its formula."""
-    balls = [np.exp(-(((x - at) / 5) ** 2) - ((np.asarray(y) - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2) for at in (8, 16)]
+    balls = [
+        np.exp(-(((x - at) / 5) ** 2) - ((np.asarray(y) - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2)
+        for at in (8, 16)
+    ]
     return np.asarray(sum(balls))
 
 
 def marked(page: Page) -> tuple[float, float]:
-    """Where a pinhole camera sees the voxel of the cross hair, which looks at the middle of the volume."""
-    query, (left, top, width, height) = query_of(page), stage_of(page)
+    """Where a pinhole camera sees the voxel of the cross hair, which looks at the middle of the
+    volume.
+    """
+    query = query_of(page)
+    (left, top, width, height) = stage_of(page)
     azimuth, elevation = np.radians([float(query[name]) for name in ("azimuth", "elevation")])
-    out = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    out = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    up, length = np.cross(out, right), np.array(SIZE) - 1
+    up = np.cross(out, right)
+    length = np.array(SIZE) - 1
     away = np.array(cross_hair(page)[:3]) - length / 2  # this volume's spacing is 1
     depth = float(query["distance"]) * np.linalg.norm(length) / 2 - away @ out
     scale = height / (2 * depth * np.tan(np.radians(float(query["fov"])) / 2))
@@ -135,14 +160,18 @@ def marked(page: Page) -> tuple[float, float]:
 
 def test_a_button_and_a_key_open_slices_where_a_point_is(page: Page, live_server: str) -> None:
     asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
+    page.on(
+        "request", lambda request: asked.append(request.url) if "/slice?" in request.url else None
+    )
     open_shown(page, f"{live_server}/{ADDRESS}")
     assert asked == [] and page.locator("#slices").is_hidden()
     page.click("#slices-button")
     expect(page.locator("#slices-place")).to_have_text("voxel 12, 10, 8")
     expect(page.locator("#slices-button")).to_have_attribute("aria-expanded", "true")
     queries = [dict(parse_qsl(urlsplit(url).query)) for url in asked]
-    assert {query["axis"]: int(query["at"]) for query in queries} == dict(zip("xyz", VOXEL, strict=True))
+    assert {query["axis"]: int(query["at"]) for query in queries} == dict(
+        zip("xyz", VOXEL, strict=True)
+    )
     page.keyboard.press("v")
     expect(page.locator("#slices")).to_be_hidden()
     assert "slices" not in query_of(page)
@@ -156,19 +185,26 @@ def test_a_button_and_a_key_open_slices_where_a_point_is(page: Page, live_server
     click(page, width // 2 - 15, height // 2)
     expect(page.locator("#point")).to_be_visible()
     page.wait_for_function(
-        "([x]) => document.querySelector('#slices-place').textContent !== x", arg=["voxel 12, 10, 8"]
+        "([x]) => document.querySelector('#slices-place').textContent !== x",
+        arg=["voxel 12, 10, 8"],
     )
     settled(page)
     assert cross_hair(page) == [round(x) for x in position(page)], "a point that is read moves it"
 
 
 @pytest.mark.parametrize(("width", "height"), VIEWPORTS)
-def test_nothing_hides_under_the_fold(page: Page, live_server: str, width: int, height: int) -> None:
+def test_nothing_hides_under_the_fold(
+    page: Page, live_server: str, width: int, height: int
+) -> None:
     page.set_viewport_size({"width": width, "height": height})
     sliced(page, f"{live_server}/{ADDRESS}")
     boxes = [box_of(page.locator("#stage")), *(box_of(figure(page, axis)) for axis in "zxy")]
     for number, box in enumerate(boxes):
-        assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= height
+        assert (
+            box["x"] >= 0
+            and box["x"] + box["width"] <= width
+            and box["y"] + box["height"] <= height
+        )
         assert box["width"] >= 0.3 * min(width, 860) and box["height"] >= 0.2 * height, "large"
         assert all(are_apart(box, other) for other in boxes[:number]), "none lies over another"
     for part in ("#slices-place", "#slices-level", "#status-line"):
@@ -192,9 +228,13 @@ def test_a_click_or_a_drag_moves_the_cross_hair(page: Page, live_server: str) ->
     settled(page)
     assert cross_hair(page) == [5, 14, 8]
     value = values_on(live_server, "z", 8)[SIZE[1] - 1 - 14, 5]
-    assert float(page.inner_text("#slices-voxel").removeprefix("value ")) == pytest.approx(value, rel=1e-5)
+    assert float(page.inner_text("#slices-voxel").removeprefix("value ")) == pytest.approx(
+        value, rel=1e-5
+    )
     expect(page.locator("#slices-place")).to_have_text("voxel 5, 14, 8")
-    assert marked(page) == pytest.approx(middle(page.locator("#marks .line.cross")), abs=0.6), "also in the picture"
+    assert marked(page) == pytest.approx(middle(page.locator("#marks .line.cross")), abs=0.6), (
+        "also in the picture"
+    )
     assert figure(page, "x").locator("figcaption span").inner_text() == "x 5"
     page.mouse.move(*place(page, "y", 5, 8))
     page.mouse.down()
@@ -227,7 +267,8 @@ def grey_values(page: Page, axis: str) -> np.ndarray:
     rows = page.evaluate(
         """(axis) => {
           const canvas = document.querySelector(`#slices [data-axis=${axis}] .values`);
-          const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+          const { width, height } = canvas;
+          const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
           return [height, width, ...Array.from({ length: width * height }, (_, i) => data[4 * i])];
         }""",
         axis,
@@ -246,7 +287,9 @@ def test_the_contour_is_where_the_isosurface_is(page: Page, live_server: str, ax
         assert len(found) > 100
         right, up = found.T
         told = {"z": (right, up, 7.0), "y": (right, 9.0, up), "x": (8.0, right, up)}[axis]
-        assert np.abs(field(*told) - isovalue).max() < 0.06, "a line of 1.5 pixels has steps of a tenth of a voxel"
+        assert np.abs(field(*told) - isovalue).max() < 0.06, (
+            "a line of 1.5 pixels has steps of a tenth of a voxel"
+        )
 
 
 def test_the_contour_follows_the_slider_without_the_server(page: Page, live_server: str) -> None:
@@ -259,7 +302,9 @@ def test_the_contour_follows_the_slider_without_the_server(page: Page, live_serv
     assert 0 < len(after) < 0.8 * len(before)
 
 
-def test_surfaces_beside_have_contours_of_their_own(page: Page, small_scene: Path, tmp_path: Path) -> None:
+def test_surfaces_beside_have_contours_of_their_own(
+    page: Page, small_scene: Path, tmp_path: Path
+) -> None:
     pinned = small_scene.with_name("pinned.toml")
     pinned.write_text(small_scene.read_text() + "[[surfaces]]\nisovalue = 0.75\nclear = 0.5\n")
     with serving(pinned, tmp_path) as url:
@@ -284,9 +329,12 @@ def test_a_right_drag_sets_window_and_level(page: Page, live_server: str) -> Non
     assert float(page.input_value("#slices-window")) == pytest.approx(window / 2, rel=0.01)
     assert float(page.input_value("#slices-level")) == pytest.approx(level + window / 10, rel=0.01)
     assert np.abs(grey_values(page, "y") - before).max() > 30
-    voxel, (black, white) = cross_hair(page)[:3], cross_hair(page)[3:]
+    voxel = cross_hair(page)[:3]
+    (black, white) = cross_hair(page)[3:]
     assert voxel == list(VOXEL), "a right drag leaves the cross hair"
-    assert (white - black, (black + white) / 2) == pytest.approx((window / 2, level + window / 10), rel=0.01)
+    assert (white - black, (black + white) / 2) == pytest.approx(
+        (window / 2, level + window / 10), rel=0.01
+    )
     page.mouse.dblclick(*place(page, "z", 12, 10))
     expect(page.locator("#slices-reset")).to_be_disabled()
     assert float(page.input_value("#slices-window")) == window
@@ -304,19 +352,32 @@ def test_keys_move_the_cross_hair_in_a_slice(page: Page, live_server: str) -> No
     sliced(page, f"{live_server}/{ADDRESS}")
     azimuth = query_of(page)["azimuth"]
     plane(page, "x").focus()
-    for key in ("ArrowRight", "ArrowUp", "ArrowUp", "PageDown", "Shift+PageDown", "Shift+ArrowLeft"):
+    for key in (
+        "ArrowRight",
+        "ArrowUp",
+        "ArrowUp",
+        "PageDown",
+        "Shift+PageDown",
+        "Shift+ArrowLeft",
+    ):
         page.keyboard.press(key)
     expect(page.locator("#slices-place")).to_have_text("voxel 1, 1, 10")
     assert query_of(page)["azimuth"] == azimuth, "arrows turn nothing there"
     expect(plane(page, "x")).to_have_attribute(
-        "aria-label", "Slice across x. Arrow keys move the cross hair, page keys go through slices, with Shift by ten."
+        "aria-label",
+        (
+            "Slice across x. Arrow keys move the cross hair, page keys go through slices, with "
+            "Shift by ten."
+        ),
     )
     assert page.locator("#slices [role=status]").inner_text().startswith("voxel 1, 1, 10 value 0.0")
     assert findings(page) == []
 
 
 def test_a_link_shows_the_same_slices(page: Page, live_server: str) -> None:
-    open_shown(settled(open_shown(page, f"{live_server}/{ADDRESS}&slices=3,4,5,0.25,0.75")), written(page))
+    open_shown(
+        settled(open_shown(page, f"{live_server}/{ADDRESS}&slices=3,4,5,0.25,0.75")), written(page)
+    )
     settled(page)
     assert cross_hair(page) == [3, 4, 5, 0.25, 0.75]
     assert [page.input_value(f"#slices-{name}") for name in ("window", "level")] == ["0.5", "0.5"]
@@ -360,9 +421,11 @@ def test_what_a_cut_takes_away_is_hatched(page: Page, live_server: str) -> None:
 
 def test_a_line_is_dragged_and_the_cut_follows(page: Page, live_server: str) -> None:
     sliced(page, f"{live_server}/{ADDRESS}&cut=x%3E14")
-    dragged, other = line(page, "z", "x to"), line(page, "y", "x to")
+    dragged = line(page, "z", "x to")
+    other = line(page, "y", "x to")
     assert share(dragged) == share(other) == pytest.approx(14.5 / SIZE[0])
-    (x, y), width = middle(dragged), box_of(plane(page, "z"))["width"]
+    (x, y) = middle(dragged)
+    width = box_of(plane(page, "z"))["width"]
     page.mouse.move(x, y - 20)
     page.mouse.down()
     page.mouse.move(x - width / 4, y - 15, steps=4)
@@ -397,7 +460,9 @@ def test_cut_here_cuts_along_the_slice_on_the_near_side(page: Page, live_server:
     sliced(page, f"{live_server}/{ADDRESS}", (13, 11, 9))
     page.keyboard.press("c")
     asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
+    page.on(
+        "request", lambda request: asked.append(request.url) if "/slice?" in request.url else None
+    )
     for axis, at in (("y", 11), ("z", 9)):  # the eye is at plus x, y and z
         figure(page, axis).get_by_role("button", name="Cut here").click()
         taken, limit = cut_of(page).split(";")[-1].split(">")
@@ -415,13 +480,16 @@ def test_cut_here_cuts_along_the_slice_on_the_near_side(page: Page, live_server:
 
 
 def test_a_finger_moves_cross_hair_and_lines_on_a_phone(browser: Browser, live_server: str) -> None:
-    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
+    )
     page = open_shown(context.new_page(), f"{live_server}/{ADDRESS}&cut=x%3E14")
     left, top, width, height = stage_of(page)
     page.touchscreen.tap(left + width / 2, top + 0.45 * height)
     page.locator("#point-slices").tap()
     settled(page)
-    stage, card = box_of(page.locator("#stage")), box_of(page.locator("#point"))
+    stage = box_of(page.locator("#stage"))
+    card = box_of(page.locator("#point"))
     assert card["x"] >= stage["x"] and card["x"] + card["width"] <= stage["x"] + stage["width"]
     assert card["height"] < 0.6 * stage["height"], "the picture can be seen"
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -429,13 +497,19 @@ def test_a_finger_moves_cross_hair_and_lines_on_a_phone(browser: Browser, live_s
     settled(page)
     assert cross_hair(page)[::2] == [4, 12]
     dragged = line(page, "z", "x to")
-    (x, y), wide = middle(dragged), box_of(plane(page, "z"))["width"]
+    (x, y) = middle(dragged)
+    wide = box_of(plane(page, "z"))["width"]
     session = context.new_cdp_session(page)
     for step in range(6):
         points = [{"x": x - step / 5 * wide / 4, "y": y + 4 * step, "id": 1}]
-        session.send("Input.dispatchTouchEvent", {"type": "touchMove" if step else "touchStart", "touchPoints": points})
+        session.send(
+            "Input.dispatchTouchEvent",
+            {"type": "touchMove" if step else "touchStart", "touchPoints": points},
+        )
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
     assert float(cut_of(page).removeprefix("x>")) == pytest.approx(8, abs=0.4)
-    assert middle(line(page, "z", "x to"))[1] == pytest.approx(y, abs=1), "the page has not scrolled"
+    assert middle(line(page, "z", "x to"))[1] == pytest.approx(y, abs=1), (
+        "the page has not scrolled"
+    )
     shoot(page, "slices-390-cut")
     context.close()

@@ -1,7 +1,8 @@
-"""Nothing stale without saying so: random changes of all controls, against a server that is three seconds away.
+"""Nothing stale without saying so: random changes of all controls, against a server that is three
+seconds away.
 
-What looks for lies is in `slow_server.js`: after each frame of the screen it compares what the page says with the
-picture that it shows, whose colour says what it was drawn for.
+What looks for lies is in `slow_server.js`: after each frame of the screen it compares what the page
+says with the picture that it shows, whose colour says what it was drawn for.
 """
 
 import json
@@ -31,11 +32,19 @@ Hand = Callable[[Page, random.Random], None]
 
 
 def away(page: Page) -> None:
-    """A page whose stream is slow; other scenes are slow to open, and pictures beside are there at once."""
+    """A page whose stream is slow; other scenes are slow to open, and pictures beside are there at
+    once.
+    """
     page.add_init_script(path=SLOW_SERVER)
     page.route("**/v1/scenes", twins)
-    page.route("**/v1/scenes/twin*", lambda route: route.continue_(url=route.request.url.replace("/twin", "/small")))
-    page.route("**/v1/scenes/twin/**", lambda route: route.continue_(url=route.request.url.replace("/twin", "/small")))
+    page.route(
+        "**/v1/scenes/twin*",
+        lambda route: route.continue_(url=route.request.url.replace("/twin", "/small")),
+    )
+    page.route(
+        "**/v1/scenes/twin/**",
+        lambda route: route.continue_(url=route.request.url.replace("/twin", "/small")),
+    )
     page.route("**/frame?*", lambda route: route.abort())
 
 
@@ -71,7 +80,9 @@ def choice(name: str, *values: str) -> Hand:
 def choose(page: Page, name: str, value: str) -> None:
     """Choose an option, also of a list that is folded away."""
     script = "([name, value]) => { const list = document.getElementById(name); list.value = value; "
-    page.evaluate(script + "list.dispatchEvent(new Event('change', { bubbles: true })); }", [name, value])
+    page.evaluate(
+        script + "list.dispatchEvent(new Event('change', { bubbles: true })); }", [name, value]
+    )
 
 
 def light(page: Page, dice: random.Random) -> None:
@@ -82,7 +93,8 @@ def light(page: Page, dice: random.Random) -> None:
 def turn(page: Page, dice: random.Random) -> None:
     """Drag the picture, by any button."""
     left, top, width, height = stage_of(page)
-    x, y = left + width / 2, top + 0.9 * height
+    x = left + width / 2
+    y = top + 0.9 * height
     page.mouse.move(x, y)
     button = dice.choice(BUTTONS)
     page.mouse.down(button=button)
@@ -137,7 +149,10 @@ HANDS: dict[str, tuple[int, Hand]] = {
     "camera": (8, slider("azimuth", "elevation", "distance", "fov")),
     "turn": (12, turn),
     "zoom": (6, zoom),
-    "keys": (10, key("ArrowLeft", "ArrowUp", "+", "-", "]", "[", "x", "Z", "w", "Shift+ArrowLeft", "o")),
+    "keys": (
+        10,
+        key("ArrowLeft", "ArrowUp", "+", "-", "]", "[", "x", "Z", "w", "Shift+ArrowLeft", "o"),
+    ),
     "light's turn": (5, slider("yaw", "pitch", "roll")),
     "light": (6, light),
     "exposure": (6, slider("exposure")),
@@ -149,7 +164,10 @@ HANDS: dict[str, tuple[int, Hand]] = {
     "cut": (5, plane),
     "handle": (6, handle),
     "let light in": (2, lambda page, _: page.eval_on_selector("#opened", "box => box.click()")),
-    "show all of it": (2, lambda page, _: page.eval_on_selector("#uncut", "button => button.click()")),
+    "show all of it": (
+        2,
+        lambda page, _: page.eval_on_selector("#uncut", "button => button.click()"),
+    ),
     "reset": (5, lambda page, _: page.click("#reset")),
     "resize": (2, resize),
     "scene": (1, other_scene),
@@ -165,7 +183,10 @@ def tried(page: Page, server: str, changes: int, seed: int) -> dict[str, Any]:
     page.wait_for_function("() => report.rests()", timeout=60_000)
     weights = [weight for weight, _ in HANDS.values()]
     for count in range(changes):
-        name = "scene" if count == changes // 2 else dice.choices(list(HANDS), weights)[0]
+        if count == changes // 2:
+            name = "scene"
+        else:
+            name = dice.choices(list(HANDS), weights)[0]
         page.evaluate("name => report.begin(name)", name)
         HANDS[name][1](page, dice)
         page.wait_for_timeout(1000 * dice.choices(list(PAUSES), list(PAUSES.values()))[0])

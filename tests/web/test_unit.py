@@ -1,4 +1,6 @@
-"""The page's modules without a browser: what they compute, by Node's test runner, and their types, by TypeScript."""
+"""The page's modules without a browser: what they compute, by Node's test runner, and their types,
+by TypeScript.
+"""
 
 import shutil
 import subprocess
@@ -16,7 +18,9 @@ pytestmark = pytest.mark.skipif(NODE is None, reason="no node: install Node.js 2
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
     """What Node says to these words."""
-    return subprocess.run([str(NODE), *words], cwd=HERE, capture_output=True, text=True, timeout=SECONDS, check=False)
+    return subprocess.run(
+        [str(NODE), *words], cwd=HERE, capture_output=True, text=True, timeout=SECONDS, check=False
+    )
 
 
 def test_modules_compute_what_they_should() -> None:
@@ -32,8 +36,12 @@ def test_modules_compute_what_they_should() -> None:
     reason="no npm to install TypeScript with: see package.json",
 )
 def test_modules_have_the_types_that_they_document() -> None:
-    assert TYPESCRIPT.exists(), "TypeScript is not installed: `make test` does it, or `npm ci` in tests/web"
+    assert TYPESCRIPT.exists(), (
+        "TypeScript is not installed: `make test` does it, or `npm ci` in tests/web"
+    )
     result = run(str(TYPESCRIPT), "--project", "tsconfig.json", "--listFiles")
     assert result.returncode == 0, result.stdout
     web = HERE.parents[1] / "web"
-    assert {str(path) for path in web.rglob("*.js")} <= set(result.stdout.splitlines()), "all are checked"
+    assert {str(path) for path in web.rglob("*.js")} <= set(result.stdout.splitlines()), (
+        "all are checked"
+    )

@@ -18,7 +18,9 @@ SENT = """() => {
     window.fail = () => this.dispatchEvent(new Event("error"));
   };
 }"""
-"""A file is sent at once, and the answer is late: a request that a test holds back tells nothing of its progress."""
+"""A file is sent at once, and the answer is late: a request that a test holds back tells nothing of
+its progress.
+"""
 
 
 @pytest.fixture
@@ -60,8 +62,13 @@ def test_what_is_compiled_for_a_file_is_said(shown: Page) -> None:
     note = shown.locator("#upload-note p")
     expect(note).to_have_text("The server reads My ball.nrrd…")
     compiling = {"done": 3, "total": 12, "seconds": 21}
-    shown.route("**/readyz", lambda route: route.fulfill(json={"ready": True, "reasons": [], "compiling": compiling}))
-    expect(note).to_have_text("Compiling what draws My ball.nrrd, once on this machine: 3 of 12, about 21 s left")
+    shown.route(
+        "**/readyz",
+        lambda route: route.fulfill(json={"ready": True, "reasons": [], "compiling": compiling}),
+    )
+    expect(note).to_have_text(
+        "Compiling what draws My ball.nrrd, once on this machine: 3 of 12, about 21 s left"
+    )
     expect(shown.locator("#upload-note progress")).to_have_js_property("value", 0.25)
     shown.evaluate("fail()")
     expect(note).to_contain_text("when the server is back")
@@ -70,7 +77,8 @@ def test_what_is_compiled_for_a_file_is_said(shown: Page) -> None:
 
 def test_a_scene_keeps_its_name_on_a_narrow_screen(shown: Page) -> None:
     shown.set_viewport_size({"width": 390, "height": 844})
-    scene, action = box_of(shown.locator(".scene")), box_of(shown.locator("#upload-open"))
+    scene = box_of(shown.locator(".scene"))
+    action = box_of(shown.locator("#upload-open"))
     assert scene["width"] > 300
     assert scene["y"] >= action["y"] + action["height"]
     shoot(shown, "upload-390")
@@ -80,8 +88,12 @@ def test_why_a_file_is_refused_is_said(browser: Browser, site: Site) -> None:
     """On a page of its own: browsers complain of any answer that is a refusal."""
     page = open_shown(browser.new_page(), str(site.client.base_url))
     give(page, "a.nrrd", headed("type: block\n"))
-    expect(page.locator("#upload-note p")).to_contain_text("header of 'a' has no dimension", timeout=FINAL_MS)
+    expect(page.locator("#upload-note p")).to_contain_text(
+        "header of 'a' has no dimension", timeout=FINAL_MS
+    )
     expect(page.locator("#upload-note progress")).to_be_hidden()
     give(page, "slice.nrrd", b"\x89PNG\r\n\x1a\n" + bytes(64))
-    expect(page.locator("#upload-note p")).to_contain_text("seems to be a picture", timeout=FINAL_MS)
+    expect(page.locator("#upload-note p")).to_contain_text(
+        "seems to be a picture", timeout=FINAL_MS
+    )
     page.close()

@@ -15,10 +15,18 @@ from playwright.sync_api import FloatRect, Locator, Page
 Button = Literal["left", "middle", "right"]
 CHROMIUM = Path("/usr/bin/chromium")
 WITHOUT = [
-    *("WebUIOmniboxPopup", "WebUIOmniboxAimPopup", "AimEnabled", "PreconnectToSearch", "NetworkTimeServiceQuerying"),
+    *(
+        "WebUIOmniboxPopup",
+        "WebUIOmniboxAimPopup",
+        "AimEnabled",
+        "PreconnectToSearch",
+        "NetworkTimeServiceQuerying",
+    ),
     *("OptimizationHints", "MediaRouter", "HttpsUpgrades", "PaintHolding"),
 ]
-"""Features that Chromium goes without: popups of an address bar that nobody sees take it longer than a page of ours."""
+"""Features that Chromium goes without: popups of an address bar that nobody sees take it longer
+than a page of ours.
+"""
 
 FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -29,7 +37,9 @@ VIEWPORTS = [(1280, 800), (1920, 1080), (390, 844)]
 """Screens that the page is looked at on: a laptop's, a desk's and a phone's."""
 
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
-BROWSER = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium")
+BROWSER = pytest.mark.skipif(
+    not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"
+)
 """Skips tests of the page where there is no Chromium; the fixture ``browser`` marks them."""
 
 DROP = """([text, name]) => {
@@ -61,15 +71,23 @@ def open_final(page: Page, address: str) -> Page:
 
 def wait_final(page: Page) -> Page:
     """Wait until the view rests, its picture is final, and the browser has it on the screen."""
-    page.evaluate(TWO_FRAMES)  # a view that changes loses its sharpness at once, one of another size in the next frame
-    page.wait_for_selector("#stage[data-state=final][data-sharp]:not([data-busy])", timeout=FINAL_MS)
+    page.evaluate(
+        TWO_FRAMES
+    )  # a view that changes loses its sharpness at once, one of another size in the next frame
+    page.wait_for_selector(
+        "#stage[data-state=final][data-sharp]:not([data-busy])", timeout=FINAL_MS
+    )
     page.evaluate(TWO_FRAMES)
     return page
 
 
 def written(page: Page) -> str:
-    """The address with all that has changed: the page writes it 150 ms later, and timers come in their order."""
-    return str(page.evaluate("() => new Promise((done) => setTimeout(() => done(location.href), 160))"))
+    """The address with all that has changed: the page writes it 150 ms later, and timers come in
+    their order.
+    """
+    return str(
+        page.evaluate("() => new Promise((done) => setTimeout(() => done(location.href), 160))")
+    )
 
 
 def unfold(page: Page) -> Page:
@@ -92,7 +110,9 @@ def slide(page: Page, knob: str, share: float) -> None:
 
 def give(page: Page, name: str, content: bytes) -> None:
     """Choose a file, as in the dialog that the button opens."""
-    page.set_input_files("#upload-file", {"name": name, "mimeType": "application/octet-stream", "buffer": content})
+    page.set_input_files(
+        "#upload-file", {"name": name, "mimeType": "application/octet-stream", "buffer": content}
+    )
 
 
 def without_sockets(page: Page) -> Page:
@@ -115,7 +135,9 @@ PIXELS = """([picture, size]) => {
 
 
 def pixels(page: Page, picture: str = "#picture", size: int | None = 96) -> np.ndarray:
-    """A picture as float RGB (size, size, 3) within 0..255, scaled to that; None is the width of a canvas."""
+    """A picture as float RGB (size, size, 3) within 0..255, scaled to that; None is the width of a
+    canvas.
+    """
     flat = np.frombuffer(b64decode(page.evaluate(PIXELS, [picture, size])), np.uint8)
     side = math.isqrt(len(flat) // 4)
     return flat.reshape(side, side, 4)[..., :3].astype(float)
@@ -146,7 +168,9 @@ def stage_of(page: Page) -> tuple[float, float, int, int]:
     return box["x"], box["y"], round(box["width"]), round(box["height"])
 
 
-def drag(page: Page, place: tuple[float, float], right: float, down: float, button: Button = "left") -> None:
+def drag(
+    page: Page, place: tuple[float, float], right: float, down: float, button: Button = "left"
+) -> None:
     """Drag from a place on the screen."""
     x, y = place
     page.mouse.move(x, y)
@@ -161,9 +185,13 @@ def query_of(page: Page) -> dict[str, str]:
 
 
 def surface_of(page: Page) -> np.ndarray:
-    """World positions (h, w, 3) of the surface that the view of the address shows, NaN where it shows none."""
+    """World positions (h, w, 3) of the surface that the view of the address shows, NaN where it
+    shows none.
+    """
     *_, width, height = stage_of(page)
-    view = {name: value for name, value in query_of(page).items() if name not in ("scene", "exposure")}
+    view = {
+        name: value for name, value in query_of(page).items() if name not in ("scene", "exposure")
+    }
     asked: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
     answer = page.request.get(urljoin(page.url, "/v1/scenes/small/frame"), params=asked)
     assert answer.ok, answer.text()

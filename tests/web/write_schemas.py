@@ -1,4 +1,6 @@
-"""Write web/documents.d.ts: the server's documents as types of the page, from its OpenAPI; by ``make schemas``."""
+"""Write web/documents.d.ts: the server's documents as types of the page, from its OpenAPI; by
+``make schemas``.
+"""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -45,10 +47,14 @@ def within(name: str, schemas: Mapping[str, Any]) -> Iterator[str]:
 
 def declaration(name: str, schema: Mapping[str, Any]) -> str:
     """A schema as a type, under its description; a document has all of its fields."""
-    comment = "\n * ".join(schema.get("description", name).replace("``", "`").splitlines()).replace(" * \n", " *\n")
+    comment = "\n * ".join(schema.get("description", name).replace("``", "`").splitlines()).replace(
+        " * \n", " *\n"
+    )
     if "properties" not in schema:
         return f"/** {comment} */\nexport type {short(name)} = {type_of(schema)};\n"
-    fields = "".join(f"  {field}: {type_of(each)};\n" for field, each in schema["properties"].items())
+    fields = "".join(
+        f"  {field}: {type_of(each)};\n" for field, each in schema["properties"].items()
+    )
     return f"/**\n * {comment}\n */\nexport interface {short(name)} {{\n{fields}}}\n"
 
 
@@ -67,7 +73,9 @@ def type_of(schema: Mapping[str, Any]) -> str:
             return f"Array<{type_of(part)}>"
         case {"additionalProperties": part}:
             return f"Record<string, {type_of(part)}>"
-    return "number" if schema["type"] == "integer" else str(schema["type"])
+    if schema["type"] == "integer":
+        return "number"
+    return str(schema["type"])
 
 
 def referred(schema: Mapping[str, Any]) -> str:

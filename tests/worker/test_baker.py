@@ -50,7 +50,10 @@ class FakePool:
     """Takes tasks and ends them when the test says so."""
 
     def __init__(self, room: int) -> None:
-        self.room, self.together, self.workers, self.deaths = room, 1, 2, 0
+        self.room = room
+        self.together = 1
+        self.workers = 2
+        self.deaths = 0
         self.in_flight: list[tuple[BakeTask, Done]] = []
         self.all_in_flight: list[tuple[Sequence[BakeTask], AllDone]] = []
         self.stepped_back: list[float] = []
@@ -88,16 +91,31 @@ class Bench:
         self.add("scene")
 
     def add(
-        self, name: str, digest: str = "digest", layers: frozenset[str] = BOTH, plan: ScenePlan = PLAN
+        self,
+        name: str,
+        digest: str = "digest",
+        layers: frozenset[str] = BOTH,
+        plan: ScenePlan = PLAN,
     ) -> list[Index]:
-        """Add a bake; the chunks of it that arrive from now on, of all that are called ``scene`` in one list."""
-        costs = self.costs if name == "scene" else Costs("memory://costs", name)
+        """Add a bake; the chunks of it that arrive from now on, of all that are called ``scene`` in
+        one list.
+        """
+        if name == "scene":
+            costs = self.costs
+        else:
+            costs = Costs("memory://costs", name)
         arrived = self.arrived if name == "scene" else []
-        self.baker.add(name, Bake(SOURCE, plan, digest, layers, StoreUrl("store"), arrived.append, costs))
+        self.baker.add(
+            name, Bake(SOURCE, plan, digest, layers, StoreUrl("store"), arrived.append, costs)
+        )
         return arrived
 
-    def request(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST_VIEWER) -> frozenset[Index]:
-        texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
+    def request(
+        self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST_VIEWER
+    ) -> frozenset[Index]:
+        texels = np.array([1, 2], np.int32)
+        seen = np.array([1.0, 0.5], np.float32)
+        effort = Effort(2, 0.0, 0.0)
         demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
         return self.baker.request(scene, demands, 0.1, viewer)
 
@@ -116,8 +134,18 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.request(3)
     task = pool.in_flight[0][0]
-    assert (task.source, task.plan, task.digest, task.store_url) == (SOURCE, PLAN, "digest", StoreUrl("store"))
-    assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
+    assert (task.source, task.plan, task.digest, task.store_url) == (
+        SOURCE,
+        PLAN,
+        "digest",
+        StoreUrl("store"),
+    )
+    assert (task.index, task.offsets.tolist(), task.until, task.target) == (
+        (0, 0, 3),
+        [1, 2],
+        16,
+        0.1,
+    )
     assert task.footprints.tolist() == [1.0, 0.5]
 
 
@@ -170,7 +198,9 @@ def test_bakes_that_share_a_layer_take_turns_at_a_chunk(bench: Bench) -> None:
 def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
     pool = bench.employ(4)
     bench.request(1, 2, 7)
-    waiting = threading.Thread(target=bench.baker.wait, args=("scene", [(0, 0, 1), (0, 0, 2)], 60.0))
+    waiting = threading.Thread(
+        target=bench.baker.wait, args=("scene", [(0, 0, 1), (0, 0, 2)], 60.0)
+    )
     waiting.start()
     pool.end()
     pool.end()
@@ -306,8 +336,15 @@ def test_listeners_are_called_after_the_queue_was_updated(bench: Bench) -> None:
     pool.end()
     bench.request(2)
     fail(bench, pool, MOST_FAILURES)
-    first, second = ("scene", (0, 0, 1)), ("scene", (0, 0, 2))
-    assert heard == [(*first, True), (*first, False), (*second, True), (*second, True), (*second, False)]
+    first = ("scene", (0, 0, 1))
+    second = ("scene", (0, 0, 2))
+    assert heard == [
+        (*first, True),
+        (*first, False),
+        (*second, True),
+        (*second, True),
+        (*second, False),
+    ]
 
 
 def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
@@ -335,7 +372,9 @@ def test_workers_that_there_are_step_back_while_a_view_moves(bench: Bench) -> No
     assert pool.stepped_back == [CLEAR_CORES_SECONDS]
 
 
-def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(FakePool, "step_back", lambda self, seconds: False)
     pool = bench.employ(4)
     bench.baker.make_way()
@@ -357,7 +396,9 @@ def test_tasks_for_absent_workers_wait_until_they_are_back(bench: Bench) -> None
     assert pool.tasks() == [1, 2, 3]
 
 
-def test_a_claimed_chunk_waits_while_others_are_baked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_claimed_chunk_waits_while_others_are_baked(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     later: list[tuple[float, Callable[[], None]]] = []
     monkeypatch.setattr("worker.baker.after", lambda seconds, call: later.append((seconds, call)))
     pool = bench.employ(1)
@@ -421,7 +462,9 @@ def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) ->
 
 
 @pytest.mark.parametrize("error", [None, RuntimeError("the file is gone")])
-def test_a_result_after_its_scene_was_dropped_does_no_harm(bench: Bench, error: Exception | None) -> None:
+def test_a_result_after_its_scene_was_dropped_does_no_harm(
+    bench: Bench, error: Exception | None
+) -> None:
     bench.add("other", "other", frozenset({"whole"}))
     pool = bench.employ(1)
     bench.request(1)
@@ -432,12 +475,15 @@ def test_a_result_after_its_scene_was_dropped_does_no_harm(bench: Bench, error: 
     assert bench.baker.trouble() == ""
 
 
-# --- a store that is away -----------------------------------------------------------------------------------------
+# --- a store that is away
+# -----------------------------------------------------------------------------------------
 
 GONE = StoreAwayError("The store is gone.")
 
 
-def test_one_task_that_misses_the_store_delays_no_other(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_one_task_that_misses_the_store_delays_no_other(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
     pool = bench.employ(2)
     bench.request(1, 2, 3)
     for _ in range(2):
@@ -447,7 +493,9 @@ def test_one_task_that_misses_the_store_delays_no_other(bench: Bench, caplog: py
     assert "baking waits" not in caplog.text
 
 
-def test_an_absent_store_is_tried_now_and_then_by_one_task(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_absent_store_is_tried_now_and_then_by_one_task(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
     pool = bench.employ(2)
     bench.request(1, 2, 3)
     for _ in range(3):

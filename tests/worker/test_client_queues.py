@@ -13,11 +13,17 @@ from worker.tasks import BakeResult
 
 TEXELS = np.arange(4, dtype=np.int32)
 SIBLINGS = {"scene", "scene (near)"}
-VIEWERS = [Viewer(name, single=name != "guest", patient=name == "job") for name in ("anna", "bert", "guest", "job")]
+VIEWERS = [
+    Viewer(name, single=name != "guest", patient=name == "job")
+    for name in ("anna", "bert", "guest", "job")
+]
 
 
-def request(queue: BakeQueue, viewer: Viewer, *chunks: int, weight: float = 1.0, bake: str = "scene") -> None:
-    seen, effort = np.ones(len(TEXELS), np.float32), Effort(4, 0.0, 0.0)
+def request(
+    queue: BakeQueue, viewer: Viewer, *chunks: int, weight: float = 1.0, bake: str = "scene"
+) -> None:
+    seen = np.ones(len(TEXELS), np.float32)
+    effort = Effort(4, 0.0, 0.0)
     demands = [Demand((0, 0, x), TEXELS, weight + x, effort, seen) for x in chunks]
     queue.request([((bake, demand.index), demand) for demand in demands], 0.1, viewer)
 
@@ -31,7 +37,9 @@ def left(unfinished: int, priority: float) -> BakeResult:
 
 
 def places(queue: BakeQueue) -> int:
-    return sum(len(queue.places) for queues in queue._queues._queues.values() for queue in queues.values())
+    return sum(
+        len(queue.places) for queues in queue._queues._queues.values() for queue in queues.values()
+    )
 
 
 def test_a_long_drag_leaves_no_places_behind() -> None:
@@ -70,14 +78,20 @@ def test_a_bake_with_a_shared_layer_waits_for_the_others_task() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_whatever_happens_no_work_is_passed_over(seed: int) -> None:
-    """Against a search of all wants: nothing is taken only where nothing can be, and then what is best or near it."""
-    chance, clock = random.Random(seed), Clock()
+    """Against a search of all wants: nothing is taken only where nothing can be, and then what is
+    best or near it.
+    """
+    chance = random.Random(seed)
+    clock = Clock()
     queue = BakeQueue(clock, shared)
     flown: dict[Key, tuple[np.ndarray, float]] = {}
     for _ in range(600):
         step(queue, chance, clock, flown)
         possible = [each for each in queue.requests.values() if free(queue, each)]
-        taken = queue.take() if chance.random() < 0.5 else None
+        if chance.random() < 0.5:
+            taken = queue.take()
+        else:
+            taken = None
         if taken is not None:
             assert taken in possible
             assert worthy(queue, taken, possible)
@@ -90,12 +104,24 @@ def test_whatever_happens_no_work_is_passed_over(seed: int) -> None:
     assert not queue._in_flight and not queue._held
 
 
-def step(queue: BakeQueue, chance: random.Random, clock: Clock, flown: dict[Key, tuple[np.ndarray, float]]) -> None:
+def step(
+    queue: BakeQueue,
+    chance: random.Random,
+    clock: Clock,
+    flown: dict[Key, tuple[np.ndarray, float]],
+) -> None:
     """Something happens: a view, a leaving, a task's end or its failure, time."""
-    viewer, deed = chance.choice(VIEWERS), chance.random()
+    viewer = chance.choice(VIEWERS)
+    deed = chance.random()
     if deed < 0.4:
         chunks = chance.sample(range(30), 5)
-        request(queue, viewer, *chunks, weight=chance.uniform(1.0, 50.0), bake=chance.choice(sorted(SIBLINGS)))
+        request(
+            queue,
+            viewer,
+            *chunks,
+            weight=chance.uniform(1.0, 50.0),
+            bake=chance.choice(sorted(SIBLINGS)),
+        )
     elif deed < 0.5:
         queue.leave(viewer)
     elif deed < 0.55:
@@ -105,11 +131,21 @@ def step(queue: BakeQueue, chance: random.Random, clock: Clock, flown: dict[Key,
         del flown[key]
         queue.fail(key, "no luck", suspect=chance.random() < 0.3)
     elif flown:
-        land(queue, flown, chance.choice((0, 2)), chance.uniform(0.0, 1.0), chance.randrange(len(flown)))
+        land(
+            queue,
+            flown,
+            chance.choice((0, 2)),
+            chance.uniform(0.0, 1.0),
+            chance.randrange(len(flown)),
+        )
 
 
 def land(
-    queue: BakeQueue, flown: dict[Key, tuple[np.ndarray, float]], unfinished: int, priority: float, number: int = 0
+    queue: BakeQueue,
+    flown: dict[Key, tuple[np.ndarray, float]],
+    unfinished: int,
+    priority: float,
+    number: int = 0,
 ) -> None:
     key = list(flown)[number]
     queue.finish(key, *flown.pop(key), left(unfinished, priority))
@@ -118,21 +154,38 @@ def land(
 def free(queue: BakeQueue, each: BakeRequest) -> bool:
     """Whether a want could be worked on now."""
     aloft = [other for other in queue.requests.values() if other.in_flight]
-    beside = any(index == each.key[1] and shared(bake, each.key[0]) for bake, index in (other.key for other in aloft))
+    beside = any(
+        index == each.key[1] and shared(bake, each.key[0])
+        for bake, index in (other.key for other in aloft)
+    )
     alone = any(other.suspect for other in aloft) or (each.suspect and aloft)
     return bool(each.interests) and not each.given_up and not beside and not alone
 
 
 def worthy(queue: BakeQueue, taken: BakeRequest, possible: list[BakeRequest]) -> bool:
-    """Whether for some client nothing is better than what was taken, or not by more than wants may sink unnoticed."""
+    """Whether for some client nothing is better than what was taken, or not by more than wants may
+    sink unnoticed.
+    """
     return any(
-        all(not clearly_better(queue, other, taken, client) for other in possible if client in other.interests)
+        all(
+            not clearly_better(queue, other, taken, client)
+            for other in possible
+            if client in other.interests
+        )
         for client in taken.interests
     )
 
 
-def clearly_better(queue: BakeQueue, other: BakeRequest, taken: BakeRequest, client: object) -> bool:
+def clearly_better(
+    queue: BakeQueue, other: BakeRequest, taken: BakeRequest, client: object
+) -> bool:
     (*order, priority, _), (*mine, own, _) = queue.rank(other, client), queue.rank(taken, client)
-    if other.interests[client].viewer.patient != taken.interests[client].viewer.patient or order != mine:
-        return other.interests[client].viewer.patient == taken.interests[client].viewer.patient and order < mine
+    if (
+        other.interests[client].viewer.patient != taken.interests[client].viewer.patient
+        or order != mine
+    ):
+        return (
+            other.interests[client].viewer.patient == taken.interests[client].viewer.patient
+            and order < mine
+        )
     return priority < 1.5 * own - RERANK_LOSS * abs(own) - 1e-9

@@ -14,7 +14,9 @@ from worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
 from worker.pool import WorkerPool
 from worker.tasks import bake_kernels
 
-pytestmark = pytest.mark.skipif(START_METHOD != "forkserver", reason="workers are spawned on this system")
+pytestmark = pytest.mark.skipif(
+    START_METHOD != "forkserver", reason="workers are spawned on this system"
+)
 
 LONG = 60.0
 """Seconds that workers may take to come."""
@@ -34,7 +36,9 @@ def parents(pool: WorkerPool) -> set[int]:
 
 
 def replaced(pool: WorkerPool, former: set[int]) -> bool:
-    """Whether two workers have come in place of the ``former`` ones; those that just end may not answer."""
+    """Whether two workers have come in place of the ``former`` ones; those that just end may not
+    answer.
+    """
     with suppress(Exception):
         pids = set(pool.pids())
         return len(pids) == 2 and not former & pids
@@ -51,19 +55,26 @@ def test_workers_share_what_one_process_has_loaded(pool: WorkerPool) -> None:
     assert psutil.Process(parent).ppid() == os.getpid()
     assert {psutil.Process(pid).name() for pid in pool.pids()} == {WORKER_PROCESS_NAME}
     assert all(all(loaded) for loaded in pool._client.run(kernels_loaded).values())
-    assert all("worker.tasks" in names for names in pool._client.run(lambda: list(sys.modules)).values())
+    assert all(
+        "worker.tasks" in names for names in pool._client.run(lambda: list(sys.modules)).values()
+    )
 
 
 def test_workers_have_the_environment_of_when_they_were_hired(pool: WorkerPool) -> None:
-    assert set(pool._client.run(os.environ.get, "ISOGI_LATE").values()) == {"set after the fork server began"}
+    assert set(pool._client.run(os.environ.get, "ISOGI_LATE").values()) == {
+        "set after the fork server began"
+    }
 
 
 def test_another_fork_server_takes_the_place_of_a_dead_one(pool: WorkerPool) -> None:
-    (parent,), former = parents(pool), set(pool.pids())
+    (parent,) = parents(pool)
+    former = set(pool.pids())
     psutil.Process(parent).kill()
     assert wait_for(lambda: replaced(pool, former), LONG)
     (other,) = parents(pool)
     assert other != parent and psutil.Process(other).ppid() == os.getpid()
     assert pool._client.submit(sum, [1, 2], pure=False).result(timeout=LONG) == 3
-    _, left = psutil.wait_procs([psutil.Process(pid) for pid in former if psutil.pid_exists(pid)], timeout=LONG)
+    _, left = psutil.wait_procs(
+        [psutil.Process(pid) for pid in former if psutil.pid_exists(pid)], timeout=LONG
+    )
     assert left == []

@@ -27,9 +27,22 @@ TOKEN = "a token of the tests"
 def embedded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[psutil.Process]:
     """A server of one worker, with a token in its environment, once it is ready."""
     store = tmp_path_factory.mktemp("light")
-    command = ["-m", "server", "serve", "demo:orbital", "--port", "0", "--workers", "1", "--store", str(store)]
+    command = [
+        "-m",
+        "server",
+        "serve",
+        "demo:orbital",
+        "--port",
+        "0",
+        "--workers",
+        "1",
+        "--store",
+        str(store),
+    ]
     given = {**os.environ, "ISOGI_TOKEN": TOKEN}
-    with subprocess.Popen([sys.executable, *command], cwd=ROOT, env=given, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, *command], cwd=ROOT, env=given, stdout=subprocess.PIPE
+    ) as process:
         assert process.stdout and b"ready" in process.stdout.readline()
         try:
             yield psutil.Process(process.pid)
@@ -45,9 +58,13 @@ def test_no_port_of_a_server_lets_another_user_in(embedded: psutil.Process) -> N
 
 
 def test_a_scheduler_without_tls_lets_another_user_in() -> None:
-    """The attack succeeds where nothing stands in its way: the tests above would fail without certificates."""
+    """The attack succeeds where nothing stands in its way: the tests above would fail without
+    certificates.
+    """
     with Cluster() as running:
-        plain = running.run("dask", "scheduler", "--host", "127.0.0.1", "--port", str(running.port), *QUIET)
+        plain = running.run(
+            "dask", "scheduler", "--host", "127.0.0.1", "--port", str(running.port), *QUIET
+        )
         until(lambda: listens(running.port))
         assert fallen(ports_of(psutil.Process(plain.pid))) == [running.port]
 
@@ -65,11 +82,18 @@ for path in sys.argv[1:]:
 """Another user looks which of some Unix sockets let it in."""
 
 
-@pytest.mark.skipif(os.getuid() != 0 or START_METHOD != "forkserver", reason="it takes root, and a fork server")
+@pytest.mark.skipif(
+    os.getuid() != 0 or START_METHOD != "forkserver", reason="it takes root, and a fork server"
+)
 def test_the_fork_server_lets_no_other_user_in(embedded: psutil.Process) -> None:
     """It would run what it is told. A socket that anybody may open is reached."""
     family = [embedded, *embedded.children(recursive=True)]
-    paths = {str(each.laddr) for process in family for each in process.net_connections("unix") if each.laddr}
+    paths = {
+        str(each.laddr)
+        for process in family
+        for each in process.net_connections("unix")
+        if each.laddr
+    }
     assert any("listener-" in path for path in paths)
     with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as public:
         own = f"{folder}/public"
@@ -84,4 +108,6 @@ def test_the_fork_server_lets_no_other_user_in(embedded: psutil.Process) -> None
 
 def test_workers_do_not_know_the_token(embedded: psutil.Process) -> None:
     assert embedded.children(recursive=True)
-    assert [each.pid for each in embedded.children(recursive=True) if "ISOGI_TOKEN" in each.environ()] == []
+    assert [
+        each.pid for each in embedded.children(recursive=True) if "ISOGI_TOKEN" in each.environ()
+    ] == []

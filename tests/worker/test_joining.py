@@ -18,7 +18,8 @@ def test_each_cluster_has_a_key_of_its_own() -> None:
 
 
 def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> None:
-    there, moves = [["a", "b"]], []
+    there = [["a", "b"]]
+    moves = []
 
     class FakeClient:
         status = "running"
@@ -27,7 +28,11 @@ def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> 
             pass
 
         def scheduler_info(self, **_: Any) -> dict[str, Any]:
-            return {"id": "Scheduler", "n_workers": len(there[-1]), "workers": dict.fromkeys(there[-1])}
+            return {
+                "id": "Scheduler",
+                "n_workers": len(there[-1]),
+                "workers": dict.fromkeys(there[-1]),
+            }
 
         def register_plugin(self, _: Any) -> None:
             pass
@@ -43,10 +48,16 @@ def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> 
             pass
 
     monkeypatch.setattr("worker.pool.OwnClient", FakeClient)
-    pool, stirred = WorkerPool(2, "tcp://elsewhere"), threading.Semaphore(0)
+    pool = WorkerPool(2, "tcp://elsewhere")
+    stirred = threading.Semaphore(0)
     pool.attend(stirred.release)
     assert (pool.workers, pool.deaths) == (2, 0)
-    for addresses, counts in ((["a", "c"], (2, 1)), (["c"], (1, 2)), (["c", "d", "e"], (3, 2)), ([], (1, 5))):
+    for addresses, counts in (
+        (["a", "c"], (2, 1)),
+        (["c"], (1, 2)),
+        (["c", "d", "e"], (3, 2)),
+        ([], (1, 5)),
+    ):
         there.append(addresses)
         moves[0]((0.0, {"action": "remove-worker"}))
         while (pool.workers, pool.deaths) != counts:

@@ -1,4 +1,6 @@
-"""Light that a cut keeps of the whole volume has the bits of light that is baked for the cut alone."""
+"""Light that a cut keeps of the whole volume has the bits of light that is baked for the cut
+alone.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -28,7 +30,9 @@ def cut(axis: str, share: float) -> tuple[Scene, BakeSpec]:
     return scene, spec_for(PreparedScene(scene), "gi")
 
 
-def do(root: Path, scene: Scene, spec: BakeSpec, until: int = 1 << 14, whole: Whole | None = None) -> BakeResult:
+def do(
+    root: Path, scene: Scene, spec: BakeSpec, until: int = 1 << 14, whole: Whole | None = None
+) -> BakeResult:
     """Bake the chunk for a scene, in a store of its own or one that others use."""
     Store(root).open()
     place = StoreUrl(str(root)), INDEX, TEXELS, np.ones(len(TEXELS), np.float32)
@@ -37,7 +41,10 @@ def do(root: Path, scene: Scene, spec: BakeSpec, until: int = 1 << 14, whole: Wh
 
 def stored(root: Path, scene: Scene, spec: BakeSpec) -> list[bytes | None]:
     """The chunk's object in each layer."""
-    return [each.read(INDEX) for each in open_spec(scene.source, spec.plan, spec.digest, StoreUrl(str(root)))[1].layers]
+    return [
+        each.read(INDEX)
+        for each in open_spec(scene.source, spec.plan, spec.digest, StoreUrl(str(root)))[1].layers
+    ]
 
 
 @pytest.mark.parametrize("axis", "xyz")

@@ -44,7 +44,10 @@ def scene() -> Scene:
 def views(scene: Scene) -> list[View]:
     """Three views that share chunks and texels."""
     looks = (20.0, 0.03), (140.0, 0.03), (20.0, 0.05)
-    return [View(isovalue, scene.camera(azimuth, 15.0, 3.0, 30.0), width=48, height=48) for azimuth, isovalue in looks]
+    return [
+        View(isovalue, scene.camera(azimuth, 15.0, 3.0, 30.0), width=48, height=48)
+        for azimuth, isovalue in looks
+    ]
 
 
 def light_in(store: Path) -> dict[str, str]:
@@ -60,18 +63,26 @@ def worker_pids() -> set[int]:
     found = set()
     for child in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):  # it ends at this moment
-            found |= {child.pid} if child.name() == WORKER_PROCESS_NAME else set()
+            if child.name() == WORKER_PROCESS_NAME:
+                found |= {child.pid}
+            else:
+                found |= set()
     return found
 
 
 def bake_views(
     engine: RenderEngine, store: Path, views: Sequence[View], killings: Sequence["Killing"] = ()
 ) -> list[Frame]:
-    """Final frames of the views, one after the other; meanwhile the ``killings`` are done in turn."""
-    others, (scene,) = worker_pids(), engine.scenes.values()
+    """Final frames of the views, one after the other; meanwhile the ``killings`` are done in
+    turn.
+    """
+    others = worker_pids()
+    (scene,) = engine.scenes.values()
     with closing(engine):
         engine.start()
-        killer = threading.Thread(target=lambda: [killing.do(store, others) for killing in killings])
+        killer = threading.Thread(
+            target=lambda: [killing.do(store, others) for killing in killings]
+        )
         killer.start()
         frames = [bake_each_texel(engine, scene.id, view) for view in views]
         killer.join()
@@ -93,9 +104,14 @@ class Killing:
         os.kill(min(worker_pids() - others), signal.SIGKILL)
 
 
-def test_killed_workers_cost_time_and_nothing_else(tmp_path: Path, scene: Scene, views: list[View]) -> None:
-    """More workers, another order of the views, and deaths on the way leave the bytes of one thread, undisturbed."""
-    alone, disturbed = tmp_path / "alone", tmp_path / "disturbed"
+def test_killed_workers_cost_time_and_nothing_else(
+    tmp_path: Path, scene: Scene, views: list[View]
+) -> None:
+    """More workers, another order of the views, and deaths on the way leave the bytes of one
+    thread, undisturbed.
+    """
+    alone = tmp_path / "alone"
+    disturbed = tmp_path / "disturbed"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "WorkerPool", InlinePool)
         expected = bake_views(RenderEngine([scene], alone, workers=1), alone, views)
@@ -104,16 +120,32 @@ def test_killed_workers_cost_time_and_nothing_else(tmp_path: Path, scene: Scene,
     layers = [scene.layer_digest(layer, level) for layer in scene.plan.layers for level in levels]
     assert len(light) > 20 and all(any(f"{layer}/c/" in key for key in light) for layer in layers)
     killings = [Killing(chunks) for chunks in (2, 8)]
-    frames = bake_views(RenderEngine([scene], disturbed, workers=2), disturbed, views[::-1], killings)
+    frames = bake_views(
+        RenderEngine([scene], disturbed, workers=2), disturbed, views[::-1], killings
+    )
     assert all(killing.light != light for killing in killings) and light_in(disturbed) == light
-    assert [each.radiance.tobytes() for each in frames[::-1]] == [each.radiance.tobytes() for each in expected]
+    assert [each.radiance.tobytes() for each in frames[::-1]] == [
+        each.radiance.tobytes() for each in expected
+    ]
 
 
 @contextmanager
 def serving(store: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """``isogi serve`` as a process, and the URL that it tells."""
-    command = [sys.executable, "-m", "server", "serve", "demo:orbital", "--port", "0", "--workers", "1"]
-    process = subprocess.Popen([*command, "--store", str(store)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "serve",
+        "demo:orbital",
+        "--port",
+        "0",
+        "--workers",
+        "1",
+    ]
+    process = subprocess.Popen(
+        [*command, "--store", str(store)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     lines: queue.Queue[str] = queue.Queue()
     reader = threading.Thread(target=lambda: [lines.put(line) for line in process.stdout or ()])
@@ -128,10 +160,17 @@ def serving(store: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def test_no_worker_outlives_its_server(tmp_path: Path) -> None:
-    """One that is killed; one that is told to stop ends in ``tests/server/api/guards/test_stop.py``."""
+    """One that is killed; one that is told to stop ends in
+    ``tests/server/api/guards/test_stop.py``.
+    """
     with serving(tmp_path) as (process, url):
         assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
-        assert httpx.get(f"{url}/v1/scenes/orbital/frame?width=256&height=256", timeout=LONG).status_code == 200
+        assert (
+            httpx.get(
+                f"{url}/v1/scenes/orbital/frame?width=256&height=256", timeout=LONG
+            ).status_code
+            == 200
+        )
         family = psutil.Process(process.pid).children(recursive=True)
         assert sum(child.name() == WORKER_PROCESS_NAME for child in family) >= 1
         assert wait_for(lambda: len(list(tmp_path.glob("*/c/*/*/*/0"))) > 2, LONG)

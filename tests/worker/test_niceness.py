@@ -8,15 +8,20 @@ from tests.worker.clock import Clock
 from worker import niceness as nice
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, Sessions
 
-ANNA, BERT = 11, 12
+ANNA = 11
+BERT = 12
 LONG = 30.0
 
 
 class Kernel:
-    """Grants a change in so many seconds, and notes what was changed when, in tenths of a second."""
+    """Grants a change in so many seconds, and notes what was changed when, in tenths of a
+    second.
+    """
 
     def __init__(self, clock: Clock, every: float = 0.0) -> None:
-        self.clock, self.every, self.next = clock, every, 0.0
+        self.clock = clock
+        self.every = every
+        self.next = 0.0
         self.changes: list[tuple[int, int, int]] = []
 
     def __call__(self, pid: int, niceness: int) -> bool:
@@ -28,10 +33,13 @@ class Kernel:
 
 
 class Bench:
-    """Sessions whose thread waits no time; what is to happen meanwhile does so by a clock of its own."""
+    """Sessions whose thread waits no time; what is to happen meanwhile does so by a clock of its
+    own.
+    """
 
     def __init__(self, every: float = 0.0) -> None:
-        self.clock, self.leaders = Clock(), [ANNA, BERT]
+        self.clock = Clock()
+        self.leaders = [ANNA, BERT]
         self.kernel = Kernel(self.clock, every)
         self.plan: dict[int, Callable[[], None]] = {}
         self.sessions = Sessions(lambda: self.leaders, self.kernel, self.clock, self.pause)
@@ -66,7 +74,8 @@ def test_a_view_that_moves_on_prolongs_low_priority() -> None:
 
 def test_a_change_that_is_not_granted_is_tried_again() -> None:
     changes = Bench(every=0.19).run(0.5)
-    back, forward = [(tenth, BACK_NICENESS) for tenth in (0, 2)], [(tenth, FORWARD_NICENESS) for tenth in (5, 7)]
+    back = [(tenth, BACK_NICENESS) for tenth in (0, 2)]
+    forward = [(tenth, FORWARD_NICENESS) for tenth in (5, 7)]
     assert [(tenth, niceness) for tenth, _, niceness in changes] == back + forward
     assert {pid for _, pid, _ in changes[:2]} == {pid for _, pid, _ in changes[2:]} == {ANNA, BERT}
 
@@ -76,7 +85,12 @@ def test_a_session_goes_back_when_a_view_moves_again() -> None:
     bench.plan = {6: lambda: bench.sessions.step_back(0.3)}
     changes = [(tenth, niceness) for tenth, _, niceness in bench.run(0.5)]
     assert changes[:2] == [(0, BACK_NICENESS), (2, BACK_NICENESS)]
-    assert changes[2:] == [(5, FORWARD_NICENESS), (7, BACK_NICENESS), (9, FORWARD_NICENESS), (11, FORWARD_NICENESS)]
+    assert changes[2:] == [
+        (5, FORWARD_NICENESS),
+        (7, BACK_NICENESS),
+        (9, FORWARD_NICENESS),
+        (11, FORWARD_NICENESS),
+    ]
 
 
 def test_a_worker_that_is_started_anew_steps_back_too() -> None:
@@ -93,7 +107,10 @@ def test_closing_has_all_come_forward() -> None:
     while len(bench.kernel.changes) < 2:
         time.sleep(0.01)
     bench.sessions.close()
-    assert sorted(bench.kernel.changes[2:]) == [(0, ANNA, FORWARD_NICENESS), (0, BERT, FORWARD_NICENESS)]
+    assert sorted(bench.kernel.changes[2:]) == [
+        (0, ANNA, FORWARD_NICENESS),
+        (0, BERT, FORWARD_NICENESS),
+    ]
     assert bench.sessions._thread is None
 
 
@@ -114,6 +131,8 @@ def test_a_kernel_that_says_later_is_asked_again(
 ) -> None:
     """An unbuffered write gives None when the kernel says EAGAIN."""
     file = MagicMock()
-    file.__enter__.return_value.write = lambda said: answer if said == b"10" else pytest.fail("another niceness")
+    file.__enter__.return_value.write = lambda said: (
+        answer if said == b"10" else pytest.fail("another niceness")
+    )
     monkeypatch.setattr("builtins.open", lambda path, mode, buffering: file)
     assert nice.set_session_niceness(ANNA, BACK_NICENESS) is done

@@ -32,7 +32,14 @@ from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
 from worker.pool import CLUSTER_SETTINGS, TASKS_AHEAD, OwnClient, WorkerPool, hand_on_result
-from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, BakeTask, bake_kernels, open_spec
+from worker.tasks import (
+    OPENING_KERNELS,
+    PLAIN_LAYER_KINDS,
+    BakeResult,
+    BakeTask,
+    bake_kernels,
+    open_spec,
+)
 
 pytestmark = pytest.mark.cluster
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
@@ -51,7 +58,9 @@ CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING_KERNELS)
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
     folder = Path(numba.config.CACHE_DIR)
-    return {path.name: (path.stat().st_size, path.stat().st_mtime_ns) for path in folder.rglob("*.nb*")}
+    return {
+        path.name: (path.stat().st_size, path.stat().st_mtime_ns) for path in folder.rglob("*.nb*")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +76,9 @@ def pool(compiled: dict[str, tuple[int, int]]) -> Iterator[WorkerPool]:
     yield pool
     pids = pool.pids()
     pool.close()
-    assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=LONG)[1]
+    assert not psutil.wait_procs(
+        [psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=LONG
+    )[1]
 
 
 def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
@@ -97,7 +108,8 @@ def made(root: Path) -> StoreUrl:
 
 def tasks_for(store: Path, digest: str = SPEC.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    what, seen = (SCENE.source, SPEC.plan, digest, made(store)), np.ones(len(TEXELS), np.float32)
+    what = (SCENE.source, SPEC.plan, digest, made(store))
+    seen = np.ones(len(TEXELS), np.float32)
     return [BakeTask(*what, index, TEXELS, seen, 64, 0.5) for index in indices]
 
 
@@ -136,7 +148,9 @@ def test_baking_stands_behind_the_server(pool: WorkerPool) -> None:
 
 
 def in_autogroup() -> bool:
-    """Whether sessions share the cores here. A process in a control group of its own has an empty file instead."""
+    """Whether sessions share the cores here. A process in a control group of its own has an empty
+    file instead.
+    """
     own = Path("/proc/self/autogroup")
     return own.exists() and bool(own.read_text().strip())
 
@@ -155,7 +169,8 @@ def reach(pids: list[int], niceness: int) -> None:
 
 @needs_autogroups
 def test_worker_sessions_have_low_priority_while_a_view_moves(pool: WorkerPool) -> None:
-    pids, own = pool.pids(), session_niceness(os.getpid())
+    pids = pool.pids()
+    own = session_niceness(os.getpid())
     assert [os.getsid(pid) for pid in pids] == pids
     reach(pids, FORWARD_NICENESS)
     baker = Baker()
@@ -180,7 +195,10 @@ def test_all_listen_on_loopback_only(pool: WorkerPool) -> None:
 def test_nothing_but_health_is_served(pool: WorkerPool) -> None:
     assert pool._cluster is not None
     workers = pool._client.scheduler_info(n_workers=-1)["workers"].values()
-    ports = [pool._cluster.scheduler.http_server.port, *(worker["services"]["dashboard"] for worker in workers)]
+    ports = [
+        pool._cluster.scheduler.http_server.port,
+        *(worker["services"]["dashboard"] for worker in workers),
+    ]
     assert len(ports) == 1 + WORKERS
     for port in ports:
         assert httpx.get(f"http://127.0.0.1:{port}/health").text == "ok"
@@ -189,13 +207,24 @@ def test_nothing_but_health_is_served(pool: WorkerPool) -> None:
 
 
 def kernels_of_this_process() -> dict[str, bool]:
-    """The entry kernels that this process has loaded, by name, and whether it had to compile them."""
+    """The entry kernels that this process has loaded, by name, and whether it had to compile
+    them.
+    """
     import sys
 
     from isogi_core.kernels._jit import Entry
 
-    modules = [module for name, module in sys.modules.copy().items() if name.startswith("isogi_core.kernels.")]
-    entries = {x.name: x for module in modules for x in vars(module).copy().values() if isinstance(x, Entry)}
+    modules = [
+        module
+        for name, module in sys.modules.copy().items()
+        if name.startswith("isogi_core.kernels.")
+    ]
+    entries = {
+        x.name: x
+        for module in modules
+        for x in vars(module).copy().values()
+        if isinstance(x, Entry)
+    }
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 
@@ -216,18 +245,26 @@ def test_kernels_are_loaded_and_not_compiled_again(
     assert {name: after[name] for name in compiled} == compiled
 
 
-def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Those of the kinds that a pool is made for at once, others with the first task that needs them."""
+def test_missing_kernels_are_compiled_by_a_worker_meanwhile(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Those of the kinds that a pool is made for at once, others with the first task that needs
+    them.
+    """
     missing = set(PLAIN_LAYER_KINDS)
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
     monkeypatch.setitem(CLUSTER_SETTINGS, METHOD, "spawn")  # none that were stored before
     with closing(WorkerPool(1, kinds=("irradiance",))) as fresh:
         assert fresh.preparing == "The workers compile their kernels."
-        assert wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == named(IRRADIANCE), LONG)
+        assert wait_for(
+            lambda: set(*fresh._client.run(kernels_of_this_process).values()) == named(IRRADIANCE),
+            LONG,
+        )
         missing.remove("irradiance")
         assert fresh.preparing == ""
         assert {layer.kind for layer in SPEC.plan.layers} <= missing
-        tasks, ended = tasks_for(tmp_path), threading.Semaphore(0)
+        tasks = tasks_for(tmp_path)
+        ended = threading.Semaphore(0)
         fresh.submit(tasks[0], lambda *_: ended.release())
         assert fresh.preparing == "The workers compile their kernels."
         assert ended.acquire(timeout=LONG)
@@ -237,13 +274,22 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.
 def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     compiled: dict[str, tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Started with the preload of docker-compose.yml; nothing is sent to one of them, and its session is its own."""
+    """Started with the preload of docker-compose.yml; nothing is sent to one of them, and its
+    session is its own.
+    """
     preload = re.findall(r'"--preload", "([\w.]+)"', (ROOT / "docker-compose.yml").read_text())
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
-    kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
+    kwargs: dict[str, Any] = {
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+        "preload": preload,
+    }
     spawned = dask.config.set({METHOD: "spawn"})  # as on another machine
-    with spawned, LocalCluster(n_workers=1, threads_per_worker=1, silence_logs=50, **kwargs) as others:
+    with (
+        spawned,
+        LocalCluster(n_workers=1, threads_per_worker=1, silence_logs=50, **kwargs) as others,
+    ):
         joined = WorkerPool(1, others.scheduler_address)
         kernels = list(joined._client.run(kernels_of_this_process).values())
         joined.step_back(1e-3)
@@ -253,10 +299,14 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     assert sessions == [os.getsid(0)]
 
 
-def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(pool: WorkerPool, tmp_path: Path) -> None:
+def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(
+    pool: WorkerPool, tmp_path: Path
+) -> None:
     before = pool.pids()
     psutil.Process(before[0]).kill()
-    with suppress(LostWorkerError):  # where the death was known before, all tasks go to the other worker
+    with suppress(
+        LostWorkerError
+    ):  # where the death was known before, all tasks go to the other worker
         bake_all(pool, tasks_for(tmp_path))
     assert len(bake_all(pool, tasks_for(tmp_path))) == 4
     assert wait_for(lambda: len(pool.pids()) == WORKERS, LONG)
@@ -275,7 +325,8 @@ class Ended:
     """A future that seems to have ended, and whose result cannot be fetched."""
 
     def __init__(self, status: str, error: BaseException) -> None:
-        self.status, self.error = status, error
+        self.status = status
+        self.error = error
 
     def result(self) -> None:
         raise self.error
@@ -291,10 +342,16 @@ class Ended:
         ("cancelled", FutureCancelledError("bake", "the scheduler is gone"), WorkersAwayError),
     ],
 )
-def test_a_result_that_is_lost_on_its_way_is_an_error(status: str, error: Exception, kind: type[Exception]) -> None:
-    """Its worker may die before it is fetched: the error then came out of the callback, and nobody was told."""
+def test_a_result_that_is_lost_on_its_way_is_an_error(
+    status: str, error: Exception, kind: type[Exception]
+) -> None:
+    """Its worker may die before it is fetched: the error then came out of the callback, and nobody
+    was told.
+    """
     reported: list[tuple[BakeResult | None, BaseException | None]] = []
-    hand_on_result(cast("Future[Any]", Ended(status, error)), lambda *outcome: reported.append(outcome))
+    hand_on_result(
+        cast("Future[Any]", Ended(status, error)), lambda *outcome: reported.append(outcome)
+    )
     ((result, why),) = reported
     assert result is None
     assert type(why) is kind
@@ -302,7 +359,8 @@ def test_a_result_that_is_lost_on_its_way_is_an_error(status: str, error: Except
 
 def known_to(cluster: LocalCluster) -> Any:
     """A context in which this process shows the certificate of a cluster."""
-    made, tls = cluster.security, "distributed.comm.tls"
+    made = cluster.security
+    tls = "distributed.comm.tls"
     own = {f"{tls}.client.cert": made.tls_client_cert, f"{tls}.client.key": made.tls_client_key}
     return dask.config.set({f"{tls}.ca-file": made.tls_ca_file, **own})
 
@@ -322,7 +380,8 @@ def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path:
 
 def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) -> None:
     assert pool._cluster is not None
-    scheduler, reported = pool._cluster.scheduler, list[logging.LogRecord]()
+    scheduler = pool._cluster.scheduler
+    reported = list[logging.LogRecord]()
     handler = logging.Handler()
     handler.emit = reported.append  # type: ignore[method-assign]
     logging.getLogger("distributed.scheduler").addHandler(handler)
@@ -344,19 +403,28 @@ def test_a_scheduler_that_cannot_be_reached_is_an_error(address: str) -> None:
 def lone_scheduler(port: int = 0) -> LocalCluster:
     """A scheduler on loopback that no worker has joined."""
     return LocalCluster(
-        n_workers=0, host="127.0.0.1", scheduler_port=port, dashboard_address="127.0.0.1:0", silence_logs=50
+        n_workers=0,
+        host="127.0.0.1",
+        scheduler_port=port,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
     )
 
 
-def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dask's client may find it before the pool has seen that it was away, and is not told of its workers then."""
+def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dask's client may find it before the pool has seen that it was away, and is not told of its
+    workers then.
+    """
     first = lone_scheduler()
     joined = WorkerPool(1, first.scheduler_address)
     try:
         assert "No worker has joined" in joined.trouble
         monkeypatch.setattr("worker.pool.CHECK_SECONDS", LONG)
         time.sleep(1.5)
-        client, port = joined._client, int(first.scheduler_address.rpartition(":")[2])
+        client = joined._client
+        port = int(first.scheduler_address.rpartition(":")[2])
         first.close()
         with lone_scheduler(port) as second:
             assert wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id, LONG)

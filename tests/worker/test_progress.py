@@ -1,7 +1,14 @@
 import pytest
 
 from tests.worker.clock import Clock
-from worker.progress import ASSUMED_WORK_RATIOS, MAX_KNOWN_RATIOS, PACE_WINDOW_SECONDS, Pace, TimeEstimator, TimeLeft
+from worker.progress import (
+    ASSUMED_WORK_RATIOS,
+    MAX_KNOWN_RATIOS,
+    PACE_WINDOW_SECONDS,
+    Pace,
+    TimeEstimator,
+    TimeLeft,
+)
 
 
 @pytest.fixture
@@ -14,7 +21,9 @@ def estimator(clock: Clock) -> TimeEstimator:
     return TimeEstimator(clock)
 
 
-def watch(estimator: TimeEstimator, clock: Clock, subject: str, work: int, truth: float) -> TimeLeft:
+def watch(
+    estimator: TimeEstimator, clock: Clock, subject: str, work: int, truth: float
+) -> TimeLeft:
     """What is first told of ``work`` that takes ``truth`` times as long as it was estimated to."""
     first = estimator.estimate(subject, float(work), clock.now)
     clock.now += truth * work
@@ -29,10 +38,15 @@ def test_nothing_left_takes_no_time(estimator: TimeEstimator) -> None:
 def test_the_range_is_wide_until_something_is_known(estimator: TimeEstimator) -> None:
     reported = estimator.estimate("view", 10.0, 0.0)
     assert (reported.low, reported.likely, reported.high) == pytest.approx((3.5, 10.0, 32.0))
-    assert min(ASSUMED_WORK_RATIOS) * 10.0 < reported.low and reported.high < max(ASSUMED_WORK_RATIOS) * 10.0
+    assert (
+        min(ASSUMED_WORK_RATIOS) * 10.0 < reported.low
+        and reported.high < max(ASSUMED_WORK_RATIOS) * 10.0
+    )
 
 
-def test_predictions_are_corrected_by_what_came_of_earlier_ones(estimator: TimeEstimator, clock: Clock) -> None:
+def test_predictions_are_corrected_by_what_came_of_earlier_ones(
+    estimator: TimeEstimator, clock: Clock
+) -> None:
     assert watch(estimator, clock, "view", 10, 3.0).likely == 10.0
     for turn in range(len(ASSUMED_WORK_RATIOS)):
         watch(estimator, clock, f"view {turn}", 10, 3.0)
@@ -48,7 +62,9 @@ def test_the_range_holds_four_of_five_outcomes(estimator: TimeEstimator, clock: 
     for turn in range(4 * MAX_KNOWN_RATIOS):
         watch(estimator, clock, f"view {turn}", 10, 1.0 + turn % 11 / 10.0)
     reported = estimator.estimate("next", 1.0, clock.now)
-    assert (reported.low, reported.likely, reported.high) == pytest.approx((1.05, 1.5, 1.95), abs=0.06)
+    assert (reported.low, reported.likely, reported.high) == pytest.approx(
+        (1.05, 1.5, 1.95), abs=0.06
+    )
 
 
 def test_a_view_that_was_left_is_not_judged(estimator: TimeEstimator, clock: Clock) -> None:
@@ -58,14 +74,18 @@ def test_a_view_that_was_left_is_not_judged(estimator: TimeEstimator, clock: Clo
     assert estimator.estimate("view", 10.0, clock.now) == before
 
 
-def test_a_view_that_nobody_works_on_teaches_nothing(estimator: TimeEstimator, clock: Clock) -> None:
+def test_a_view_that_nobody_works_on_teaches_nothing(
+    estimator: TimeEstimator, clock: Clock
+) -> None:
     before = estimator.estimate("view", 1.0, worked=7.0)
     for _ in range(200):
         clock.now += 0.5
         assert estimator.estimate("view", 1.0, worked=7.0) == before
 
 
-def test_work_for_others_counts_for_views_that_take_turns(estimator: TimeEstimator, clock: Clock) -> None:
+def test_work_for_others_counts_for_views_that_take_turns(
+    estimator: TimeEstimator, clock: Clock
+) -> None:
     """Each second of work is for one of two: in the end twice as much was done as was estimated."""
     for turn in range(MAX_KNOWN_RATIOS):
         for worked, left in ((0.0, 1.0), (1.0, 0.5), (2.0, 0.0)):
@@ -75,8 +95,12 @@ def test_work_for_others_counts_for_views_that_take_turns(estimator: TimeEstimat
     assert 1.4 < estimator.estimate("another", 1.0, 0.0).likely <= 2.0
 
 
-def test_work_that_does_not_end_when_it_should_is_told_as_longer(estimator: TimeEstimator, clock: Clock) -> None:
-    """Light that needs more paths than was thought: ten seconds are left, and left again, while workers work."""
+def test_work_that_does_not_end_when_it_should_is_told_as_longer(
+    estimator: TimeEstimator, clock: Clock
+) -> None:
+    """Light that needs more paths than was thought: ten seconds are left, and left again, while
+    workers work.
+    """
     reported = []
     for second in range(60):
         reported.append(estimator.estimate("view", 10.0, worked=float(second)))
@@ -87,7 +111,9 @@ def test_work_that_does_not_end_when_it_should_is_told_as_longer(estimator: Time
 
 
 def test_less_work_than_was_thought_is_told_as_less(estimator: TimeEstimator, clock: Clock) -> None:
-    """What is found to be less, without work, says that estimates are high, once some was worked."""
+    """What is found to be less, without work, says that estimates are high, once some was
+    worked.
+    """
     for turn in range(MAX_KNOWN_RATIOS):
         estimator.estimate(f"view {turn}", 10.0, 5.0 * turn)
         estimator.estimate(f"view {turn}", 4.0, 5.0 * turn + 1.0)

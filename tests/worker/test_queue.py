@@ -54,8 +54,13 @@ def request(
     viewer: Viewer = GUEST_VIEWER,
 ) -> None:
     """One view that demands chunks (x, weight)."""
-    offsets, seen = np.array(texels, np.int32), np.array(texels, np.float32)
-    queue.request([(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands], target, viewer)
+    offsets = np.array(texels, np.int32)
+    seen = np.array(texels, np.float32)
+    queue.request(
+        [(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands],
+        target,
+        viewer,
+    )
 
 
 def taken_from(queue: BakeQueue) -> BakeRequest:
@@ -130,7 +135,12 @@ def test_converged_chunks_wait_for_noisy_ones(queue: BakeQueue) -> None:
 def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) -> None:
     request(queue, (1, 1.0), target=0.1)
     steps = []
-    for samples, more in ((16, 2.0 * LONG_TASK_PATHS), (32, LONG_TASK_PATHS + 1.0), (64, LONG_TASK_PATHS), (0, 0.0)):
+    for samples, more in (
+        (16, 2.0 * LONG_TASK_PATHS),
+        (32, LONG_TASK_PATHS + 1.0),
+        (64, LONG_TASK_PATHS),
+        (0, 0.0),
+    ):
         taken = taken_from(queue)
         steps.append(taken.until)
         end(queue, 1, BakeResult(2, 0.5, Effort(0, 2.0 * samples, more, lit=2), Cost(0.01, 100)))
@@ -170,8 +180,12 @@ def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> Non
     assert (taken.target, taken.priority) == (0.05, 3.0 / (3 * FIRST_LEVEL))
 
 
-def test_the_target_is_known_without_merging_texels(queue: BakeQueue, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame asks for the time left of hundreds of chunks, each of which many views may want."""
+def test_the_target_is_known_without_merging_texels(
+    queue: BakeQueue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every frame asks for the time left of hundreds of chunks, each of which many views may
+    want.
+    """
     for target in (0.1, 0.05, 0.2):
         request(queue, (1, 1.0), target=target, viewer=Viewer(target, 1))
     monkeypatch.setattr(bake_requests, "merged", lambda _: pytest.fail("texels were merged"))
@@ -196,11 +210,16 @@ def test_a_stricter_target_starts_from_the_first_level(queue: BakeQueue) -> None
     assert queue.requests[key(1)].until == FIRST_LEVEL
 
 
-@pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
-def test_a_request_that_grew_in_flight_stays(queue: BakeQueue, texels: tuple[int, ...], target: float) -> None:
+@pytest.mark.parametrize(
+    ("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)]
+)
+def test_a_request_that_grew_in_flight_stays(
+    queue: BakeQueue, texels: tuple[int, ...], target: float
+) -> None:
     request(queue, (1, 1.0))
     flown = taken_from(queue)
-    offsets, former = flown.offsets, flown.target
+    offsets = flown.offsets
+    former = flown.target
     request(queue, (1, 50.0), (2, 20.0), texels=texels, target=target)
     queue.finish(key(1), offsets, former, DONE)
     again = taken_from(queue)
@@ -324,7 +343,8 @@ def test_a_request_in_flight_does_not_expire(queue: BakeQueue, clock: Clock) -> 
     assert queue.open([key(1)]) == []
 
 
-ANNA, BERT = Viewer("Anna", single=True), Viewer("Bert", single=True)
+ANNA = Viewer("Anna", single=True)
+BERT = Viewer("Bert", single=True)
 PREWARM = Viewer("prewarm", patient=True)
 
 
@@ -358,7 +378,8 @@ def test_a_request_in_flight_ends_with_its_task_after_a_leave(queue: BakeQueue) 
 
 
 def test_an_early_end_of_a_visit_keeps_older_requests(queue: BakeQueue) -> None:
-    first, second = Viewer("home", 1), Viewer("home", 2)
+    first = Viewer("home", 1)
+    second = Viewer("home", 2)
     request(queue, (1, 1.0), (2, 1.0), viewer=first)
     request(queue, (2, 1.0), (3, 1.0), viewer=second)
     queue.leave(second)
@@ -374,7 +395,12 @@ def test_viewers_take_turns_by_the_seconds_that_they_were_served(queue: BakeQueu
         (client,) = taken.interests
         cost = 0.3 if client == "Bert" else 0.1
         served[str(client)] += cost
-        queue.finish(taken.key, taken.offsets, taken.target, BakeResult(0, 0.0, UNLIT, Cost(cost, 48, 3, 0.1)))
+        queue.finish(
+            taken.key,
+            taken.offsets,
+            taken.target,
+            BakeResult(0, 0.0, UNLIT, Cost(cost, 48, 3, 0.1)),
+        )
     assert served["Anna"] == pytest.approx(served["Bert"], abs=0.4)
 
 
@@ -401,8 +427,12 @@ def test_a_chunk_that_two_see_counts_for_both(queue: BakeQueue) -> None:
 
 def test_of_equals_the_nearest_to_final_comes_first(queue: BakeQueue) -> None:
     far, near = Effort(0, 48.0, 900.0), Effort(0, 48.0, 100.0)
-    texels, seen = np.array([1, 2, 3], np.int32), np.ones(3, np.float32)
-    both = [(key(x), Demand((0, 0, x), texels, 1.0, effort, seen)) for x, effort in ((1, far), (2, near))]
+    texels = np.array([1, 2, 3], np.int32)
+    seen = np.ones(3, np.float32)
+    both = [
+        (key(x), Demand((0, 0, x), texels, 1.0, effort, seen))
+        for x, effort in ((1, far), (2, near))
+    ]
     queue.request(both, 0.1)
     assert [take(queue) for _ in range(2)] == [2, 1]
 
@@ -413,13 +443,16 @@ CHUNK = np.arange(512, dtype=np.int32)
 
 def whole_chunks(queue: BakeQueue, viewer: Viewer, unlit: int = len(CHUNK)) -> None:
     """A view that demands two whole chunks, the first of which looks more wrong."""
-    seen, effort = np.ones(len(CHUNK), np.float32), Effort(unlit, 0.0, 0.0)
+    seen = np.ones(len(CHUNK), np.float32)
+    effort = Effort(unlit, 0.0, 0.0)
     demands = [(key(x), Demand((0, 0, x), CHUNK, 9.0 / x, effort, seen, bits=3)) for x in (1, 2)]
     queue.request(demands, 0.1, viewer)
 
 
 def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
-    """Of all chunks, before any has the rest; who is patient has all at once, and so has what had some light."""
+    """Of all chunks, before any has the rest; who is patient has all at once, and so has what had
+    some light.
+    """
     whole_chunks(queue, ANNA)
     for texels in (128, 512):
         taken = [taken_from(queue), taken_from(queue)]
@@ -473,7 +506,8 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
 def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
     """Not by all that their texels will ever take: where that is long, a task climbs one level."""
     effort = Effort(0, 48.0, 1e6, lit=3)
-    queue, lit = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 150.0), BakeResult(3, 1.0, effort, Cost(9.0, 48))
+    queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 150.0)
+    lit = BakeResult(3, 1.0, effort, Cost(9.0, 48))
     request(queue, *((x, 1.0) for x in range(4)))
     assert sum(take(queue) is not None for _ in range(4)) == 4
     for x in range(4):

@@ -64,7 +64,9 @@ def task(
 ) -> BakeTask:
     """A task for a chunk, all of whose texels are seen alike."""
     seen = np.ones(len(texels), np.float32)
-    return BakeTask(SCENE.source, spec.plan, spec.digest, made(root), INDEX, texels, seen, until, target, **more)
+    return BakeTask(
+        SCENE.source, spec.plan, spec.digest, made(root), INDEX, texels, seen, until, target, **more
+    )
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, **more: Any) -> BakeResult:
@@ -135,17 +137,25 @@ def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> None:
-    """Texels of one chunk are far more visible than those of the other, and one of them has light already."""
+    """Texels of one chunk are far more visible than those of the other, and one of them has light
+    already.
+    """
     for root, together in ((tmp_path / "a", False), (tmp_path / "b", True)):
         do(root, TEXELS[::2], until=32)
         what = SCENE.source, SPEC.plan, SPEC.digest, made(root)
         wanted = [(INDEX, TEXELS, SEEN), ((1, 1, 1), TEXELS[::3], 100.0 * SEEN[::3])]
         tasks = [BakeTask(*what, *each, 256, 0.01) for each in wanted]
-        results = bake_all(tasks) if together else [bake(task) for task in tasks]
+        if together:
+            results = bake_all(tasks)
+        else:
+            results = [bake(task) for task in tasks]
         assert all(isinstance(result, BakeResult) and result.cost.paths for result in results)
     paths = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("c/*/*/*/0")]
     assert len(paths) == 2 * len(SPEC.plan.layers)
-    assert all((tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes() for path in paths)
+    assert all(
+        (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
+        for path in paths
+    )
 
 
 def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
@@ -155,7 +165,9 @@ def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
     assert isinstance(broken, ValueError)
 
 
-def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_baker_claims_chunks_after_contention(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two bake the same at the same time; afterwards each claims its chunks."""
     one, other = (task(tmp_path, until=16, owner=owner) for owner in ("one", "other"))
     seen: list[list[bytes]] = []
@@ -223,20 +235,30 @@ def test_vicinity_shading_reads_the_layer_that_is_there(tmp_path: Path) -> None:
     before = stored(tmp_path)
     assert do(tmp_path, until=64, target=0.5, spec=VICINITY).unfinished == 0
     assert stored(tmp_path) == before
-    light = open_spec(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
+    light = (
+        open_spec(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
+    )
     assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
     assert (light.samples >= 64).all()
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [
-    *(lambda b: b"", lambda b: b[: len(b) // 2], lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"more"),
+    *(
+        lambda b: b"",
+        lambda b: b[: len(b) // 2],
+        lambda b: b[:-1],
+        lambda b: bytes(len(b)),
+        lambda b: b + b"more",
+    ),
     lambda b: b[:40] + bytes([b[40] ^ 1]) + b[41:],
 ]
 
 
 @pytest.mark.parametrize("layer", [0, 1])
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callable[[bytes], bytes], layer: int) -> None:
+def test_a_damaged_chunk_heals_to_the_same_bytes(
+    tmp_path: Path, damage: Callable[[bytes], bytes], layer: int
+) -> None:
     do(tmp_path)
     path = Path(store_of(tmp_path).layers[layer].path, "c", *map(str, INDEX), "0")
     whole = stored(tmp_path)
@@ -249,12 +271,15 @@ def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callabl
 @pytest.mark.parametrize("layer", [0, 1])
 @pytest.mark.parametrize("rest", [0, 1], ids=["of all texels", "of others"])
 def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest: int) -> None:
-    """A layer may be lost, or read while another writes it: whoever bakes of the chunk then marks void texels anew."""
+    """A layer may be lost, or read while another writes it: whoever bakes of the chunk then marks
+    void texels anew.
+    """
     texels = np.arange(16**3, dtype=np.int32)[:1024]
     do(tmp_path, texels)
     store = store_of(tmp_path)
     path = Path(store.layers[layer].path, "c", *map(str, INDEX), "0")
-    whole, void = stored(tmp_path), texels[store.load(INDEX).light.void]
+    whole = stored(tmp_path)
+    void = texels[store.load(INDEX).light.void]
     assert len(void) > 0
     path.unlink()
     do(tmp_path, np.setdiff1d(texels, void) if rest else texels)
@@ -262,7 +287,9 @@ def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
+    with pytest.raises(
+        SceneError, match=r"'orbital' have changed since the server began: restart it\.$"
+    ):
         bake(replace(task(tmp_path, until=16), digest="0" * 20))
     assert [path.name for path in tmp_path.iterdir()] == [SENTINEL_KEY]
 
@@ -271,13 +298,16 @@ def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
     """An empty mount point, say: what is baked there would be lost when the disk is back."""
     (tmp_path / "empty").mkdir()
     with pytest.raises(StoreAwayError, match="is gone") as reported:
-        bake(replace(task(tmp_path / "made", until=16), store_url=StoreUrl(str(tmp_path / "empty"))))
+        bake(
+            replace(task(tmp_path / "made", until=16), store_url=StoreUrl(str(tmp_path / "empty")))
+        )
     assert not list((tmp_path / "empty").iterdir())
     assert str(pickle.loads(pickle.dumps(reported.value))) == str(reported.value)
 
 
 async def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    answered, loaded = threading.Event(), list[bool]()
+    answered = threading.Event()
+    loaded = list[bool]()
 
     def load(kinds: Collection[str]) -> None:
         loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
@@ -298,7 +328,9 @@ def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
 def test_a_worker_without_the_files_leaves_the_same_bytes(
     small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the scene's folder away, as on another machine: the volume comes from the store, by its digest."""
+    """With the scene's folder away, as on another machine: the volume comes from the store, by its
+    digest.
+    """
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     shutil.copytree(small_scene.parent, tmp_path / "away")
     scene = load_scene(tmp_path / "away" / small_scene.name)
@@ -311,9 +343,12 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
     there = replace(here, store_url=made(tmp_path / "other"), assets=assets)
     assert bake(there).cost.paths > 0
     own, other = (
-        open_spec(each.source, each.plan, each.digest, each.store_url, each.assets)[1] for each in (here, there)
+        open_spec(each.source, each.plan, each.digest, each.store_url, each.assets)[1]
+        for each in (here, there)
     )
-    assert [layer.read((0, 0, 0)) for layer in other.layers] == [layer.read((0, 0, 0)) for layer in own.layers]
+    assert [layer.read((0, 0, 0)) for layer in other.layers] == [
+        layer.read((0, 0, 0)) for layer in own.layers
+    ]
     assert all(layer.read((0, 0, 0)) for layer in own.layers)
     OPEN.clear()  # as in a process that has not had them
     with pytest.raises(VolumeError, match="There is no file"):
@@ -326,7 +361,9 @@ def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> No
     assert spec.digest not in (SPEC.digest, replace(spec, shown=0.123).digest)
 
     def stored_after(name: str, *untils: int) -> list[bytes | None]:
-        results = [do(tmp_path / name, until=until, spec=spec, shown=spec.shown) for until in untils]
+        results = [
+            do(tmp_path / name, until=until, spec=spec, shown=spec.shown) for until in untils
+        ]
         assert results[-1].unfinished == 0
         return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), spec).layers]
 
@@ -344,6 +381,10 @@ def test_scenes_in_other_light_share_what_is_open(small_scene: Path) -> None:
     first = opened(own.source)
     lit = opened(replace(own.source, document={**own.source.document, "environment": "studio"}))
     assert lit.scene.volume is first.scene.volume and lit.field is first.field
-    assert lit.scene.digest == load_scene(small_scene, environment="studio").digest != first.scene.digest
+    assert (
+        lit.scene.digest
+        == load_scene(small_scene, environment="studio").digest
+        != first.scene.digest
+    )
     raw = opened(replace(own.source, document={**own.source.document, "spacing": [1.0, 1.0, 2.0]}))
     assert raw.scene.volume is not first.scene.volume, "it lies otherwise"

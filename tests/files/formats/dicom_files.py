@@ -7,7 +7,9 @@ import numpy as np
 
 
 def dataset(array: np.ndarray, lps: np.ndarray, number: int, **changes: Any) -> Any:
-    """One slice: the pixels (rows, columns) of the layer ``number`` of a volume whose affine, (4, 4), is ``lps``."""
+    """One slice: the pixels (rows, columns) of the layer ``number`` of a volume whose affine, (4,
+    4), is ``lps``.
+    """
     from pydicom.dataset import Dataset, FileMetaDataset
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
@@ -17,14 +19,20 @@ def dataset(array: np.ndarray, lps: np.ndarray, number: int, **changes: Any) -> 
     made.file_meta.MediaStorageSOPClassUID = made.SOPClassUID = CTImageStorage
     made.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
     made.SOPInstanceUID = made.file_meta.MediaStorageSOPInstanceUID = f"1.2.3.{number + 1}"
-    made.SeriesInstanceUID, made.SeriesNumber, made.SeriesDescription = "1.2.4.1", 1, "an F"
+    made.SeriesInstanceUID = "1.2.4.1"
+    made.SeriesNumber = 1
+    made.SeriesDescription = "an F"
     made.InstanceNumber = number + 1
     made.Rows, made.Columns = array.shape
     made.ImageOrientationPatient = [f"{x:.9g}" for x in (lps[:3, :2] / steps[:2]).T.ravel()]
     made.ImagePositionPatient = [f"{x:.9g}" for x in lps[:3, 3] + number * lps[:3, 2]]
     made.PixelSpacing = [f"{steps[1]:.9g}", f"{steps[0]:.9g}"]
-    made.SamplesPerPixel, made.PhotometricInterpretation = 1, "MONOCHROME2"
-    made.BitsAllocated, made.BitsStored, made.HighBit, made.PixelRepresentation = 16, 16, 15, 1
+    made.SamplesPerPixel = 1
+    made.PhotometricInterpretation = "MONOCHROME2"
+    made.BitsAllocated = 16
+    made.BitsStored = 16
+    made.HighBit = 15
+    made.PixelRepresentation = 1
     made.PixelData = array.astype("<i2").tobytes()
     for name, value in changes.items():
         setattr(made, name, value)

@@ -25,7 +25,11 @@ def present(name: str) -> bool:
 def written(folder: Path) -> list[Path]:
     """Files in a ``folder``, which is made."""
     folder.mkdir(exist_ok=True)
-    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, netcdf, vti) for path in write(folder)]
+    return [
+        path
+        for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, netcdf, vti)
+        for path in write(folder)
+    ]
 
 
 def numpy_files(folder: Path) -> Iterator[Path]:
@@ -45,7 +49,9 @@ def nifti(folder: Path) -> Iterator[Path]:
 
 def dicom(folder: Path) -> Iterator[Path]:
     if present("pydicom"):
-        made: Any = dataset(F[0], affine(), 0, NumberOfFrames=12, PixelData=F.astype("<i2").tobytes())
+        made: Any = dataset(
+            F[0], affine(), 0, NumberOfFrames=12, PixelData=F.astype("<i2").tobytes()
+        )
         made.save_as(folder / "f.dcm", enforce_file_format=True)
         yield folder / "f.dcm"
 
@@ -83,18 +89,26 @@ def netcdf(folder: Path) -> Iterator[Path]:
         yield folder / "f.nc"
 
 
-def write_classic(path: Path, fields: dict[str, np.ndarray], version: int = 1, **coordinates: tuple[Any, str]) -> None:
-    """Write a classic NetCDF file of ``fields`` (z, y, x), or with time before these, which is its record.
+def write_classic(
+    path: Path, fields: dict[str, np.ndarray], version: int = 1, **coordinates: tuple[Any, str]
+) -> None:
+    """Write a classic NetCDF file of ``fields`` (z, y, x), or with time before these, which is its
+    record.
 
     ``coordinates`` of dimensions are values and a unit.
     """
     with import_module("scipy.io").netcdf_file(path, "w", version=version) as file:
-        sizes = {name: n for field in fields.values() for name, n in zip("xyzt", field.shape[::-1], strict=False)}
+        sizes = {
+            name: n
+            for field in fields.values()
+            for name, n in zip("xyzt", field.shape[::-1], strict=False)
+        }
         for name in sorted(sizes, key="tzyx".index):  # records come first
             file.createDimension(name, None if name == "t" else sizes[name])
         for name, (values, unit) in coordinates.items():
             made = file.createVariable(name, "f8", (name,))
-            made[:], made.units = values, unit
+            made[:] = values
+            made.units = unit
         for name, field in fields.items():
             file.createVariable(name, field.dtype, tuple("tzyx"[-field.ndim :]))[:] = field
 
@@ -102,8 +116,17 @@ def write_classic(path: Path, fields: dict[str, np.ndarray], version: int = 1, *
 def metaimage(folder: Path) -> Iterator[Path]:
     """Files that no upload may be: what reads them needs a path."""
     nz, ny, nx = F.shape
-    lines = ["ObjectType = Image", "NDims = 3", "BinaryData = True", "BinaryDataByteOrderMSB = False"]
-    lines += ["CompressedData = {packed}", f"DimSize = {nx} {ny} {nz}", "ElementSpacing = 1 1.25 1.5"]
+    lines = [
+        "ObjectType = Image",
+        "NDims = 3",
+        "BinaryData = True",
+        "BinaryDataByteOrderMSB = False",
+    ]
+    lines += [
+        "CompressedData = {packed}",
+        f"DimSize = {nx} {ny} {nz}",
+        "ElementSpacing = 1 1.25 1.5",
+    ]
     header = "\n".join([*lines, "ElementType = MET_SHORT", "ElementDataFile = LOCAL", ""])
     body = F.astype("<i2").tobytes()
     for name, packed, data in (("f.mha", "False", body), ("g.mha", "True", zlib.compress(body))):

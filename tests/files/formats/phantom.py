@@ -1,4 +1,6 @@
-"""A letter F in relief, in the world of a patient, as arrays that lie in it in any of the 48 ways of a box."""
+"""A letter F in relief, in the world of a patient, as arrays that lie in it in any of the 48 ways
+of a box.
+"""
 
 from itertools import permutations, product
 from typing import Any
@@ -15,7 +17,9 @@ ORIGIN = (-7.0, 31.5, -4.25)
 
 
 def letter() -> np.ndarray:
-    """The phantom (z, y, x) int16: a plate with an F upon it, and soft edges; no turn or mirror brings it to itself."""
+    """The phantom (z, y, x) int16: a plate with an F upon it, and soft edges; no turn or mirror
+    brings it to itself.
+    """
     f = np.zeros(SIZE)
     f[2:14, 2:18, 2:5] = 400.0
     f[4:7, 3:17, 5:9] = 800.0
@@ -36,7 +40,9 @@ WAYS = [(order, signs) for order in permutations(range(3)) for signs in product(
 
 
 def lying(order: tuple[int, ...], signs: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The phantom as an array (z, y, x) whose index axes lie as told, and its affine; the world is the same."""
+    """The phantom as an array (z, y, x) whose index axes lie as told, and its affine; the world is
+    the same.
+    """
     whole = letter().transpose(2, 1, 0)
     array = np.transpose(whole, order)[tuple(slice(None, None, sign) for sign in signs)]
     back = np.zeros((4, 4))

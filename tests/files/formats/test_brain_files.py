@@ -27,9 +27,11 @@ F = letter()
 def check(path: Path, loaded: Any, **chosen: int) -> Grid:
     """The grid of a file, whose values lie in the world where nibabel has them."""
     grid = on_right_angles(open_file(path, chosen))
-    found, orientation = grid.whole(), Orientation.of(grid)
+    found = grid.whole()
+    orientation = Orientation.of(grid)
     values = np.asarray(loaded.dataobj)
-    values = values[..., chosen["time"]] if values.ndim == 4 else values
+    if values.ndim == 4:
+        values = values[..., chosen["time"]]
     for index in product(*((0, n // 3, n - 1) for n in values.shape)):
         place = nib.affines.apply_affine(loaded.affine, index)
         box = np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)
@@ -53,7 +55,9 @@ def test_numbers_of_freesurfer_are_read(tmp_path: Path, kind: str) -> None:
     nib.save(nib.MGHImage((F // 8).astype(kind).T, affine()), tmp_path / "f.mgz")
     check(tmp_path / "f.mgz", nib.load(tmp_path / "f.mgz"))
     with (tmp_path / "f.mgz").open("rb") as file:
-        np.testing.assert_array_equal(open_upload(file, "f.mgz", 1 << 20).whole(), (F // 8).astype(kind))
+        np.testing.assert_array_equal(
+            open_upload(file, "f.mgz", 1 << 20).whole(), (F // 8).astype(kind)
+        )
 
 
 def test_steps_in_time_of_freesurfer_are_a_series(tmp_path: Path) -> None:
@@ -77,8 +81,12 @@ def test_a_file_of_freesurfer_that_does_not_say_how_it_lies(tmp_path: Path) -> N
 @pytest.mark.parametrize("kind", ["AnalyzeImage", "Spm99AnalyzeImage", "Spm2AnalyzeImage"])
 @pytest.mark.parametrize("name", ["f.hdr", "f.img"])
 @pytest.mark.parametrize("order", "<>")
-def test_a_pair_of_analyze_is_read_with_its_sides(tmp_path: Path, kind: str, name: str, order: str) -> None:
-    image = getattr(nib, kind)(F.T, np.diag([-1.0, 1.25, 1.5, 1.0]), getattr(nib, kind).header_class(endianness=order))
+def test_a_pair_of_analyze_is_read_with_its_sides(
+    tmp_path: Path, kind: str, name: str, order: str
+) -> None:
+    image = getattr(nib, kind)(
+        F.T, np.diag([-1.0, 1.25, 1.5, 1.0]), getattr(nib, kind).header_class(endianness=order)
+    )
     nib.save(image, tmp_path / "f.img")
     (tmp_path / "f.mat").unlink(missing_ok=True)
     grid = check(tmp_path / name, nib.load(tmp_path / "f.hdr"))
@@ -102,15 +110,23 @@ def test_slopes_of_analyze_are_applied(tmp_path: Path) -> None:
 
 
 def write_afni(path: Path, bricks: np.ndarray, placed: np.ndarray, **more: tuple[str, Any]) -> None:
-    """Write the header and the voxels (bricks, z, y, x) of AFNI's pair; attributes are their type and their value."""
+    """Write the header and the voxels (bricks, z, y, x) of AFNI's pair; attributes are their type
+    and their value.
+    """
     lps = (placed[:3] * [[-1.0], [-1.0], [1.0]]).ravel()
     whole = {
         "DATASET_RANK": ("integer", [3, len(bricks)]),
         "DATASET_DIMENSIONS": ("integer", bricks.shape[:0:-1]),
         "DELTA": ("float", np.linalg.norm(placed[:3, :3], axis=0)),
         "IJK_TO_DICOM_REAL": ("float", lps),
-        "BRICK_TYPES": ("integer", [{"u1": 0, "i2": 1, "f4": 3}[bricks.dtype.str[1:]]] * len(bricks)),
-        "BYTEORDER_STRING": ("string", "MSB_FIRST" if bricks.dtype.byteorder == ">" else "LSB_FIRST"),
+        "BRICK_TYPES": (
+            "integer",
+            [{"u1": 0, "i2": 1, "f4": 3}[bricks.dtype.str[1:]]] * len(bricks),
+        ),
+        "BYTEORDER_STRING": (
+            "string",
+            "MSB_FIRST" if bricks.dtype.byteorder == ">" else "LSB_FIRST",
+        ),
         **more,
     }
     lines = [
@@ -138,11 +154,19 @@ def test_a_pair_of_afni_lies_where_nibabel_says(tmp_path: Path, way: int, kind: 
 def test_bricks_of_afni_have_slopes_of_each(tmp_path: Path) -> None:
     facs = ("float", [0.5, 0.0, 3.0])
     series = ("integer", [3, 0, 77001])
-    write_afni(tmp_path / "f+tlrc.HEAD", np.stack([F, F, F]), affine(), BRICK_FLOAT_FACS=facs, TAXIS_NUMS=series)
+    write_afni(
+        tmp_path / "f+tlrc.HEAD",
+        np.stack([F, F, F]),
+        affine(),
+        BRICK_FLOAT_FACS=facs,
+        TAXIS_NUMS=series,
+    )
     grid = open_file(tmp_path / "f+tlrc.HEAD", {})
     assert (grid.moment, grid.unchosen) == ((0, 3), True)
     for time, slope in enumerate((0.5, 1.0, 3.0)):
-        np.testing.assert_array_equal(open_file(tmp_path / "f+tlrc.HEAD", {"time": time}).whole(), F * slope)
+        np.testing.assert_array_equal(
+            open_file(tmp_path / "f+tlrc.HEAD", {"time": time}).whole(), F * slope
+        )
         check(tmp_path / "f+tlrc.HEAD", nib.load(tmp_path / "f+tlrc.HEAD"), time=time)
 
 
@@ -150,7 +174,9 @@ def test_bricks_of_afni_that_are_no_series_are_channels(tmp_path: Path) -> None:
     write_afni(tmp_path / "f+orig.HEAD", np.stack([F, F + 1]), affine())
     with pytest.raises(VolumeError, match="has 2 channels: choose one by channel = 0 to 1"):
         open_file(tmp_path / "f+orig.HEAD", {})
-    np.testing.assert_array_equal(open_file(tmp_path / "f+orig.HEAD", {"channel": 1}).whole(), F + 1)
+    np.testing.assert_array_equal(
+        open_file(tmp_path / "f+orig.HEAD", {"channel": 1}).whole(), F + 1
+    )
 
 
 def test_voxels_of_afni_are_found_beside_it(tmp_path: Path) -> None:
@@ -183,7 +209,12 @@ def test_a_damaged_header_of_afni_is_refused(tmp_path: Path) -> None:
         open_file(tmp_path / "f+orig.HEAD", {}).whole()
 
 
-NIFTI = ("anatomical.nii", "example4d.nii.gz", "someones_anatomy.nii.gz", "reoriented_anat_moved.nii")
+NIFTI = (
+    "anatomical.nii",
+    "example4d.nii.gz",
+    "someones_anatomy.nii.gz",
+    "reoriented_anat_moved.nii",
+)
 
 
 @pytest.mark.data

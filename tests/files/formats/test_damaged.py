@@ -1,4 +1,6 @@
-"""Damaged files and files that are no volumes: each is refused in a sentence, or read; nothing crashes."""
+"""Damaged files and files that are no volumes: each is refused in a sentence, or read; nothing
+crashes.
+"""
 
 import io
 import random
@@ -19,26 +21,36 @@ EACH = 24
 
 def damaged(whole: bytes, rng: random.Random) -> bytes:
     """A file cut short, or with some bytes changed, as often in its head as anywhere."""
-    data, kind = bytearray(whole), rng.randrange(4)
+    data = bytearray(whole)
+    kind = rng.randrange(4)
     if kind == 0:
         return whole[: rng.randrange(len(whole))]
-    within = min(600, len(data)) if kind == 1 else len(data)
+    if kind == 1:
+        within = min(600, len(data))
+    else:
+        within = len(data)
     for _ in range(rng.choice((1, 8, 200)) if kind < 3 else 0):
         data[rng.randrange(within)] = rng.choice((0, 127, 128, 255, rng.randrange(256)))
-    start = rng.randrange(len(data)) if kind == 3 else len(data)
+    if kind == 3:
+        start = rng.randrange(len(data))
+    else:
+        start = len(data)
     data[start : start + 64] = bytes(len(data[start : start + 64]))
     return bytes(data)
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
-    rng, ends = random.Random(7), {"read": 0, "refused": 0}
+    rng = random.Random(7)
+    ends = {"read": 0, "refused": 0}
     for path in (*written(tmp_path / "files"), *metaimage(tmp_path / "files")):
         whole = path.read_bytes()
         for _ in range(EACH):
             try:
                 with warnings.catch_warnings():
-                    grid = on_right_angles(open_upload(io.BytesIO(damaged(whole, rng)), path.name, VOXELS))
+                    grid = on_right_angles(
+                        open_upload(io.BytesIO(damaged(whole, rng)), path.name, VOXELS)
+                    )
                     assert grid.whole().shape == grid.shape
                     ends["read"] += 1
             except VolumeError as error:
@@ -50,7 +62,8 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
 def test_an_image_of_vtk_that_is_cut_is_no_volume(tmp_path: Path) -> None:
     pytest.importorskip("vtk")
     (path,) = (path for path in written(tmp_path) if path.suffix == ".vti")
-    whole, begin = path.read_bytes(), path.read_bytes().index(b'">_') + 3
+    whole = path.read_bytes()
+    begin = path.read_bytes().index(b'">_') + 3
     short = whole[:begin] + (100).to_bytes(8, "little") + whole[begin + 8 :]
     for data, why in ((whole[: len(whole) // 2], "ends too early"), (short, "damaged image file")):
         with pytest.raises(VolumeError, match=why):
@@ -60,7 +73,8 @@ def test_an_image_of_vtk_that_is_cut_is_no_volume(tmp_path: Path) -> None:
             open_file(path, {}).whole()
 
 
-# --- files that are no volumes ----------------------------------------------------------------------------------------
+# --- files that are no volumes
+# ----------------------------------------------------------------------------------------
 
 
 WRONG = [
@@ -76,7 +90,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("name", "content", "sort"), WRONG)
-def test_a_wrong_file_is_told_for_what_it_seems(tmp_path: Path, name: str, content: bytes, sort: str) -> None:
+def test_a_wrong_file_is_told_for_what_it_seems(
+    tmp_path: Path, name: str, content: bytes, sort: str
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(VolumeError, match=f"seems to be {sort}"):
         open_file(tmp_path / name, {})

@@ -64,20 +64,31 @@ def test_unevenly_spaced_slices_are_interpolated(tmp_path: Path) -> None:
     for number in (0, 1, 2, 4, 5, 7):
         height = number + (0.5 if number == 4 else 0.0)
         value = np.round(ramp[number] + 100 * (height - number)).astype(np.int16)
-        save(tmp_path / "a", f"{number}.dcm", dataset(value, LPS, number, ImagePositionPatient=[0, 0, height]))
+        save(
+            tmp_path / "a",
+            f"{number}.dcm",
+            dataset(value, LPS, number, ImagePositionPatient=[0, 0, height]),
+        )
     grid = opened(tmp_path / "a")
     assert "unevenly spaced" in grid.notes[0]
-    voxels, (_, _, step) = grid.whole(), grid.spacing
+    voxels = grid.whole()
+    (_, _, step) = grid.spacing
     np.testing.assert_allclose(voxels[:, 3, 3], 100 * step * np.arange(len(voxels)), atol=1e-3)
 
 
 def test_a_tilted_gantry_is_resampled_once(tmp_path: Path) -> None:
     tilted = LPS.copy()
     tilted[1, 2] = 0.5 * LPS[2, 2]
-    smooth = np.add.outer(np.add.outer(np.arange(12) * 0.0, np.arange(20) * 3.0), np.arange(16) * 1.0)
+    smooth = np.add.outer(
+        np.add.outer(np.arange(12) * 0.0, np.arange(20) * 3.0), np.arange(16) * 1.0
+    )
     for number in range(12):
         shifted = smooth[number] + 3.0 * number * tilted[1, 2] / LPS[1, 1]
-        save(tmp_path / "a", f"{number}.dcm", dataset(np.round(shifted * 8).astype(np.int16), tilted, number))
+        save(
+            tmp_path / "a",
+            f"{number}.dcm",
+            dataset(np.round(shifted * 8).astype(np.int16), tilted, number),
+        )
     grid = opened(tmp_path / "a")
     assert "skewed" in grid.notes[0] and grid.affine is not None
     voxels = grid.whole()
@@ -89,9 +100,12 @@ def test_one_series_of_two_is_chosen(tmp_path: Path) -> None:
     folder = write_series(tmp_path / "a", F, LPS)
     for number in range(6):
         other = dataset(F[number] + 1, LPS, number, SeriesNumber=2, SeriesDescription="a scout")
-        other.SeriesInstanceUID, other.SOPInstanceUID = "1.2.4.2", f"1.2.5.{number}"
+        other.SeriesInstanceUID = "1.2.4.2"
+        other.SOPInstanceUID = f"1.2.5.{number}"
         save(folder, f"x{number}.dcm", other)
-    with pytest.raises(VolumeError, match=r"2 series.*#series=0: an F, 12 of 16 × 20; #series=1: a scout, 6"):
+    with pytest.raises(
+        VolumeError, match=r"2 series.*#series=0: an F, 12 of 16 × 20; #series=1: a scout, 6"
+    ):
         opened(folder)
     assert opened(folder, series=0).shape == (12, 20, 16)
     np.testing.assert_array_equal(opened(folder, series="1.2.4.2").whole(), F[:6] + 1)
@@ -118,7 +132,9 @@ def test_twelve_bits_of_sixteen_have_a_sign_of_their_own(tmp_path: Path) -> None
 
 def test_each_slice_has_its_own_slope(tmp_path: Path) -> None:
     for number in range(12):
-        made = dataset(F[number], LPS, number, RescaleSlope=f"{number + 0.5}", RescaleIntercept="-10")
+        made = dataset(
+            F[number], LPS, number, RescaleSlope=f"{number + 0.5}", RescaleIntercept="-10"
+        )
         save(tmp_path / "a", f"{number}.dcm", made)
     expected = F * (np.arange(12) + 0.5)[:, None, None] - 10.0
     np.testing.assert_allclose(opened(tmp_path / "a").whole(), expected, rtol=1e-6)
@@ -153,8 +169,12 @@ def test_colours_are_shown_as_luminance(tmp_path: Path) -> None:
     for number in range(12):
         grey = np.repeat((F[number] // 4).astype(np.uint8)[..., None], 3, axis=-1)
         made = dataset(F[number], LPS, number, SamplesPerPixel=3, PhotometricInterpretation="RGB")
-        made.PlanarConfiguration, made.PixelRepresentation = 0, 0
-        made.BitsAllocated, made.BitsStored, made.HighBit, made.PixelData = 8, 8, 7, grey.tobytes()
+        made.PlanarConfiguration = 0
+        made.PixelRepresentation = 0
+        made.BitsAllocated = 8
+        made.BitsStored = 8
+        made.HighBit = 7
+        made.PixelData = grey.tobytes()
         save(tmp_path / "a", f"{number}.dcm", made)
     grid = opened(tmp_path / "a")
     np.testing.assert_allclose(grid.whole(), F // 4, atol=1e-3)
@@ -168,9 +188,15 @@ def files_of_pydicom() -> Path:
 
 @pytest.mark.filterwarnings("ignore")
 def test_all_files_of_pydicom_are_volumes_or_refused() -> None:
-    told = "is one slice|holds no DICOM image|cannot be read as DICOM|is no volume that is known here"
+    told = (
+        "is one slice|holds no DICOM image|cannot be read as DICOM|is no volume that is known here"
+    )
     read = {}
-    for path in (path for path in files_of_pydicom().rglob("*") if path.suffix in (".dcm", "") and path.is_file()):
+    for path in (
+        path
+        for path in files_of_pydicom().rglob("*")
+        if path.suffix in (".dcm", "") and path.is_file()
+    ):
         try:
             read[path.name] = open_file(path, {}).whole()
         except VolumeError as error:
@@ -187,14 +213,18 @@ def test_a_dose_of_pydicom_is_in_its_unit(name: str) -> None:
     grid = open_file(files_of_pydicom() / name, {})
     np.testing.assert_array_equal(grid.whole(), made.pixel_array * made.DoseGridScaling)
     assert grid.spacing == (10.0, 10.0, 5.0) and grid.affine is not None
-    np.testing.assert_allclose(grid.affine.array[:, 3], np.array(made.ImagePositionPatient) * (-1.0, -1.0, 1.0))
+    np.testing.assert_allclose(
+        grid.affine.array[:, 3], np.array(made.ImagePositionPatient) * (-1.0, -1.0, 1.0)
+    )
 
 
 def test_a_series_of_pydicom_is_stacked_from_below() -> None:
     from pydicom import dcmread
 
     folder = files_of_pydicom() / "dicomdirtests" / "98892001" / "CT5N"
-    slices = sorted(map(dcmread, folder.iterdir()), key=lambda each: float(each.ImagePositionPatient[2]))
+    slices = sorted(
+        map(dcmread, folder.iterdir()), key=lambda each: float(each.ImagePositionPatient[2])
+    )
     heights = np.diff([float(each.ImagePositionPatient[2]) for each in slices])
     grid = open_file(folder, {})
     values = [each.pixel_array * each.RescaleSlope + each.RescaleIntercept for each in slices]
@@ -218,9 +248,13 @@ def test_padding_around_the_field_of_view_is_holes(
     padded = np.where(outside, np.where(x % 2, low, high), np.maximum(F, 10)).astype(np.int16)
     kind = int(signed)
     grid = opened(
-        write_series(tmp_path / "a", padded, LPS, PixelRepresentation=kind, RescaleIntercept="-1024", **facts)
+        write_series(
+            tmp_path / "a", padded, LPS, PixelRepresentation=kind, RescaleIntercept="-1024", **facts
+        )
     )
-    np.testing.assert_array_equal(grid.whole(), np.where(outside, np.nan, np.maximum(F, 10) - 1024.0))
+    np.testing.assert_array_equal(
+        grid.whole(), np.where(outside, np.nan, np.maximum(F, 10) - 1024.0)
+    )
     assert "(the padding value)" in grid.notes[0]
 
 
@@ -234,14 +268,16 @@ def test_padding_is_read_where_the_file_leaves_its_type_open(tmp_path: Path) -> 
     np.testing.assert_array_equal(opened(tmp_path).whole(), np.where(F == 0, np.nan, F))
 
 
-# --- segmentations ----------------------------------------------------------------------------------------------------
+# --- segmentations
+# --------------------------------------------------------------------------------------------------
 
 
 PARTS = np.zeros(F.shape, np.uint16)
 PARTS[2:9, 3:10, 2:8] = 1
 PARTS[5:8, 3:10, 2:8] = 3
 PARTS[2, 3, 2] = 0
-LIVER, VEIN = (39000, 43000, 44000), (20000, 40000, 20000)
+LIVER = (39000, 43000, 44000)
+VEIN = (20000, 40000, 20000)
 
 
 def item(**facts: Any) -> Any:
@@ -259,22 +295,40 @@ def write(path: Path, kind: str, frames: list[tuple[int, int, np.ndarray]], **ch
 
     pixels = np.stack([each for _, _, each in frames])
     bits = 1 if kind == "BINARY" else 8
-    data = pack_bits(pixels.astype(np.uint8)) if bits == 1 else pixels.astype(np.uint8).tobytes()
-    made = dataset(F[0], LPS, 0, NumberOfFrames=len(frames), PixelData=bytes(data) + b"\0" * (len(data) % 2))
+    if bits == 1:
+        data = pack_bits(pixels.astype(np.uint8))
+    else:
+        data = pixels.astype(np.uint8).tobytes()
+    made = dataset(
+        F[0], LPS, 0, NumberOfFrames=len(frames), PixelData=bytes(data) + b"\0" * (len(data) % 2)
+    )
     for name in ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"):
         delattr(made, name)
     made.SOPClassUID = made.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.66.4"
     made.BitsAllocated = made.BitsStored = bits
-    made.HighBit, made.PixelRepresentation, made.SegmentationType = bits - 1, 0, kind
+    made.HighBit = bits - 1
+    made.PixelRepresentation = 0
+    made.SegmentationType = kind
     steps = np.linalg.norm(LPS[:3, :3], axis=0)
     pose = [f"{x:.9g}" for x in (LPS[:3, :2] / steps[:2]).T.ravel()]
-    measures = item(PixelSpacing=[f"{steps[1]:.9g}", f"{steps[0]:.9g}"], SpacingBetweenSlices=f"{steps[2]:.9g}")
-    shared = item(PixelMeasuresSequence=[measures], PlaneOrientationSequence=[item(ImageOrientationPatient=pose)])
+    measures = item(
+        PixelSpacing=[f"{steps[1]:.9g}", f"{steps[0]:.9g}"], SpacingBetweenSlices=f"{steps[2]:.9g}"
+    )
+    shared = item(
+        PixelMeasuresSequence=[measures],
+        PlaneOrientationSequence=[item(ImageOrientationPatient=pose)],
+    )
     made.SharedFunctionalGroupsSequence = [shared]
-    made.PerFrameFunctionalGroupsSequence = [_groups(layer, segment) for layer, segment, _ in frames]
+    made.PerFrameFunctionalGroupsSequence = [
+        _groups(layer, segment) for layer, segment, _ in frames
+    ]
     named = [(1, "Liver", LIVER), (3, "Hepatic vein", VEIN), (7, "Nothing of it is there", None)]
     made.SegmentSequence = [
-        item(SegmentNumber=n, SegmentLabel=name, **({"RecommendedDisplayCIELabValue": list(lab)} if lab else {}))
+        item(
+            SegmentNumber=n,
+            SegmentLabel=name,
+            **({"RecommendedDisplayCIELabValue": list(lab)} if lab else {}),
+        )
         for n, name, lab in named
     ]
     for name, value in changes.items():
@@ -293,7 +347,9 @@ def _groups(layer: int, segment: int) -> Any:
 
 def bits() -> list[tuple[int, int, np.ndarray]]:
     """A frame for each segment in each layer where it is, in no order."""
-    found = [(z, n, PARTS[z] == n) for z in range(len(PARTS)) for n in (1, 3) if (PARTS[z] == n).any()]
+    found = [
+        (z, n, PARTS[z] == n) for z in range(len(PARTS)) for n in (1, 3) if (PARTS[z] == n).any()
+    ]
     return [found[n] for n in np.random.default_rng(4).permutation(len(found))]
 
 
@@ -316,7 +372,9 @@ def numbers() -> list[tuple[int, int, np.ndarray]]:
         ("LABELMAP", numbers, {"PhotometricInterpretation": "PALETTE COLOR"}),
     ],
 )
-def test_frames_of_segments_become_labels(tmp_path: Path, kind: str, frames: Any, more: dict[str, Any]) -> None:
+def test_frames_of_segments_become_labels(
+    tmp_path: Path, kind: str, frames: Any, more: dict[str, Any]
+) -> None:
     path = write(tmp_path / "seg.dcm", kind, frames(), **more)
     with path.open("rb") as file:
         for grid in (open_file(path, {}), open_upload(file, "seg.dcm", 10**6)):
@@ -324,14 +382,19 @@ def test_frames_of_segments_become_labels(tmp_path: Path, kind: str, frames: Any
             np.testing.assert_array_equal(straight.whole(), PARTS[2:9])
             assert straight.dtype == np.uint16 and grid.unit == "mm" and not grid.notes
             assert grid.labels is not None
-            assert [(each.value, each.name) for each in grid.labels][:2] == [(1, "Liver"), (3, "Hepatic vein")]
+            assert [(each.value, each.name) for each in grid.labels][:2] == [
+                (1, "Liver"),
+                (3, "Hepatic vein"),
+            ]
             assert grid.read_as.startswith("DICOM segmentation of uint16; placed by")
             at = straight.affine.array @ [0.0, 0.0, 0.0, 1.0]  # type: ignore[union-attr]
             np.testing.assert_allclose(at, (affine() @ (0, 0, 2, 1))[:3], atol=1e-4)
 
 
 def test_layers_in_which_nothing_is_are_no_holes(tmp_path: Path) -> None:
-    """Frames 4 and 6 are left out, so that most steps are of two layers: how far apart layers lie is said."""
+    """Frames 4 and 6 are left out, so that most steps are of two layers: how far apart layers lie
+    is said.
+    """
     kept = [(z, n, each) for z, n, each in bits() if z in (2, 5, 7, 8)]
     grid = open_file(write(tmp_path / "seg.dcm", "BINARY", kept), {})
     wanted = PARTS[2:9].copy()
@@ -346,11 +409,17 @@ def test_of_segments_that_overlap_the_last_is_shown(tmp_path: Path) -> None:
 
 
 def test_colours_are_those_that_the_file_recommends(tmp_path: Path) -> None:
-    """Compared with colours worked out by hand: white, mid grey, and the sRGB red whose CIELab is known."""
+    """Compared with colours worked out by hand: white, mid grey, and the sRGB red whose CIELab is
+    known.
+    """
     labs = {
         "#ffffff": (65535, 32896, 32896),
         "#777777": (32768, 32896, 32896),
-        "#ff0000": (round(54.29 / 100 * 65535), round((80.81 + 128) / 255 * 65535), round((69.89 + 128) / 255 * 65535)),
+        "#ff0000": (
+            round(54.29 / 100 * 65535),
+            round((80.81 + 128) / 255 * 65535),
+            round((69.89 + 128) / 255 * 65535),
+        ),
     }
     parts = [
         item(SegmentNumber=n, SegmentLabel=c, RecommendedDisplayCIELabValue=list(labs[c]))
@@ -359,7 +428,9 @@ def test_colours_are_those_that_the_file_recommends(tmp_path: Path) -> None:
     path = write(tmp_path / "seg.dcm", "BINARY", bits(), SegmentSequence=parts)
     found = open_file(path, {}).labels or ()
     for each in found:
-        told, wanted = (np.array(list(bytes.fromhex(text[1:]))) for text in (each.colour, each.name))
+        told, wanted = (
+            np.array(list(bytes.fromhex(text[1:]))) for text in (each.colour, each.name)
+        )
         assert np.abs(told.astype(int) - wanted).max() <= 1
     assert len(found) == 3
 
@@ -367,7 +438,10 @@ def test_colours_are_those_that_the_file_recommends(tmp_path: Path) -> None:
 def test_a_segmentation_is_shown_by_its_labels(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path / "seg.dcm", "BINARY", bits()))
     assert scene.surfaces.colours is not None
-    assert [label.name for label in scene.surfaces.colours.scale.labels] == ["Liver", "Hepatic vein"]
+    assert [label.name for label in scene.surfaces.colours.scale.labels] == [
+        "Liver",
+        "Hepatic vein",
+    ]
     assert scene.isovalue == 0.5
 
 
@@ -375,7 +449,9 @@ def test_unknown_segments_and_uneven_layers_are_told(tmp_path: Path) -> None:
     parts = [item(SegmentNumber=0, SegmentLabel="Background"), item(SegmentNumber=1)]
     grid = open_file(write(tmp_path / "a.dcm", "BINARY", bits(), SegmentSequence=parts), {})
     assert grid.labels == (LabelName(1),)
-    apart = write(tmp_path / "b.dcm", "BINARY", [(z, 1, np.ones(F.shape[1:], bool)) for z in (0, 1, 2)])
+    apart = write(
+        tmp_path / "b.dcm", "BINARY", [(z, 1, np.ones(F.shape[1:], bool)) for z in (0, 1, 2)]
+    )
     import pydicom
 
     made = pydicom.dcmread(apart)

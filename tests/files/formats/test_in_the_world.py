@@ -1,4 +1,6 @@
-"""Files as they are in the world: big-endian, oddly named, with missing filters, of spacing that cannot be."""
+"""Files as they are in the world: big-endian, oddly named, with missing filters, of spacing that
+cannot be.
+"""
 
 import gzip
 from collections.abc import Callable
@@ -58,7 +60,9 @@ def hdf5(folder: Path, array: np.ndarray) -> Path:
 
 def tiff(folder: Path, array: np.ndarray) -> Path:
     tifffile = pytest.importorskip("tifffile")
-    tifffile.imwrite(folder / "f.tif", array, photometric="minisblack", byteorder=">", tile=(16, 16))
+    tifffile.imwrite(
+        folder / "f.tif", array, photometric="minisblack", byteorder=">", tile=(16, 16)
+    )
     return folder / "f.tif"
 
 
@@ -100,13 +104,17 @@ READ_AS: list[tuple[Write, str]] = [
 
 
 @pytest.mark.parametrize(("write", "words"), READ_AS)
-def test_big_endian_files_are_read_and_say_as_what(tmp_path: Path, write: Write, words: str) -> None:
+def test_big_endian_files_are_read_and_say_as_what(
+    tmp_path: Path, write: Write, words: str
+) -> None:
     path = write(tmp_path, BIG)
     grid = on_right_angles(open_file(path, {}))
     voxels = grid.whole()
     assert grid.dtype.newbyteorder("=") == np.int16
     assert make_volume(voxels).value_range == (0.0, float(F.max()))
-    assert {tuple(np.sort(each.ravel())) for each in (voxels, voxels[:, ::-1])} == {tuple(np.sort(F.ravel()))}
+    assert {tuple(np.sort(each.ravel())) for each in (voxels, voxels[:, ::-1])} == {
+        tuple(np.sort(F.ravel()))
+    }
     if grid.affine is None:
         np.testing.assert_array_equal(voxels, F)
     assert load_scene(path).volume.orientation.read_as == words
@@ -130,7 +138,9 @@ def test_files_and_folders_have_any_names(tmp_path: Path, name: str, form: Any) 
     again = path.rename(folder / f"{normalize(form, name)} two.npy")
     np.save(again, np.stack([F + 1, F]))
     assert load_scene(f"{again}#time=1").volume.digest == expected
-    (tmp_path / "s.toml").write_text(f'volume = "{folder.name}/{again.name}#time=1"\n', encoding="utf-8")
+    (tmp_path / "s.toml").write_text(
+        f'volume = "{folder.name}/{again.name}#time=1"\n', encoding="utf-8"
+    )
     assert load_scene(tmp_path / "s.toml").volume.digest == expected
 
 
@@ -146,7 +156,9 @@ def test_series_in_folders_of_any_names_are_read(tmp_path: Path, name: str) -> N
     pytest.importorskip("pydicom")
     folder = write_series(tmp_path / name, F, np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine())
     assert load_scene(folder).volume.shape == F.shape
-    zarr.create_array(tmp_path / f"{name}.zarr", shape=F.shape, dtype=F.dtype, chunks=(4, 8, 8))[:] = F
+    zarr.create_array(tmp_path / f"{name}.zarr", shape=F.shape, dtype=F.dtype, chunks=(4, 8, 8))[
+        :
+    ] = F
     assert load_scene(tmp_path / f"{name}.zarr").volume.digest == make_volume(F).digest
 
 
@@ -161,7 +173,8 @@ def test_a_filter_of_hdf5_that_is_missing_is_named(tmp_path: Path) -> None:
             data = h5py.h5d.create(file.id, b"v", h5py.h5t.NATIVE_INT16, space, packed)
             data.write_direct_chunk((0, 0, 0), gzip.compress(F[:4, :8, :8].tobytes()))
         with pytest.raises(
-            VolumeError, match=f"f.h5#v' are packed by {words}, which is not installed: pip install hdf5p"
+            VolumeError,
+            match=f"f.h5#v' are packed by {words}, which is not installed: pip install hdf5p",
         ):
             open_file(tmp_path / "f.h5", {})
 
@@ -179,7 +192,9 @@ def test_a_virtual_dataset_is_read_whole_or_not_at_all(tmp_path: Path) -> None:
     for number in range(3):
         with h5py.File(tmp_path / f"part {number}.h5", "w") as file:
             file["v"] = F[4 * number : 4 * number + 4]
-        layout[4 * number : 4 * number + 4] = h5py.VirtualSource(f"part {number}.h5", "v", (4, *F.shape[1:]))
+        layout[4 * number : 4 * number + 4] = h5py.VirtualSource(
+            f"part {number}.h5", "v", (4, *F.shape[1:])
+        )
     with h5py.File(tmp_path / "f.h5", "w") as file:
         file.create_virtual_dataset("v", layout)
     grid = open_file(tmp_path / "f.h5", {})
@@ -197,9 +212,14 @@ def test_an_upload_has_its_values_in_itself(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     (tmp_path / "f.raw").write_bytes(F.tobytes())
     with h5py.File(tmp_path / "f.h5", "w") as file:
-        file.create_dataset("v", F.shape, F.dtype, external=[(str(tmp_path / "f.raw"), 0, F.nbytes)])
+        file.create_dataset(
+            "v", F.shape, F.dtype, external=[(str(tmp_path / "f.raw"), 0, F.nbytes)]
+        )
     np.testing.assert_array_equal(open_file(tmp_path / "f.h5", {}).whole(), F)
-    with (tmp_path / "f.h5").open("rb") as upload, pytest.raises(VolumeError, match="are in other datasets"):
+    with (
+        (tmp_path / "f.h5").open("rb") as upload,
+        pytest.raises(VolumeError, match="are in other datasets"),
+    ):
         open_upload(upload, "f.h5", F.size)
 
 
@@ -209,7 +229,11 @@ def placed_nrrd(folder: Path, step: float) -> Path:
 
 
 def directed_nrrd(folder: Path, step: float) -> Path:
-    header = {"space": "RAS", "space directions": np.diag([step, 1.0, 1.0]), "space origin": np.zeros(3)}
+    header = {
+        "space": "RAS",
+        "space directions": np.diag([step, 1.0, 1.0]),
+        "space origin": np.zeros(3),
+    }
     nrrd.write(str(folder / "f.nrrd"), F, header, index_order="C")
     return folder / "f.nrrd"
 
@@ -247,10 +271,14 @@ def placed_hdf5(folder: Path, step: float) -> Path:
 
 def placed_zarr(folder: Path, step: float) -> Path:
     group = zarr.open_group(folder / "f.zarr", mode="w")
-    zarr.create_array(folder / "f.zarr" / "0", shape=F.shape, dtype=F.dtype, chunks=(4, 8, 8))[:] = F
+    zarr.create_array(folder / "f.zarr" / "0", shape=F.shape, dtype=F.dtype, chunks=(4, 8, 8))[
+        :
+    ] = F
     steps = [{"type": "scale", "scale": [1.0, 1.0, step]}]
     datasets = [{"path": "0", "coordinateTransformations": steps}]
-    group.attrs["ome"] = {"multiscales": [{"axes": [{"name": name} for name in "zyx"], "datasets": datasets}]}
+    group.attrs["ome"] = {
+        "multiscales": [{"axes": [{"name": name} for name in "zyx"], "datasets": datasets}]
+    }
     return folder / "f.zarr"
 
 
@@ -259,14 +287,26 @@ def placed_dicom(folder: Path, step: float) -> Path:
     return write_series(folder / "series", F, lps, PixelSpacing=["1", f"{step:g}"])
 
 
-PLACED = [placed_nrrd, directed_nrrd, placed_nifti, placed_mrc, placed_hdf5, placed_zarr, placed_dicom]
+PLACED = [
+    placed_nrrd,
+    directed_nrrd,
+    placed_nifti,
+    placed_mrc,
+    placed_hdf5,
+    placed_zarr,
+    placed_dicom,
+]
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("step", [0.0, np.nan, np.inf, -1.0])
 @pytest.mark.parametrize("write", PLACED)
-def test_spacing_that_cannot_be_is_refused_or_left_out(tmp_path: Path, write: Any, step: float) -> None:
-    """A negative one mirrors the axis, where a file can say so; in MRC zero is none, and 1 Å is taken."""
+def test_spacing_that_cannot_be_is_refused_or_left_out(
+    tmp_path: Path, write: Any, step: float
+) -> None:
+    """A negative one mirrors the axis, where a file can say so; in MRC zero is none, and 1 Å is
+    taken.
+    """
     path = write(tmp_path, step)
     try:
         grid = on_right_angles(open_zarr(path) if path.suffix == ".zarr" else open_file(path, {}))
@@ -284,7 +324,10 @@ def test_planar_colours_of_tiff_are_shown_as_luminance(tmp_path: Path, planar: A
     tifffile = pytest.importorskip("tifffile")
     colours = np.zeros((*F.shape, 3), np.uint8)
     colours[..., 1] = F // 4
-    saved = colours if planar == "contig" else np.moveaxis(colours, -1, 1)
+    if planar == "contig":
+        saved = colours
+    else:
+        saved = np.moveaxis(colours, -1, 1)
     tifffile.imwrite(tmp_path / "f.tif", saved, photometric="rgb", planarconfig=planar)
     grid = open_file(tmp_path / "f.tif", {})
     np.testing.assert_allclose(grid.whole(), 0.7152 * (F // 4), rtol=1e-5)
@@ -293,8 +336,18 @@ def test_planar_colours_of_tiff_are_shown_as_luminance(tmp_path: Path, planar: A
 
 def test_calibrated_values_of_imagej_are_what_it_shows(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
-    about = {"axes": "ZYX", "spacing": 2.5, "unit": "micron", "cf": 0, "c0": -1000.0, "c1": 0.5, "vunit": "HU"}
-    tifffile.imwrite(tmp_path / "f.tif", F.astype(np.uint16), imagej=True, metadata=about, resolution=(2.0, 4.0))
+    about = {
+        "axes": "ZYX",
+        "spacing": 2.5,
+        "unit": "micron",
+        "cf": 0,
+        "c0": -1000.0,
+        "c1": 0.5,
+        "vunit": "HU",
+    }
+    tifffile.imwrite(
+        tmp_path / "f.tif", F.astype(np.uint16), imagej=True, metadata=about, resolution=(2.0, 4.0)
+    )
     grid = open_file(tmp_path / "f.tif", {})
     np.testing.assert_array_equal(grid.whole(), F * 0.5 - 1000.0)
     assert (tuple(grid.spacing), grid.unit) == ((0.5, 0.25, 2.5), "µm")
@@ -316,9 +369,12 @@ def test_enhanced_frames_may_have_any_order(tmp_path: Path, seed: int) -> None:
     lps = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine()
     order = np.random.default_rng(seed).permutation(12)
     made = dataset(F[0], lps, 0, NumberOfFrames=12, PixelData=F[order].astype("<i2").tobytes())
-    shared, frames = Dataset(), []
+    shared = Dataset()
+    frames = []
     shared.PixelMeasuresSequence = group(PixelSpacing=list(made.PixelSpacing), SliceThickness="9")
-    shared.PlaneOrientationSequence = group(ImageOrientationPatient=list(made.ImageOrientationPatient))
+    shared.PlaneOrientationSequence = group(
+        ImageOrientationPatient=list(made.ImageOrientationPatient)
+    )
     shared.PixelValueTransformationSequence = group(RescaleSlope="2", RescaleIntercept="-100")
     for number in order:
         frame = Dataset()
@@ -326,22 +382,32 @@ def test_enhanced_frames_may_have_any_order(tmp_path: Path, seed: int) -> None:
         frame.PlanePositionSequence = group(ImagePositionPatient=place)
         frames.append(frame)
     del made.ImagePositionPatient, made.ImageOrientationPatient, made.PixelSpacing
-    made.SharedFunctionalGroupsSequence, made.PerFrameFunctionalGroupsSequence = Sequence([shared]), Sequence(frames)
+    made.SharedFunctionalGroupsSequence = Sequence([shared])
+    made.PerFrameFunctionalGroupsSequence = Sequence(frames)
     made.save_as(tmp_path / "a.dcm", enforce_file_format=True)
     grid = on_right_angles(open_file(tmp_path / "a.dcm", {}))
     np.testing.assert_array_equal(grid.whole(), 2 * F.astype(int) - 100)
     np.testing.assert_allclose(grid.spacing, (1.0, 1.25, 1.5))
 
 
-@pytest.mark.parametrize("space", ["left-anterior-superior", "LAS", "RAS", "LPS", "right-anterior-superior-time"])
+@pytest.mark.parametrize(
+    "space", ["left-anterior-superior", "LAS", "RAS", "LPS", "right-anterior-superior-time"]
+)
 def test_spaces_of_nrrd_are_one_world(tmp_path: Path, space: str) -> None:
     """Oblique, and in whatever directions the header counts."""
     turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0] @ np.diag([1.0, 1.25, 1.5])
     place = np.array([-7.0, 31.5, -4.25])
     signs = {"L": -1.0, "R": 1.0, "P": -1.0, "A": 1.0, "S": 1.0}
-    letters = "".join(word[0] for word in space.split("-")[:3]).upper() if "-" in space else space
+    if "-" in space:
+        letters = "".join(word[0] for word in space.split("-")[:3]).upper()
+    else:
+        letters = space
     there = np.array([signs[each] for each in letters])
-    header = {"space": space.removesuffix("-time"), "space directions": turn.T * there, "space origin": place * there}
+    header = {
+        "space": space.removesuffix("-time"),
+        "space directions": turn.T * there,
+        "space origin": place * there,
+    }
     nrrd.write(str(tmp_path / "f.nrrd"), F, header, index_order="C")
     grid = open_file(tmp_path / "f.nrrd", {})
     assert grid.affine is not None and grid.affine.letters == "RAS"
@@ -352,7 +418,15 @@ def test_the_line_says_how_numbers_become_values(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "f.nc", "w") as file:
         file.create_dataset("v", data=F.astype(np.int8)).attrs.update(
-            {"_Unsigned": "true", "scale_factor": 0.5, "add_offset": -3.0, "element_size_um": (1.0, 2.0, 3.0)}
+            {
+                "_Unsigned": "true",
+                "scale_factor": 0.5,
+                "add_offset": -3.0,
+                "element_size_um": (1.0, 2.0, 3.0),
+            }
         )
     scene = load_scene(tmp_path / "f.nc")
-    assert scene.volume.orientation.read_as == "HDF5 of uint8, values 0.5 · stored -3; placed by 'element_size_um'"
+    assert (
+        scene.volume.orientation.read_as
+        == "HDF5 of uint8, values 0.5 · stored -3; placed by 'element_size_um'"
+    )

@@ -1,4 +1,6 @@
-"""MetaImage and VTI, by libraries that may be missing: several numbers a voxel, lines that end as on other systems."""
+"""MetaImage and VTI, by libraries that may be missing: several numbers a voxel, lines that end as
+on other systems.
+"""
 
 from importlib import import_module
 from pathlib import Path
@@ -22,13 +24,27 @@ def metaimage(path: Path, array: np.ndarray, end: str = "\n", **changes: Any) ->
     pytest.importorskip("SimpleITK")
     nz, ny, nx, *each = array.shape
     lines = {"ObjectType": "Image", "NDims": 3, "BinaryData": True, "BinaryDataByteOrderMSB": False}
-    lines |= {"DimSize": f"{nx} {ny} {nz}", "ElementSpacing": "1 1.25 1.5", "ElementType": "MET_SHORT"}
-    lines |= {"ElementNumberOfChannels": each[0]} if each else {}
+    lines |= {
+        "DimSize": f"{nx} {ny} {nz}",
+        "ElementSpacing": "1 1.25 1.5",
+        "ElementType": "MET_SHORT",
+    }
+    if each:
+        lines |= {"ElementNumberOfChannels": each[0]}
     lines |= changes
-    order = ">i2" if lines["BinaryDataByteOrderMSB"] else "<i2"
+    if lines["BinaryDataByteOrderMSB"]:
+        order = ">i2"
+    else:
+        order = "<i2"
     body = array.astype(order).tobytes()
-    name = "LOCAL" if path.suffix == ".mha" else "beside it.raw"
-    header = end.join(f"{key} = {value}" for key, value in {**lines, "ElementDataFile": name}.items()) + end
+    if path.suffix == ".mha":
+        name = "LOCAL"
+    else:
+        name = "beside it.raw"
+    header = (
+        end.join(f"{key} = {value}" for key, value in {**lines, "ElementDataFile": name}.items())
+        + end
+    )
     path.write_bytes(header.encode() + (body if name == "LOCAL" else b""))
     if name != "LOCAL":
         (path.parent / name).write_bytes(body)
@@ -44,7 +60,9 @@ def vti(path: Path, array: np.ndarray, of_cells: bool = False) -> Path:
     image.SetDimensions(*(n + of_cells for n in (nx, ny, nz)))
     image.SetSpacing(1.0, 1.25, 1.5)
     image.SetOrigin(10.0, 0.0, -3.0)
-    values = import_module("vtkmodules.util.numpy_support").numpy_to_vtk(array.reshape(-1, *each), deep=True)
+    values = import_module("vtkmodules.util.numpy_support").numpy_to_vtk(
+        array.reshape(-1, *each), deep=True
+    )
     values.SetName("value")
     (image.GetCellData() if of_cells else image.GetPointData()).AddArray(values)
     writer.SetFileName(str(path))
@@ -61,7 +79,9 @@ def test_values_of_cells_are_voxels_at_their_middles(
     grid = open_file(vti(tmp_path / "f.vti", F, of_cells=True), {})
     np.testing.assert_array_equal(grid.whole(), F)
     assert grid.affine is not None and grid.affine.origin == (10.5, 0.625, -2.25)
-    (tmp_path / "g.vti").write_text('<VTKFile type="ImageData"><ImageData WholeExtent="0 1 0 1 0 1"/></VTKFile>')
+    (tmp_path / "g.vti").write_text(
+        '<VTKFile type="ImageData"><ImageData WholeExtent="0 1 0 1 0 1"/></VTKFile>'
+    )
     with pytest.raises(VolumeError, match="holds no array of values"):
         open_file(tmp_path / "g.vti", {})
 
@@ -72,13 +92,17 @@ def test_one_of_several_numbers_is_chosen(tmp_path: Path, write: Any) -> None:
     with pytest.raises(VolumeError, match=r"has 3 channels: choose one by channel = 0 to 2"):
         open_file(path, {})
     for number in range(3):
-        np.testing.assert_array_equal(open_file(path, {"channel": number}).whole(), FIELDS[..., number])
+        np.testing.assert_array_equal(
+            open_file(path, {"channel": number}).whole(), FIELDS[..., number]
+        )
 
 
 @pytest.mark.parametrize("suffix", [".mha", ".mhd"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("big", [False, True])
-def test_lines_and_bytes_of_other_systems_are_read(tmp_path: Path, suffix: str, end: str, big: bool) -> None:
+def test_lines_and_bytes_of_other_systems_are_read(
+    tmp_path: Path, suffix: str, end: str, big: bool
+) -> None:
     folder = tmp_path / "a#1 %41 æøå"
     folder.mkdir()
     path = metaimage(folder / f"an f#2{suffix}", F, end, BinaryDataByteOrderMSB=big)

@@ -1,4 +1,6 @@
-"""Classic NetCDF, written by SciPy: fields, steps in time, coordinates, and files that are damaged."""
+"""Classic NetCDF, written by SciPy: fields, steps in time, coordinates, and files that are
+damaged.
+"""
 
 import io
 from pathlib import Path
@@ -15,7 +17,11 @@ pytest.importorskip("nibabel")
 pytest.importorskip("scipy")
 
 F = letter()
-EVEN = {"x": (-5.0 + 0.5 * np.arange(16), "m"), "y": (2.0 * np.arange(20), "m"), "z": (10.0 + np.arange(12), "m")}
+EVEN = {
+    "x": (-5.0 + 0.5 * np.arange(16), "m"),
+    "y": (2.0 * np.arange(20), "m"),
+    "z": (10.0 + np.arange(12), "m"),
+}
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -37,7 +43,9 @@ def test_coordinates_of_classic_netcdf_place_it(tmp_path: Path) -> None:
 
 
 def test_levels_that_are_uneven_are_cubes(tmp_path: Path) -> None:
-    write_classic(tmp_path / "f.nc", {"v": F}, x=EVEN["x"], y=EVEN["y"], z=(1.5 ** np.arange(12), "m"))
+    write_classic(
+        tmp_path / "f.nc", {"v": F}, x=EVEN["x"], y=EVEN["y"], z=(1.5 ** np.arange(12), "m")
+    )
     grid = open_file(tmp_path / "f.nc", {})
     assert tuple(grid.spacing) == (1.0, 1.0, 1.0)
     assert "The coordinates of its axes are uneven: its voxels are taken as cubes." in grid.notes
@@ -46,7 +54,9 @@ def test_levels_that_are_uneven_are_cubes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("step", [0, 2])
 def test_records_of_classic_netcdf_are_a_series(tmp_path: Path, step: int) -> None:
     series = np.stack([F, F + 1, F + 2])
-    write_classic(tmp_path / "f.nc", {"v": series, "w": -series}, t=(np.arange(3.0), "days since 1970-01-01"))
+    write_classic(
+        tmp_path / "f.nc", {"v": series, "w": -series}, t=(np.arange(3.0), "days since 1970-01-01")
+    )
     grid = open_file(tmp_path / "f.nc", {"part": "w", "time": step})
     np.testing.assert_array_equal(grid.whole(), -series[step])
     assert grid.moment == (step, 3) and not grid.unchosen
@@ -59,7 +69,9 @@ def test_maps_in_time_are_layers_and_it_says_so(tmp_path: Path, kind: str, name:
     unit = "" if name == "time" else name
     if kind == "classic":
         with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
-            for dimension, length in zip(("time" if name == "time" else "m", "y", "x"), F.shape, strict=True):
+            for dimension, length in zip(
+                ("time" if name == "time" else "m", "y", "x"), F.shape, strict=True
+            ):
                 file.createDimension(dimension, length)
             if unit:
                 file.createVariable("m", "f8", ("m",)).units = unit
@@ -77,7 +89,9 @@ def test_maps_in_time_are_layers_and_it_says_so(tmp_path: Path, kind: str, name:
 
 def test_one_of_several_fields_is_to_be_chosen(tmp_path: Path) -> None:
     write_classic(tmp_path / "f.nc", {"v": F, "w": -F})
-    with pytest.raises(VolumeError, match=r"holds several volumes: choose of '.*f.nc#v', '.*f.nc#w'"):
+    with pytest.raises(
+        VolumeError, match=r"holds several volumes: choose of '.*f.nc#v', '.*f.nc#w'"
+    ):
         open_file(tmp_path / "f.nc", {})
     with pytest.raises(VolumeError, match="has no volume 'u'"):
         open_file(tmp_path / "f.nc", {"part": "u"})

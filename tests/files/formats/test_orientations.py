@@ -1,4 +1,6 @@
-"""A letter F lies in the world as its file says, whoever wrote it and however its axes run: 48 ways of them."""
+"""A letter F lies in the world as its file says, whoever wrote it and however its axes run: 48 ways
+of them.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -37,14 +39,19 @@ def write_nrrd(folder: Path, array: np.ndarray, placed: np.ndarray) -> Path:
     import nrrd
 
     lps = LPS @ placed
-    header = {"space": "left-posterior-superior", "space directions": lps[:3, :3].T, "space origin": lps[:3, 3]}
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": lps[:3, :3].T,
+        "space origin": lps[:3, 3],
+    }
     nrrd.write(str(folder / "f.nrrd"), array, header, index_order="C")
     return folder / "f.nrrd"
 
 
 def write_mha(folder: Path, array: np.ndarray, placed: np.ndarray) -> Path:
     sitk = pytest.importorskip("SimpleITK")
-    image, lps = sitk.GetImageFromArray(array), LPS @ placed
+    image = sitk.GetImageFromArray(array)
+    lps = LPS @ placed
     steps = np.linalg.norm(lps[:3, :3], axis=0)
     image.SetSpacing(steps.tolist())
     image.SetOrigin(lps[:3, 3].tolist())
@@ -66,7 +73,8 @@ def write_vti(folder: Path, array: np.ndarray, placed: np.ndarray) -> Path:
     from vtkmodules.vtkCommonDataModel import vtkImageData
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
 
-    image, steps = vtkImageData(), np.linalg.norm(placed[:3, :3], axis=0)
+    image = vtkImageData()
+    steps = np.linalg.norm(placed[:3, :3], axis=0)
     image.SetDimensions(*array.shape[::-1])
     image.SetSpacing(*steps)
     image.SetOrigin(*placed[:3, 3])
@@ -93,7 +101,8 @@ WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
 def check_lies_right(path: Path) -> None:
     """Values at landmarks are the phantom's, where the world says that these are."""
     grid = on_right_angles(open_file(path, {}))
-    orientation, voxels = Orientation.of(grid), grid.whole()
+    orientation = Orientation.of(grid)
+    voxels = grid.whole()
     assert np.linalg.det(orientation.matrix) == pytest.approx(1.0)
     for index, place in zip(landmarks(), world(landmarks()), strict=True):
         found = np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)
@@ -117,10 +126,18 @@ def test_other_files_lie_where_they_say(tmp_path: Path, kind: str, way: Way) -> 
 PLAIN: dict[str, Any] = {"lights": [{"type": "constant"}], "isovalue": 200.0, "bounces": 0}
 
 
-def pictured(path: Path, folder: Path, shading: str = "lambert", **settings: Any) -> tuple[np.ndarray, np.ndarray]:
+def pictured(
+    path: Path, folder: Path, shading: str = "lambert", **settings: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """The picture of a file and the world positions in it, from a place in the world."""
     scene = load_scene(path, **{**PLAIN, **settings})
-    params = {"eye": "12,58,34", "target": "0.5,43.4,4", "shading": shading, "width": 64, "height": 64}
+    params = {
+        "eye": "12,58,34",
+        "target": "0.5,43.4,4",
+        "shading": shading,
+        "width": 64,
+        "height": 64,
+    }
     view = view_of(scene, read(ViewParams, params.items()), Settings())
     frame = make_renderer(scene, str(folder), 1).render(view)
     return frame.radiance, frame.position
@@ -143,7 +160,9 @@ def test_the_picture_of_the_letter_is_the_same(
     assert np.abs(positions - reference[1])[apart <= 1e-3].max() < 1e-3
 
 
-def test_a_mirrored_letter_makes_another_picture(tmp_path: Path, reference: tuple[np.ndarray, np.ndarray]) -> None:
+def test_a_mirrored_letter_makes_another_picture(
+    tmp_path: Path, reference: tuple[np.ndarray, np.ndarray]
+) -> None:
     array, placed = lying((0, 1, 2), (-1, 1, 1))
     mirrored, _ = pictured(write_nifti(tmp_path, array, affine()), tmp_path)
     assert np.abs(mirrored - reference[0]).mean() > 0.02

@@ -1,4 +1,6 @@
-"""Bare voxels: what they are is in their names, or given; files that hold anything else are refused."""
+"""Bare voxels: what they are is in their names, or given; files that hold anything else are
+refused.
+"""
 
 import bz2
 import gzip
@@ -31,11 +33,17 @@ SIZE = "16x20x12"
 )
 def test_a_name_says_what_voxels_are(tmp_path: Path, name: str, kind: str, pack: type) -> None:
     array = (F // 8).astype(kind)
-    path = tmp_path / (name + {"compress": ".gz" if pack is gzip.compress else ".bz2"}.get(pack.__name__, ""))
+    path = tmp_path / (
+        name + {"compress": ".gz" if pack is gzip.compress else ".bz2"}.get(pack.__name__, "")
+    )
     path.write_bytes(pack(array.tobytes()))
     grid = open_file(path, {})
     np.testing.assert_array_equal(grid.whole(), array)
-    assert grid.dtype == np.dtype(kind) and "16 × 20 × 12 voxels" in grid.notes[0] and "by its name" in grid.notes[0]
+    assert (
+        grid.dtype == np.dtype(kind)
+        and "16 × 20 × 12 voxels" in grid.notes[0]
+        and "by its name" in grid.notes[0]
+    )
     upload = open_upload(io.BytesIO(path.read_bytes()), path.name, 1 << 20)
     np.testing.assert_array_equal(upload.whole(), array)
 
@@ -63,7 +71,8 @@ def test_what_voxels_are_is_given(tmp_path: Path, given: str, kind: str) -> None
 def test_what_says_too_little_is_refused(tmp_path: Path, given: str) -> None:
     (tmp_path / "f.raw").write_bytes(F.tobytes())
     with pytest.raises(
-        VolumeError, match="need their sizes, a type and a byte order: raw = '256x256x128,uint8,little'"
+        VolumeError,
+        match="need their sizes, a type and a byte order: raw = '256x256x128,uint8,little'",
     ):
         open_file(tmp_path / "f.raw", {"raw": given})
 
@@ -73,18 +82,26 @@ def test_a_file_of_another_length_is_refused(tmp_path: Path, more: int) -> None:
     body = (F.tobytes() + b"\0")[: F.nbytes + more]
     path = tmp_path / f"f_{SIZE}_int16.raw"
     path.write_bytes(body)
-    with pytest.raises(VolumeError, match=rf"has {F.nbytes + more} bytes, and 16 × 20 × 12 voxels of int16 take 7680"):
+    with pytest.raises(
+        VolumeError,
+        match=rf"has {F.nbytes + more} bytes, and 16 × 20 × 12 voxels of int16 take 7680",
+    ):
         open_file(path, {})
     packed = tmp_path / f"f_{SIZE}_int16.raw.gz"
     packed.write_bytes(gzip.compress(body))
-    with pytest.raises(VolumeError, match="goes on after its last voxel" if more > 0 else "ends before its last voxel"):
+    with pytest.raises(
+        VolumeError,
+        match="goes on after its last voxel" if more > 0 else "ends before its last voxel",
+    ):
         open_file(packed, {}).whole()
 
 
 def test_a_file_that_says_nothing_is_refused_with_what_to_do(tmp_path: Path) -> None:
     for name in ("f.raw", "f.raw.gz", "16x20x12.txt", "f_16x20.bin"):
         (tmp_path / name).write_bytes(F.tobytes())
-        with pytest.raises(VolumeError, match=r"--raw 256x256x128,uint8,little|no volume that is known"):
+        with pytest.raises(
+            VolumeError, match=r"--raw 256x256x128,uint8,little|no volume that is known"
+        ):
             open_file(tmp_path / name, {})
 
 

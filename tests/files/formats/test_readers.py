@@ -1,4 +1,6 @@
-"""Values, spacing and choices of files that other fields write, each by the library that the field keeps."""
+"""Values, spacing and choices of files that other fields write, each by the library that the field
+keeps.
+"""
 
 import gzip
 import importlib.util
@@ -60,7 +62,10 @@ def test_nifti_holds_every_number(tmp_path: Path, kind: str, version: int) -> No
 @pytest.mark.parametrize("name", ["f.nii.gz", "f.img", "f.hdr"])
 def test_packed_nifti_and_pairs_are_read(tmp_path: Path, name: str) -> None:
     nib = pytest.importorskip("nibabel")
-    kind = nib.Nifti1Image if name.endswith("gz") else nib.Nifti1Pair
+    if name.endswith("gz"):
+        kind = nib.Nifti1Image
+    else:
+        kind = nib.Nifti1Pair
     nib.save(kind(F.T, affine()), tmp_path / name.replace("hdr", "img"))
     np.testing.assert_array_equal(opened(tmp_path / name.replace("img", "hdr")).whole(), F)
 
@@ -132,23 +137,34 @@ def test_an_mrc_map_says_along_which_axes_it_runs(tmp_path: Path) -> None:
     with mrcfile.new(tmp_path / "f.mrc") as made:
         made.set_data(F.astype("f4"))
         made.header.mapc, made.header.mapr, made.header.maps = 3, 1, 2
-        made.header.cella, made.header.mx, made.header.my, made.header.mz = (20.0, 24.0, 16.0), 20, 12, 16
-        made.header.nxstart, made.header.nystart, made.header.nzstart = 4, 2, -1
+        made.header.cella = (20.0, 24.0, 16.0)
+        made.header.mx = 20
+        made.header.my = 12
+        made.header.mz = 16
+        made.header.nxstart = 4
+        made.header.nystart = 2
+        made.header.nzstart = -1
     grid = open_file(tmp_path / "f.mrc", {})
     assert grid.affine is not None
-    np.testing.assert_allclose(grid.affine.array, [[0, 1, 0, 2], [0, 0, 2, -2], [1, 0, 0, 4]], atol=1e-6)
+    np.testing.assert_allclose(
+        grid.affine.array, [[0, 1, 0, 2], [0, 0, 2, -2], [1, 0, 0, 4]], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("chunks", [None, (4, 8, 8)])
 def test_a_dataset_of_hdf5_is_named(tmp_path: Path, chunks: Any) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "f.h5", "w") as file:
-        data = file.create_dataset("entry/data", data=F, chunks=chunks, compression="gzip" if chunks else None)
+        data = file.create_dataset(
+            "entry/data", data=F, chunks=chunks, compression="gzip" if chunks else None
+        )
         data.attrs["element_size_um"] = (1.5, 1.25, 1.0)
     assert check(tmp_path / "f.h5", F).spacing == (1.0, 1.25, 1.5)
     with h5py.File(tmp_path / "f.h5", "a") as file:
         file["entry/other"] = np.stack([F, F + 1])
-    with pytest.raises(VolumeError, match=r"several volumes: choose of '.*f.h5#entry/data', '.*f.h5#entry/other'"):
+    with pytest.raises(
+        VolumeError, match=r"several volumes: choose of '.*f.h5#entry/data', '.*f.h5#entry/other'"
+    ):
         opened(tmp_path / "f.h5")
     check(tmp_path / "f.h5", F, part="entry/data")
     check(tmp_path / "f.h5", F + 1, part="/entry/other", time=1)
@@ -159,14 +175,20 @@ def test_netcdf_coordinates_packing_and_fill_values(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "f.nc", "w") as file:
         data = file.create_dataset("temperature", data=F)
         data.attrs.update({"scale_factor": 0.5, "add_offset": 10.0, "_FillValue": np.int16(0)})
-        for axis, (name, count, step) in enumerate([("z", 12, -1.5), ("y", 20, 1.25), ("x", 16, 1.0)]):
+        for axis, (name, count, step) in enumerate(
+            [("z", 12, -1.5), ("y", 20, 1.25), ("x", 16, 1.0)]
+        ):
             file[name] = 3.0 + step * np.arange(count)
             file[name].attrs["units"] = "m"
             file[name].make_scale(name)
             data.dims[axis].attach_scale(file[name])
     grid = check(tmp_path / "f.nc", np.where(F == 0, np.nan, F * 0.5 + 10.0)[..., ::-1])
     assert (grid.spacing, grid.unit) == ((1.0, 1.25, 1.5), "m")
-    assert grid.affine is not None and grid.affine.origin == (18.0, 3.0, 3.0)  # z descends: x runs the other way
+    assert grid.affine is not None and grid.affine.origin == (
+        18.0,
+        3.0,
+        3.0,
+    )  # z descends: x runs the other way
 
 
 @pytest.mark.parametrize("order", "CF")
@@ -184,19 +206,28 @@ def test_numpy_files_are_read(tmp_path: Path, order: Any) -> None:
 
 
 TILED = {"tile": (16, 16), "compression": "zlib"}
-PACKINGS: list[dict[str, Any]] = [{}, {"compression": "zlib"}, {"bigtiff": True}, TILED, {**TILED, "bigtiff": True}]
+PACKINGS: list[dict[str, Any]] = [
+    {},
+    {"compression": "zlib"},
+    {"bigtiff": True},
+    TILED,
+    {**TILED, "bigtiff": True},
+]
 IMAGEJ: dict[str, Any] = {"imagej": True, "metadata": {"axes": "ZYX", "spacing": 0.5, "unit": "um"}}
 
 
 @pytest.mark.parametrize("kind", ["u1", "<u2", ">i2", "<f2", "<f4"])
 def test_tiff_stacks_are_read(tmp_path: Path, kind: str) -> None:
     tifffile = pytest.importorskip("tifffile")
-    array, order = (F // 8).astype(kind), kind[0] if kind[0] == ">" else "<"
+    array = (F // 8).astype(kind)
+    order = kind[0] if kind[0] == ">" else "<"
     for number, packing in enumerate(PACKINGS + ([IMAGEJ] if kind in ("u1", "<u2", "<f4") else [])):
         path = tmp_path / f"{number}.tif"
         tifffile.imwrite(path, array, photometric="minisblack", byteorder=order, **packing)
         grid = check(path, array)
-        assert (grid.spacing, grid.unit) == (((1.0, 1.0, 0.5), "µm") if packing is IMAGEJ else ((1.0, 1.0, 1.0), ""))
+        assert (grid.spacing, grid.unit) == (
+            ((1.0, 1.0, 0.5), "µm") if packing is IMAGEJ else ((1.0, 1.0, 1.0), "")
+        )
 
 
 def test_planes_that_were_written_one_by_one_are_a_stack(tmp_path: Path) -> None:
@@ -207,11 +238,18 @@ def test_planes_that_were_written_one_by_one_are_a_stack(tmp_path: Path) -> None
     check(tmp_path / "f.tif", F)
 
 
-@pytest.mark.parametrize(("axes", "what"), [("TYX", "steps in time"), ("CYX", "channels"), ("ZYX", ""), ("", "")])
+@pytest.mark.parametrize(
+    ("axes", "what"), [("TYX", "steps in time"), ("CYX", "channels"), ("ZYX", ""), ("", "")]
+)
 @pytest.mark.parametrize("kind", ["ome", "imagej"])
-def test_frames_of_a_film_are_layers_and_it_says_so(tmp_path: Path, kind: str, axes: str, what: str) -> None:
+def test_frames_of_a_film_are_layers_and_it_says_so(
+    tmp_path: Path, kind: str, axes: str, what: str
+) -> None:
     tifffile = pytest.importorskip("tifffile")
-    named = {kind: True, "metadata": {"axes": axes}} if axes else {}
+    if axes:
+        named = {kind: True, "metadata": {"axes": axes}}
+    else:
+        named = {}
     tifffile.imwrite(tmp_path / "f.tif", F.astype(np.uint16), photometric="minisblack", **named)
     grid = open_file(tmp_path / "f.tif", {})
     np.testing.assert_array_equal(grid.whole(), F)
@@ -227,7 +265,9 @@ def test_a_packing_of_tiff_that_is_missing_is_named(tmp_path: Path) -> None:
     with tifffile.TiffFile(tmp_path / "f.tif", mode="r+b") as file:
         for page in file.pages:
             page.tags["Compression"].overwrite(5)  # LZW
-    with pytest.raises(VolumeError, match=r"imagecodecs reads, which is not installed: pip install imagecodecs\."):
+    with pytest.raises(
+        VolumeError, match=r"imagecodecs reads, which is not installed: pip install imagecodecs\."
+    ):
         open_file(tmp_path / "f.tif", {}).whole()
 
 
@@ -248,7 +288,9 @@ def test_ome_tiff_says_spacing_channels_and_times(tmp_path: Path) -> None:
 def test_a_folder_of_tiff_slices_is_a_volume(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     for number, layer in enumerate(F):
-        tifffile.imwrite(tmp_path / f"slice{number}.tif", layer)  # 10 comes after 9, and not after 1
+        tifffile.imwrite(
+            tmp_path / f"slice{number}.tif", layer
+        )  # 10 comes after 9, and not after 1
     np.testing.assert_array_equal(opened(tmp_path).whole(), F)
     (tmp_path / "slice4.tif").unlink()
     with pytest.raises(VolumeError, match=r"'slice3.tif' is followed by 'slice5.tif'"):
@@ -258,12 +300,18 @@ def test_a_folder_of_tiff_slices_is_a_volume(tmp_path: Path) -> None:
         opened(tmp_path)
 
 
-def test_what_is_not_installed_is_told_with_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_told_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def missing(name: str) -> Any:
         raise ImportError(name)
 
     monkeypatch.setattr(source, "import_module", missing)
-    for name, head in (("f.h5", b"\x89HDF\r\n\x1a\n"), ("f.mrc", bytes(208) + b"MAP "), ("f.tif", b"II*\0")):
+    for name, head in (
+        ("f.h5", b"\x89HDF\r\n\x1a\n"),
+        ("f.mrc", bytes(208) + b"MAP "),
+        ("f.tif", b"II*\0"),
+    ):
         (tmp_path / name).write_bytes(head + bytes(1024))
         with pytest.raises(VolumeError, match=r"is not installed: pip install 'isogi\[formats\]'"):
             opened(tmp_path / name)
@@ -309,7 +357,9 @@ def test_bombs_and_files_cut_short_are_refused(tmp_path: Path) -> None:
         open_upload(io.BytesIO(bytes(promise)), "promise.nii", 1 << 20)
     bomb = gzip.compress(whole + bytes(1 << 26))
     (tmp_path / "bomb.nii.gz").write_bytes(bomb)
-    np.testing.assert_array_equal(opened(tmp_path / "bomb.nii.gz").whole(), F)  # what is beyond is never unpacked
+    np.testing.assert_array_equal(
+        opened(tmp_path / "bomb.nii.gz").whole(), F
+    )  # what is beyond is never unpacked
 
 
 @pytest.mark.parametrize(
@@ -370,13 +420,18 @@ def mrc_bytes(folder: Path) -> bytes:
 
 def nrrd_bytes(folder: Path) -> bytes:
     nz, ny, nx = F.shape
-    header = f"NRRD0004\ntype: int16\ndimension: 3\nsizes: {nx} {ny} {nz}\nendian: little\nencoding: gzip\n\n"
+    header = (
+        f"NRRD0004\ntype: int16\ndimension: 3\nsizes: {nx} {ny} {nz}\nendian: "
+        "little\nencoding: gzip\n\n"
+    )
     return header.encode() + gzip.compress(F.astype("<i2").tobytes())
 
 
 def test_gzip_of_several_members_is_whole(tmp_path: Path) -> None:
     whole = nifti(tmp_path / "f.nii", F).read_bytes()
-    parts = gzip.compress(whole[:999]) + gzip.compress(whole[999:]) + gzip.compress(b"")  # as bgzip does
+    parts = (
+        gzip.compress(whole[:999]) + gzip.compress(whole[999:]) + gzip.compress(b"")
+    )  # as bgzip does
     (tmp_path / "f.nii.gz").write_bytes(parts)
     assert not check(tmp_path / "f.nii.gz", F).notes
     (tmp_path / "f.nii.gz").write_bytes(parts[:-24])  # the last member, and half of a checksum
@@ -404,7 +459,10 @@ def test_netcdf_says_which_axis_is_time(tmp_path: Path, how: str) -> None:
     with h5py.File(tmp_path / "f.nc", "w") as file:
         data = file.create_dataset("v", data=np.stack([F, F + 1]))
         file["steps"] = np.arange(2.0)
-        file["steps"].attrs["units"] = "1" if how == "name" else "days since 2000-01-01"
+        if how == "name":
+            file["steps"].attrs["units"] = "1"
+        else:
+            file["steps"].attrs["units"] = "days since 2000-01-01"
         file["steps"].make_scale("time" if how == "name" else "step")
         data.dims[0].attach_scale(file["steps"])
     grid = check(tmp_path / "f.nc", F)
@@ -419,4 +477,6 @@ def test_shared_maps_hold_what_mrcfile_reads(shared_data: Path, name: str) -> No
     with mrcfile.open(shared_data / "formats" / name) as whole:
         grid = open_file(shared_data / "formats" / name, {})
         np.testing.assert_array_equal(grid.whole(), whole.data)
-        np.testing.assert_allclose(np.sort(grid.spacing), np.sort(whole.voxel_size.tolist()), rtol=1e-5)
+        np.testing.assert_allclose(
+            np.sort(grid.spacing), np.sort(whole.voxel_size.tolist()), rtol=1e-5
+        )

@@ -1,4 +1,6 @@
-"""Light of whole chunks for cards: from the bytes alone a twin draws the frame; few bits, and blocks that are known."""
+"""Light of whole chunks for cards: from the bytes alone a twin draws the frame; few bits, and
+blocks that are known.
+"""
 
 import shutil
 from collections.abc import Callable, Sequence
@@ -64,7 +66,9 @@ def bench_of(tmp_path_factory: pytest.TempPathFactory) -> BenchOf:
 
     @cache
     def baked(name: str) -> Workbench:
-        scene = load_scene("demo:orbital", bounces=2, target_error=LOOSE, projected=False, **SCENES[name])
+        scene = load_scene(
+            "demo:orbital", bounces=2, target_error=LOOSE, projected=False, **SCENES[name]
+        )
         bench = Workbench(scene, tmp_path_factory.mktemp(name))
         bench.bake(bench.view(size=40))
         return bench
@@ -76,14 +80,19 @@ def drawn(
     bench: Workbench, view: View, target: float = LOOSE, filters: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals and radiance before lobes of a view's surface."""
-    renderer = bench.renderer if filters else Renderer(bench.caches, TILES, filters=False)
-    gbuffer, light = renderer.gbuffer(view), RotatedLight(bench.caches.spec("gi"), view)
+    if filters:
+        renderer = bench.renderer
+    else:
+        renderer = Renderer(bench.caches, TILES, filters=False)
+    gbuffer = renderer.gbuffer(view)
+    light = RotatedLight(bench.caches.spec("gi"), view)
     texels = renderer.texels(view, gbuffer)
     _, framebuffer = renderer._texels.picture(texels, light, Until(target), TILES, Stopwatch())
     return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
-# --- what blocks draw -------------------------------------------------------------------------------------------------
+# --- what blocks draw
+# -------------------------------------------------------------------------------------------------
 
 
 TURN = quaternion_from_angles(70.0, -20.0, 15.0)
@@ -103,10 +112,14 @@ def twin_of(bench: Workbench, view: View, raw: bool, target: float = LOOSE) -> T
 
 
 def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np.ndarray, float]:
-    """Differences of sRGB codes, the largest of each pixel, and the relative RMSE of the radiance."""
+    """Differences of sRGB codes, the largest of each pixel, and the relative RMSE of the
+    radiance.
+    """
     points, normals, expected = drawn(bench, view, filters=not raw)
     assert len(points) > 250
-    found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
+    found = np.array(
+        [twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)]
+    )
     apart = np.abs(twin.develop(found) - twin.develop(expected.astype(np.float64))).max(axis=1)
     return apart, float(np.sqrt(((found - expected) ** 2).mean()) / expected.mean())
 
@@ -116,9 +129,13 @@ def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np
 @pytest.mark.parametrize("name", SCENES)
 def test_the_bytes_draw_the_frame(bench_of: BenchOf, name: str, raw: bool) -> None:
     bench = bench_of(name)
-    view = bench.view(size=40, light=TURN if bench.scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0))
+    view = bench.view(
+        size=40, light=TURN if bench.scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0)
+    )
     apart, rmse = differences(twin_of(bench, view, raw), bench, view, raw)
-    assert (apart <= 2).mean() == 1.0, f"{(apart > 2).sum()} of {len(apart)} pixels, up to {apart.max()}"
+    assert (apart <= 2).mean() == 1.0, (
+        f"{(apart > 2).sum()} of {len(apart)} pixels, up to {apart.max()}"
+    )
     assert rmse < 0.002
 
 
@@ -134,7 +151,8 @@ def test_the_albedo_of_a_view_is_in_the_document(bench_of: BenchOf) -> None:
 def test_records_are_the_kernels_inputs_in_halves(bench_of: BenchOf) -> None:
     bench = bench_of("colours")
     view = bench.view(size=40, light=TURN)
-    twin, light = twin_of(bench, view, False), RotatedLight(bench.caches.spec("gi"), view)
+    twin = twin_of(bench, view, False)
+    light = RotatedLight(bench.caches.spec("gi"), view)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     reading, records = kernels_inputs(bench, view, light)
     expected = records[
@@ -152,7 +170,9 @@ def test_records_are_the_kernels_inputs_in_halves(bench_of: BenchOf) -> None:
     found = np.array([[*each.direct, *each.reflected] for each in own])
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
     lit = reading.rows >= 0
-    cosines = np.sum([each.normal for each in np.array(own, object)[lit]] * records[lit, 11:14], axis=1)
+    cosines = np.sum(
+        [each.normal for each in np.array(own, object)[lit]] * records[lit, 11:14], axis=1
+    )
     assert lit.sum() > 500 and cosines.min() > 1.0 - 1e-7
 
 
@@ -170,24 +190,37 @@ def test_a_brick_ends_with_its_mean(bench_of: BenchOf) -> None:
     bench = bench_of("colours")
     view = bench.view(size=40)
     at = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)][:3]
-    for block in blocks_in(b"".join(each.data for each in fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)):
+    for block in blocks_in(
+        b"".join(each.data for each in fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)
+    ):
         bricks: dict[tuple[int, ...], list[int]] = {}
         for (z, y, x), number in block.numbers():
             bricks.setdefault((z // 4, y // 4, x // 4), []).append(number)
         assert list(block.masks) == sorted(block.masks)
         for place, mean in block.means().items():
-            own = block.records[[i for i in bricks[place] if block.words[i] not in (0x80008001, 0x80008002)]]
+            own = block.records[
+                [i for i in bricks[place] if block.words[i] not in (0x80008001, 0x80008002)]
+            ]
             if len(own):
-                np.testing.assert_allclose(block.records[mean], own.mean(axis=0), rtol=2e-3, atol=1e-6)
+                np.testing.assert_allclose(
+                    block.records[mean], own.mean(axis=0), rtol=2e-3, atol=1e-6
+                )
         assert len(block.records) == sum(map(len, bricks.values())) + len(bricks)
 
 
 def test_versions_change_with_light_alone(workbench: Make) -> None:
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"]))
+    bench = workbench(
+        load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"])
+    )
     view = bench.view(size=24)
     before = seen_chunks(bench.renderer, view, LOOSE, TILES)
-    assert before and {each.version for each in before} == {UNLIT_VERSION} and not any(each.final for each in before)
-    at, columns = [before[0].at], bench.caches.spec("gi").columns
+    assert (
+        before
+        and {each.version for each in before} == {UNLIT_VERSION}
+        and not any(each.final for each in before)
+    )
+    at = [before[0].at]
+    columns = bench.caches.spec("gi").columns
     for packed in (
         fold_chunks(bench.renderer, view, at, LOOSE, TILES),
         transfer_chunks(bench.renderer, at, LOOSE, TILES),
@@ -197,15 +230,20 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
     bench.bake(view)
     after = seen_chunks(bench.renderer, view, LOOSE, TILES)
     assert [each.at for each in after] == [each.at for each in before]
-    assert UNLIT_VERSION not in {each.version for each in after} and all(each.final for each in after)
+    assert UNLIT_VERSION not in {each.version for each in after} and all(
+        each.final for each in after
+    )
     assert seen_chunks(bench.again().renderer, view, LOOSE, TILES) == after
-    assert [each.version for each in seen_chunks(bench.renderer, bench.view(size=24, light=TURN), LOOSE, TILES)] == [
-        each.version for each in after
-    ]
+    assert [
+        each.version
+        for each in seen_chunks(bench.renderer, bench.view(size=24, light=TURN), LOOSE, TILES)
+    ] == [each.version for each in after]
 
 
 def test_most_visible_chunks_come_first(workbench: Make) -> None:
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"]))
+    bench = workbench(
+        load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"])
+    )
     view = bench.view(size=48)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     order = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)]
@@ -216,41 +254,66 @@ def test_most_visible_chunks_come_first(workbench: Make) -> None:
 
 
 def test_noisy_light_is_filtered_across_chunks(workbench: Make) -> None:
-    """After a few paths the bytes draw what the frame has of filtered light, up to texels that no view has yet."""
+    """After a few paths the bytes draw what the frame has of filtered light, up to texels that no
+    view has yet.
+    """
     bench = workbench(load_scene("demo:orbital", bounces=2, target_error=0.02, **SCENES["colours"]))
     view = bench.view(size=40)
     bench.bake(view, 0.6)
     indices = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
     packed = fold_chunks(bench.renderer, view, indices, 0.02, TILES)
     alone = fold_chunks(bench.renderer, view, indices[:1], 0.02, TILES)
-    assert not packed.alone and alone.blocks[0].data == packed.blocks[0].data, "neighbours are asked for by themselves"
+    assert not packed.alone and alone.blocks[0].data == packed.blocks[0].data, (
+        "neighbours are asked for by themselves"
+    )
     twin = Twin(card_scene(bench.renderer, view, ()).model_dump())
     twin.take(b"".join(each.data for each in packed.blocks))
     points, normals, expected = drawn(bench, view, 0.02)
-    found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
+    found = np.array(
+        [twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)]
+    )
     assert np.sqrt(((found - expected) ** 2).mean()) / expected.mean() < 0.01
 
 
 def test_transfer_of_noisy_texels_is_filtered_as_light(workbench: Make) -> None:
-    """Under a light that the page turns it draws what the server does, by the chunks of the view alone."""
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=0.02, projected=False, **SCENES["colours"]))
+    """Under a light that the page turns it draws what the server does, by the chunks of the view
+    alone.
+    """
+    bench = workbench(
+        load_scene(
+            "demo:orbital", bounces=2, target_error=0.02, projected=False, **SCENES["colours"]
+        )
+    )
     view = bench.view(size=40, light=TURN)
     bake_to(bench, view, FIRST_LEVEL)
     twin = twin_of(bench, view, raw=True, target=0.02)
     points, normals, filtered = drawn(bench, view, 0.02)
     grainy = drawn(bench, view, 0.02, filters=False)[2]
-    found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
-    errors = [float(np.sqrt(((each - filtered) ** 2).mean()) / filtered.mean()) for each in (found, grainy)]
+    found = np.array(
+        [twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)]
+    )
+    errors = [
+        float(np.sqrt(((each - filtered) ** 2).mean()) / filtered.mean())
+        for each in (found, grainy)
+    ]
     assert errors[0] < 0.002 and errors[1] > 0.02, errors
 
 
 def test_transfer_stands_for_its_chunk_alone(workbench: Make) -> None:
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=0.02, projected=False, **SCENES["colours"]))
+    bench = workbench(
+        load_scene(
+            "demo:orbital", bounces=2, target_error=0.02, projected=False, **SCENES["colours"]
+        )
+    )
     view = bench.view(size=40)
     bake_to(bench, view, FIRST_LEVEL)
     at = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
     packed = transfer_chunks(bench.renderer, at, 0.02, TILES)
-    assert packed.alone and transfer_chunks(bench.renderer, at[:1], 0.02, TILES).blocks[0].data == packed.blocks[0].data
+    assert (
+        packed.alone
+        and transfer_chunks(bench.renderer, at[:1], 0.02, TILES).blocks[0].data
+        == packed.blocks[0].data
+    )
 
 
 def bake_to(bench: Workbench, view: View, samples: int) -> None:
@@ -259,7 +322,8 @@ def bake_to(bench: Workbench, view: View, samples: int) -> None:
         refine_chunk(bench.caches.of("gi"), samples, 1e-3, demand)
 
 
-# --- transfer in few bits ---------------------------------------------------------------------------------------------
+# --- transfer in few bits
+# ---------------------------------------------------------------------------------------------
 
 
 RNG = np.random.default_rng(3)
@@ -280,12 +344,15 @@ def colours(bench_of: BenchOf) -> Workbench:
 def test_rounding_errs_as_much_as_is_allowed(bench_of: BenchOf, name: str, turn: float) -> None:
     """Of light that a surface reflects which sees half of it, whichever way the light is turned."""
     bench = bench_of(name)
-    spec, error = bench.caches.spec("gi"), 0.02
+    spec = bench.caches.spec("gi")
+    error = 0.02
     coding = coding_of(bench, error)
     numbers = RNG.normal(size=(4000, spec.channels * spec.columns + 2)).astype(np.float32)
     wrong = (coding.numbers(coding.codes(numbers)) - numbers)[:, :-2]
     turned = quaternion_from_angles(turn if bench.scene.lighting.rotating else 0.0, 0.0, 0.0)
-    columns = RotatedLight(spec, bench.view(size=8, light=turned)).reflected / spec.unit * raw_scale(spec)
+    columns = (
+        RotatedLight(spec, bench.view(size=8, light=turned)).reflected / spec.unit * raw_scale(spec)
+    )
     light = np.array([0.2126, 0.7152, 0.0722]) @ columns
     if spec.channels == 3:
         light = (np.array([0.2126, 0.7152, 0.0722])[:, None] * columns).ravel()
@@ -302,8 +369,10 @@ def test_codes_are_whole_numbers_that_two_bytes_hold() -> None:
 
 @pytest.mark.usefixtures("unfiltered")
 def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
-    bench, view = colours, colours.view(size=40)
-    tiles, coding = bench.renderer.tiles, coding_of(bench, 0.01)
+    bench = colours
+    view = colours.view(size=40)
+    tiles = bench.renderer.tiles
+    coding = coding_of(bench, 0.01)
     indices = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, tiles)]
     whole = transfer_chunks(bench.renderer, indices, LOOSE, tiles)
     few = coded_chunks(bench.renderer, indices, LOOSE, coding, tiles)
@@ -315,9 +384,9 @@ def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
         known = list(CODES.values())
         np.testing.assert_array_equal(np.isin(words, known), np.isin(same.words, known))
         apart = np.abs(numbers - same.records) - 1e-3 * np.abs(same.records)
-        assert (apart <= 1.001 * coding.steps).all() and (apart <= 0.501 * coding.steps).mean() > 0.9, (
-            "means are of codes"
-        )
+        assert (apart <= 1.001 * coding.steps).all() and (
+            apart <= 0.501 * coding.steps
+        ).mean() > 0.9, "means are of codes"
 
 
 def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
@@ -326,7 +395,10 @@ def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     grade = np.full(len(n), FINAL, np.uint8)
     words = words_of(n, grade)
-    x, y = (coarse((words >> shift & 0xFFFF).astype(np.uint16), words).astype(np.uint32) for shift in (0, 16))
+    x, y = (
+        coarse((words >> shift & 0xFFFF).astype(np.uint16), words).astype(np.uint32)
+        for shift in (0, 16)
+    )
     near = x | y << 16
     cosines = [float(normal_of(int(word)) @ each) for word, each in zip(near, n, strict=True)]
     assert np.degrees(np.arccos(np.clip(min(cosines), -1.0, 1.0))) < 0.3
@@ -365,7 +437,8 @@ def test_views_without_a_surface_are_not_measured(workbench: Make) -> None:
     assert len(ControlPictures(bench.renderer, [replace(view, camera=away)], 0.5)) == 0
 
 
-# --- known blocks -----------------------------------------------------------------------------------------------------
+# --- known blocks
+# --------------------------------------------------------------------------------------------------
 
 
 TARGET = 0.02
@@ -408,7 +481,8 @@ def data(packed: Packed) -> list[bytes]:
 
 
 def test_chunks_are_folded_once_for_all_visitors(bench: Workbench, folded: list[Index]) -> None:
-    view, at = bench.view(size=40), seen(bench)
+    view = bench.view(size=40)
+    at = seen(bench)
     once = known_light(bench.renderer, view, at[:5], TARGET, TILES)
     again = known_light(bench.renderer, view, [*at[::-1], at[0]], TARGET, TILES)
     assert sorted(folded) == sorted(at)
@@ -418,11 +492,18 @@ def test_chunks_are_folded_once_for_all_visitors(bench: Workbench, folded: list[
 
 
 @pytest.mark.parametrize("change", ["light", "albedo", "target"])
-def test_other_light_is_folded_by_itself(bench: Workbench, folded: list[Index], change: str) -> None:
-    view, at = bench.view(size=40), seen(bench)[:3]
+def test_other_light_is_folded_by_itself(
+    bench: Workbench, folded: list[Index], change: str
+) -> None:
+    view = bench.view(size=40)
+    at = seen(bench)[:3]
     known_light(bench.renderer, view, at, TARGET, TILES)
-    more = {"light": {"light": quaternion_from_angles(70.0, 0.0, 0.0)}, "albedo": {"albedo": (0.3, 0.3, 0.3)}}
-    other, target = bench.view(size=40, **more.get(change, {})), 0.3 if change == "target" else TARGET
+    more = {
+        "light": {"light": quaternion_from_angles(70.0, 0.0, 0.0)},
+        "albedo": {"albedo": (0.3, 0.3, 0.3)},
+    }
+    other = bench.view(size=40, **more.get(change, {}))
+    target = 0.3 if change == "target" else TARGET
     found = known_light(bench.renderer, other, at, target, TILES)
     assert len(folded) == 6
     assert data(found) == data(fold_chunks(bench.renderer, other, at, target, TILES))
@@ -430,7 +511,8 @@ def test_other_light_is_folded_by_itself(bench: Workbench, folded: list[Index], 
 
 def test_what_is_baked_on_is_folded_once_more(bench: Workbench, folded: list[Index]) -> None:
     """So are the chunks beside, whose light is filtered by it."""
-    view, at = bench.view(size=40), seen(bench)
+    view = bench.view(size=40)
+    at = seen(bench)
     known_light(bench.renderer, view, at, TARGET, TILES)
     folded.clear()
     bench.bake(bench.view(size=16), 0.3)
@@ -448,7 +530,8 @@ def test_transfer_is_known_whatever_the_light(bench: Workbench) -> None:
 
 def test_known_blocks_take_few_bytes(bench: Workbench, folded: list[Index]) -> None:
     """The oldest go, and are folded once more."""
-    view, at = bench.view(size=40), seen(bench)
+    view = bench.view(size=40)
+    at = seen(bench)
     bench.renderer.blocks = known = KnownBlocks(100_000)
     for each in at:
         known_light(bench.renderer, view, [each], TARGET, TILES)
@@ -463,7 +546,9 @@ def test_a_look_at_final_light_is_kept_until_more_is_baked(bench: Workbench) -> 
     assert once.frame is None and look_at(bench.renderer, view, 0.9, TILES) is once
     bench.bake(bench.view(size=16), 0.3)
     again = look_at(bench.renderer, view, 0.9, TILES)
-    assert again.seen != once.seen and [each.at for each in again.seen] == [each.at for each in once.seen]
+    assert again.seen != once.seen and [each.at for each in again.seen] == [
+        each.at for each in once.seen
+    ]
 
 
 def test_a_look_at_light_to_come_is_not_kept(bench: Workbench) -> None:

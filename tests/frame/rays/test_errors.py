@@ -1,4 +1,6 @@
-"""Errors of paths from pixels: what replicas tell, and the tail by few controls, as far as they know it."""
+"""Errors of paths from pixels: what replicas tell, and the tail by few controls, as far as they
+know it.
+"""
 
 import math
 from collections.abc import Callable
@@ -37,17 +39,22 @@ BINOMIAL = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
 def gbuffer_of(on: np.ndarray) -> GBuffer:
     """Pixels of a picture, with points that nobody reads."""
     pixels = np.flatnonzero(on).astype(np.uint32)
-    return GBuffer(on.shape, (1.0,) * 3, (0.0,) * 3, 0.5, pixels, np.zeros((len(pixels), 3), np.float32))
+    return GBuffer(
+        on.shape, (1.0,) * 3, (0.0,) * 3, 0.5, pixels, np.zeros((len(pixels), 3), np.float32)
+    )
 
 
 def test_pooled_variance_is_a_weighted_mean_over_neighbours() -> None:
     rng = np.random.default_rng(3)
     on = rng.random((9, 7)) < 0.6
     variance = rng.random(on.sum())
-    padded, weights = np.zeros((13, 11)), np.zeros((13, 11))
-    padded[2:-2, 2:-2][on], weights[2:-2, 2:-2][on] = variance, 1.0
+    padded = np.zeros((13, 11))
+    weights = np.zeros((13, 11))
+    padded[2:-2, 2:-2][on] = variance
+    weights[2:-2, 2:-2][on] = 1.0
     expected = [
-        (BINOMIAL * padded[y : y + 5, x : x + 5]).sum() / (BINOMIAL * weights[y : y + 5, x : x + 5]).sum()
+        (BINOMIAL * padded[y : y + 5, x : x + 5]).sum()
+        / (BINOMIAL * weights[y : y + 5, x : x + 5]).sum()
         for y, x in np.argwhere(on)
     ]
     np.testing.assert_allclose(pooled_variance(variance, gbuffer_of(on)), expected, rtol=1e-12)
@@ -78,7 +85,9 @@ def half_sky(folder: Path) -> dict[str, object]:
 def test_path_traced_errors_are_as_large_as_reported(
     samples: int, workbench: Callable[[Scene], Workbench], tmp_path: Path
 ) -> None:
-    """Its radiance is R (1 + n·z)/2, of the normals that rays start by; the ball meets none of them."""
+    """Its radiance is R (1 + n·z)/2, of the normals that rays start by; the ball meets none of
+    them.
+    """
     bench = workbench(scene_of(ball(), 0.0, lights=[half_sky(tmp_path)], albedo=0.6, bounces=0))
     frame = bench.renderer.render(bench.view(size=72, shading="path_traced", samples=samples))
     normals = frame.gbuffer.normals(bench.renderer.tiles)
@@ -89,30 +98,42 @@ def test_path_traced_errors_are_as_large_as_reported(
     assert 0.9 < (np.abs(wrong) < 1.96 * estimated).mean() < 0.99
 
 
-def test_a_ball_under_constant_light_has_its_albedo_and_no_error(workbench: Callable[[Scene], Workbench]) -> None:
+def test_a_ball_under_constant_light_has_its_albedo_and_no_error(
+    workbench: Callable[[Scene], Workbench],
+) -> None:
     bench = workbench(scene_of(ball(), 0.0, lights=[CONSTANT], albedo=0.6, bounces=2))
     frame = bench.renderer.render(bench.view(size=24, shading="path_traced"))
     np.testing.assert_allclose(luminance(frame), 0.6, rtol=1e-6)
     assert frame.noise < 1e-7 and frame.surface > 60 and not frame.provisional
 
 
-@pytest.mark.parametrize(("samples", "replicas"), [(1, 2), (7, 2), (8, 4), (255, 4), (256, 8), (4096, 8)])
+@pytest.mark.parametrize(
+    ("samples", "replicas"), [(1, 2), (7, 2), (8, 4), (255, 4), (256, 8), (4096, 8)]
+)
 def test_more_samples_make_more_replicas(samples: int, replicas: int) -> None:
     assert replicas_for(samples) == replicas
 
 
-# --- tails ------------------------------------------------------------------------------------------------------------
+# --- tails
+# --------------------------------------------------------------------------------------------------
 
 
-POINTS, MEAN = 20_000, 3.0
+POINTS = 20_000
+MEAN = 3.0
 
 Kind = Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Makes relative errors of all points, the noise of half of the paths from each, and how uncertain each seems."""
+"""Makes relative errors of all points, the noise of half of the paths from each, and how uncertain
+each seems.
+"""
 
 
 def smooth(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors as large as the noise of controls, and no hint at where they are larger."""
-    return 0.02 * rng.normal(size=POINTS), np.full(POINTS, 0.02), 0.02 * rng.uniform(0.5, 1.5, POINTS)
+    return (
+        0.02 * rng.normal(size=POINTS),
+        np.full(POINTS, 0.02),
+        0.02 * rng.uniform(0.5, 1.5, POINTS),
+    )
 
 
 def rough(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,13 +145,18 @@ def rough(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def rims(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Thin bright rims: 1.5 % of the points are wrong by about 12 %, and seem uncertain."""
-    rim, seems = rng.random(POINTS) < 0.015, np.exp(0.4 * rng.normal(size=POINTS))
-    wrong = np.where(rim, 0.12 * (1.0 + 0.3 * rng.normal(size=POINTS)), 0.01 * rng.normal(size=POINTS))
+    rim = rng.random(POINTS) < 0.015
+    seems = np.exp(0.4 * rng.normal(size=POINTS))
+    wrong = np.where(
+        rim, 0.12 * (1.0 + 0.3 * rng.normal(size=POINTS)), 0.01 * rng.normal(size=POINTS)
+    )
     return wrong, np.full(POINTS, 0.02), np.where(rim, 0.08, 0.01) * seems
 
 
 def lamps(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Several small lamps: a tenth of the points has much noise, which is skewed, and smaller errors than it."""
+    """Several small lamps: a tenth of the points has much noise, which is skewed, and smaller
+    errors than it.
+    """
     noise = np.where(rng.random(POINTS) < 0.1, 0.1, 0.015)
     wrong = 0.02 * rng.normal(size=POINTS) * np.exp(0.5 * rng.normal(size=POINTS))
     return wrong, noise, noise * np.exp(0.3 * rng.normal(size=POINTS))
@@ -144,7 +170,10 @@ def told(kind: Kind, count: int, rng: np.random.Generator) -> tuple[TailError, f
     wrong, noise, uncertainty = kind(rng)
     chance = chances(uncertainty)
     places = rng.choice(POINTS, count, p=chance)
-    drift = rng.gamma(0.5, 2.0, (count, 2)) - 1.0 if kind is lamps else math.sqrt(2.0) * rng.normal(size=(count, 2))
+    if kind is lamps:
+        drift = rng.gamma(0.5, 2.0, (count, 2)) - 1.0
+    else:
+        drift = math.sqrt(2.0) * rng.normal(size=(count, 2))
     halves = 5.0 - MEAN * noise[places, None] * drift / math.sqrt(2.0)
     controls = ControlPixels(places, 1.0 / (POINTS * chance[places]), halves)
     tail = tail_of(controls, 5.0 + MEAN * wrong[places], uncertainty, MEAN)
@@ -182,7 +211,8 @@ def test_few_controls_bound_no_tail(count: int, bounded: bool) -> None:
 def test_a_pixel_that_is_drawn_again_is_one_control() -> None:
     rng = np.random.default_rng(5)
     controls = ControlPixels(np.arange(300), np.ones(300), rng.normal(0.0, 0.01, (300, 2)))
-    shown, uncertainty = 0.05 * rng.normal(size=300), np.ones(300)
+    shown = 0.05 * rng.normal(size=300)
+    uncertainty = np.ones(300)
     twice = tail_of(controls.joined(controls), np.tile(shown, 2), uncertainty, 1.0)
     assert twice == tail_of(controls, shown, uncertainty, 1.0)
 
@@ -195,7 +225,8 @@ def test_in_the_dark_the_tail_is_all_or_nothing() -> None:
 
 def test_without_noise_shares_are_those_of_the_controls() -> None:
     """Controls that show their errors exactly are counted, each by its weight."""
-    seen, counts = np.array([0, 3, 3, 1]), np.array([0.1, 0.2, 0.3, 0.4])
+    seen = np.array([0, 3, 3, 1])
+    counts = np.array([0.1, 0.2, 0.3, 0.4])
     above = shares_above(np.eye(4)[seen], counts, np.full(4, 0.25))
     assert counts @ above == pytest.approx([0.9, 0.5, 0.5, 0.0])
 
@@ -231,6 +262,8 @@ def test_equal_weights_have_the_bound_of_poisson_counts() -> None:
 
 def test_the_percentile_is_where_shares_come_down() -> None:
     errors = np.array([0.01, 0.1, 1.0])
-    assert falls_below(0.01, np.array([0.5, 0.02, 0.0]), errors) == pytest.approx(0.1 * math.sqrt(10.0))
+    assert falls_below(0.01, np.array([0.5, 0.02, 0.0]), errors) == pytest.approx(
+        0.1 * math.sqrt(10.0)
+    )
     assert falls_below(0.01, np.array([0.009, 0.0, 0.0]), errors) == 0.0
     assert falls_below(0.01, np.array([0.5, 0.2, 0.02]), errors) == 1.0

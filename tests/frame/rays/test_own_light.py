@@ -29,7 +29,9 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
-POINTS, PATHS, NOISE = 2000, 512, 0.02
+POINTS = 2000
+PATHS = 512
+NOISE = 0.02
 NONE = np.empty(0, np.int64)
 
 
@@ -47,7 +49,9 @@ def controls(wrong: np.ndarray) -> ControlPixels:
     return ControlPixels(np.arange(POINTS), np.ones(POINTS), wrong[:, None] + noise)
 
 
-def chosen(wrong: np.ndarray, controls: ControlPixels, allowed: float, own: np.ndarray = NONE) -> Choice:
+def chosen(
+    wrong: np.ndarray, controls: ControlPixels, allowed: float, own: np.ndarray = NONE
+) -> Choice:
     errors = spread_errors(wrong, controls, np.zeros(POINTS)) ** 2
     return choose_points(errors, variance_of_halves(wrong, controls), PATHS, own, allowed)
 
@@ -57,7 +61,9 @@ def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
     means = 1.0 + deviation * np.array([-1.0, 1.0, -1.0, 1.0]) * np.sqrt(3.0 / 4.0)
     sums = np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3)
     estimate = Estimate(sums, np.full(len(places), count))
-    return PixelLight(places, estimate, np.ones((len(places), 3)), variance_of_mean(estimate.means), NONE)
+    return PixelLight(
+        places, estimate, np.ones((len(places), 3)), variance_of_mean(estimate.means), NONE
+    )
 
 
 def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixels) -> None:
@@ -66,7 +72,9 @@ def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixe
     assert np.array_equal(choice.places, np.unique(choice.places))
 
 
-def test_what_is_left_and_noise_make_what_is_allowed(wrong: np.ndarray, controls: ControlPixels) -> None:
+def test_what_is_left_and_noise_make_what_is_allowed(
+    wrong: np.ndarray, controls: ControlPixels
+) -> None:
     choice = chosen(wrong, controls, 0.002)
     assert choice.count > FIRST_PATHS
     left = np.delete(spread_errors(wrong, controls, np.zeros(POINTS)) ** 2, choice.places).sum()
@@ -75,8 +83,11 @@ def test_what_is_left_and_noise_make_what_is_allowed(wrong: np.ndarray, controls
     assert len(choice.places) * each == pytest.approx(choice.variance, rel=0.1)
 
 
-def test_no_other_number_of_points_takes_fewer_paths(wrong: np.ndarray, controls: ControlPixels) -> None:
-    allowed, choice = 0.01, chosen(wrong, controls, 0.01)
+def test_no_other_number_of_points_takes_fewer_paths(
+    wrong: np.ndarray, controls: ControlPixels
+) -> None:
+    allowed = 0.01
+    choice = chosen(wrong, controls, 0.01)
     squares = np.sort(spread_errors(wrong, controls, np.zeros(POINTS)) ** 2)[::-1]
 
     def cost(many: int) -> float:
@@ -84,7 +95,9 @@ def test_no_other_number_of_points_takes_fewer_paths(wrong: np.ndarray, controls
         if variance <= 0.0:
             return np.inf
         return many * max(
-            PATHS * (many * FILTERED_VARIANCE_SHARE * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS
+            PATHS
+            * (many * FILTERED_VARIANCE_SHARE * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0),
+            FIRST_PATHS,
         )
 
     least = min(cost(many) for many in range(1, POINTS + 1))
@@ -123,12 +136,17 @@ def test_more_points_begin_with_as_many_paths_as_others_have() -> None:
 
 def test_paths_are_foreseen_as_for_errors_that_are_spread() -> None:
     """Brute force: squares drawn from the distribution, each number of points tried."""
-    target, error, points, effort = 0.02, 0.03, 20_000, 0.5
+    target = 0.02
+    error = 0.03
+    points = 20_000
+    effort = 0.5
     squares = np.sort(error**2 * np.random.default_rng(3).exponential(size=points))[::-1]
     variance = (AIM * target) ** 2 * points - np.append(squares[::-1].cumsum()[::-1][1:], 0.0)
     many = np.arange(1, points + 1)
     cost = many * effort * (many / np.maximum(variance, 1e-300)) ** (RATE / 2.0)
-    assert foreseen_paths(points, error, target, effort) == pytest.approx(cost[variance > 0.0].min(), rel=0.05)
+    assert foreseen_paths(points, error, target, effort) == pytest.approx(
+        cost[variance > 0.0].min(), rel=0.05
+    )
 
 
 def test_no_paths_are_foreseen_where_light_is_good_enough() -> None:
@@ -144,10 +162,12 @@ def test_in_the_dark_all_points_are_traced_once() -> None:
     assert Growth(choice, light_of(choice.places, FIRST_PATHS, 0.0)).enough
 
 
-# --- filtering --------------------------------------------------------------------------------------------------------
+# --- filtering
+# --------------------------------------------------------------------------------------------------
 
 
-SIZE, GRAIN = 48, 0.1
+SIZE = 48
+GRAIN = 0.1
 Bend = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -171,7 +191,9 @@ def seen(depth: Bend, normal: tuple[float, float, float] | np.ndarray = (0.0, 0.
 
 def noisy(light: np.ndarray) -> np.ndarray:
     """Light (k,) as grey (k, 3) with the deviation NOISE."""
-    return (light + np.random.default_rng(1).normal(0.0, GRAIN, len(light)))[:, None].repeat(3, axis=1)
+    return (light + np.random.default_rng(1).normal(0.0, GRAIN, len(light)))[:, None].repeat(
+        3, axis=1
+    )
 
 
 def filtered(light: np.ndarray, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
@@ -217,9 +239,14 @@ def test_a_pixel_alone_keeps_its_light() -> None:
 def corrected(
     own: np.ndarray, error: np.ndarray, gbuffer: GBuffer, expected: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Even light of 1 whose texels have an ``error`` (k,), corrected by own light where ``own`` (k,) is true."""
+    """Even light of 1 whose texels have an ``error`` (k,), corrected by own light where ``own``
+    (k,) is true.
+    """
     places = np.flatnonzero(own)
-    even = np.ones(len(error)) if expected is None else expected
+    if expected is None:
+        even = np.ones(len(error))
+    else:
+        even = expected
     given = even, places, noisy(np.ones(len(places))), np.full(len(places), GRAIN**2)
     light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
     return light @ LUMINANCE_WEIGHTS, variance
@@ -234,10 +261,13 @@ def from_afar(texel: float) -> GBuffer:
 
 def test_no_border_shows_beside_light_of_their_own() -> None:
     column = np.arange(SIZE**2) % SIZE
-    own, error = column < SIZE // 2, np.full(SIZE**2, 0.3)
+    own = column < SIZE // 2
+    error = np.full(SIZE**2, 0.3)
     light, _ = corrected(own, error, from_afar(8.0))
     across = np.array([light[column == each].mean() for each in range(SIZE)])
-    assert np.abs(np.diff(across)).max() < 0.06, "a fifth of the error, where it would be the whole of it"
+    assert np.abs(np.diff(across)).max() < 0.06, (
+        "a fifth of the error, where it would be the whole of it"
+    )
     assert across[SIZE // 2 + 2] < 1.1 and across[-1] == pytest.approx(1.3), "and it fades out"
     assert ((light - 1.0)[own] ** 2).mean() < 0.15 * GRAIN**2
 
@@ -264,7 +294,8 @@ def test_a_pixel_whose_light_is_noise_shows_none_of_it() -> None:
 
 
 def test_what_is_left_of_the_noise_is_said() -> None:
-    own, error = np.ones(SIZE**2, bool), np.full(SIZE**2, 0.2)
+    own = np.ones(SIZE**2, bool)
+    error = np.full(SIZE**2, 0.2)
     light, variance = corrected(own, error, from_afar(4.0))
     assert ((light - 1.0) ** 2).mean() < 1.5 * variance.mean() + 0.05 * GRAIN**2
     assert variance.mean() < 0.5 * GRAIN**2
@@ -277,24 +308,35 @@ def test_means_around_are_those_of_a_plain_loop(step: int) -> None:
     normals = random.normal((0.2, 0.1, 1.0), 0.1, (SIZE**2, 3))
     bend._normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     buffer = bend.part(np.flatnonzero(random.random(SIZE**2) < 0.8), Tiles(1))
-    values, variance = random.random((len(buffer.pixels), 2)), random.random(len(buffer.pixels))
+    values = random.random((len(buffer.pixels), 2))
+    variance = random.random(len(buffer.pixels))
     means, left = Surroundings(buffer, Tiles(1)).means(values, variance, step)
     for row in random.integers(0, len(values), 50):
         y, x = divmod(int(buffer.pixels[row]), SIZE)
-        total, mean, noise = 0.0, np.zeros(2), 0.0
+        total = 0.0
+        mean = np.zeros(2)
+        noise = 0.0
         for v, u in ((y + dy * step, x + dx * step) for dy in (-1, 0, 1) for dx in (-1, 0, 1)):
-            near = buffer.rows[v, u] if 0 <= v < SIZE and 0 <= u < SIZE else -1
+            if 0 <= v < SIZE and 0 <= u < SIZE:
+                near = buffer.rows[v, u]
+            else:
+                near = -1
             if near >= 0:
                 weight = counted(buffer, row, near, ((v - y) ** 2 + (u - x) ** 2) / step**2)
-                total, mean, noise = total + weight, mean + weight * values[near], noise + weight**2 * variance[near]
-        assert means[row] == pytest.approx(mean / total) and left[row] == pytest.approx(noise / total**2)
+                total = total + weight
+                mean = mean + weight * values[near]
+                noise = noise + weight**2 * variance[near]
+        assert means[row] == pytest.approx(mean / total) and left[row] == pytest.approx(
+            noise / total**2
+        )
 
 
 def counted(buffer: GBuffer, a: int, b: int, square: float) -> float:
     """What point ``b`` counts for ``a`` at a squared distance in steps."""
     if a == b:
         return 1.0
-    way, normals = (buffer.points[b] - buffer.points[a]).astype(float), buffer.normals(Tiles(1)).astype(float)
+    way = (buffer.points[b] - buffer.points[a]).astype(float)
+    normals = buffer.normals(Tiles(1)).astype(float)
     slope = max(abs(way @ normals[a]), abs(way @ normals[b])) / np.linalg.norm(way)
     like = max(float(normals[a] @ normals[b]), 0.0) ** 16
     return float(np.exp(-square / 2.0) * like * np.exp2(-((slope / 0.4) ** 2)))

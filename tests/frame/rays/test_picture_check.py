@@ -66,16 +66,25 @@ def checked(bench: Workbench, view: View, target: float | None = None) -> Frame:
 
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
-    """The casting with so few texels that light between them is wrong by far more than its noise."""
-    scene = load_scene("demo:casting", lights=[CONSTANT], lattice=0.3, projected=False, target_error=TARGET)
+    """The casting with so few texels that light between them is wrong by far more than its
+    noise.
+    """
+    scene = load_scene(
+        "demo:casting", lights=[CONSTANT], lattice=0.3, projected=False, target_error=TARGET
+    )
     return Workbench(scene, tmp_path_factory.mktemp("coarse"))
 
 
-# --- the estimate -----------------------------------------------------------------------------------------------
+# --- the estimate
+# -----------------------------------------------------------------------------------------------
 
 
-def drawn(rng: np.random.Generator, wrong: np.ndarray, uncertainty: np.ndarray, count: int) -> np.ndarray:
-    """Weighted squares of controls whose halves have noise of their own, of a picture that is ``wrong`` (m,)."""
+def drawn(
+    rng: np.random.Generator, wrong: np.ndarray, uncertainty: np.ndarray, count: int
+) -> np.ndarray:
+    """Weighted squares of controls whose halves have noise of their own, of a picture that is
+    ``wrong`` (m,).
+    """
     chance = chances(uncertainty)
     places = rng.choice(len(wrong), count, p=chance)
     halves = rng.normal(0.0, 0.3, (count, 2))
@@ -84,7 +93,9 @@ def drawn(rng: np.random.Generator, wrong: np.ndarray, uncertainty: np.ndarray, 
 
 
 def test_squares_are_right_on_the_average() -> None:
-    """Some pixels err much: neither where controls are drawn nor the noise of their paths changes the mean."""
+    """Some pixels err much: neither where controls are drawn nor the noise of their paths changes
+    the mean.
+    """
     rng = np.random.default_rng(3)
     wrong = np.where(rng.random(4000) < 0.05, 1.0, 0.1) * rng.normal(size=4000)
     for uncertainty in (np.zeros(4000), np.abs(wrong), rng.random(4000)):
@@ -121,12 +132,15 @@ def true_error(frame: Frame, true: Reference) -> float:
 
 
 def true_tail(frame: Frame, true: Reference) -> float:
-    """The relative error that 99 % of a frame's pixels stay below, by a reference of the same view."""
+    """The relative error that 99 % of a frame's pixels stay below, by a reference of the same
+    view.
+    """
     light = true.mean[true.on].astype(float) @ LUMINANCE_WEIGHTS
     return float(np.percentile(np.abs(luminance(frame) - light), 99.0) / light.mean())
 
 
-# --- the picture ------------------------------------------------------------------------------------------------
+# --- the picture
+# ------------------------------------------------------------------------------------------------
 
 
 def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) -> None:
@@ -148,7 +162,9 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert not coarse.renderer.refine(view)
 
 
-def test_a_picture_with_outliers_is_not_final(coarse: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_with_outliers_is_not_final(
+    coarse: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever its total error: some of its pixels are far from the truth."""
     frame = checked(coarse, coarse.view(azimuth=20.0, size=32))
     assert frame.final and frame.tail is not None and frame.tail.likely <= TAIL * TARGET
@@ -159,7 +175,8 @@ def test_a_picture_with_outliers_is_not_final(coarse: Workbench, monkeypatch: py
 
 
 def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
-    """The frames of a view whose texels take as many samples as its check asks for, step by step to the end.
+    """The frames of a view whose texels take as many samples as its check asks for, step by step to
+    the end.
 
     A rung costs its paths alone: of small pictures the tasks would cost more.
     """
@@ -172,7 +189,8 @@ def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
 def baked_so_far(bench: Workbench, view: View, target: float) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for now."""
     while (frame := bench.renderer.render(view, target)).demands:
-        loader, until = bench.caches.of(view.shading), max(frame.quality.enough, 1)
+        loader = bench.caches.of(view.shading)
+        until = max(frame.quality.enough, 1)
         for demand in frame.demands:
             refine_chunk(loader, until, target, demand)
     return frame
@@ -186,7 +204,8 @@ def controls_of(frame: Frame) -> ControlPixels:
 
 def lamps(folder: Path) -> dict[str, Any]:
     """A dark sky with ten small lamps: light from it is noisy, and smooth on a surface."""
-    rng, image = np.random.default_rng(7), np.full((32, 64, 3), 0.02, np.float32)
+    rng = np.random.default_rng(7)
+    image = np.full((32, 64, 3), 0.02, np.float32)
     image[rng.integers(0, 32, 10), rng.integers(0, 64, 10)] = 200.0
     write_hdr(folder / "lamps.hdr", image)
     return {"type": "probe", "file": str(folder / "lamps.hdr")}
@@ -194,7 +213,9 @@ def lamps(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_path: Path) -> None:
-    """Light of many lamps is noisy, and even between texels: rung by rung the picture comes nearer to its target."""
+    """Light of many lamps is noisy, and even between texels: rung by rung the picture comes nearer
+    to its target.
+    """
     bench = workbench(load_scene("demo:orbital", lights=[lamps(tmp_path)], bounces=1, lattice=0.5))
     view = bench.view(size=72)
     frames = climbed(bench, view, 0.03)
@@ -205,18 +226,34 @@ def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_pa
     last = frames[-1]
     assert last.final and last.total.high <= 0.03 and last.counts["final"] == last.surface
     true = trace_reference(bench.renderer, view, 1024)
-    assert math.sqrt(max(true_error(last, true) ** 2 - true.noise**2, 0.0)) < 1.1 * 0.03 < true_error(frames[0], true)
+    assert (
+        math.sqrt(max(true_error(last, true) ** 2 - true.noise**2, 0.0))
+        < 1.1 * 0.03
+        < true_error(frames[0], true)
+    )
 
 
 def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
     """What texels of these relative errors and numbers of samples hold, for a picture at 2 %."""
-    rows, none = np.zeros(len(error), np.int32), np.zeros(0, np.int64)
-    return Reading(rows, grade_rows(rows, error, samples, 0.02), b"", samples, error, none, none, 0.02, FIRST_LEVEL)
+    rows = np.zeros(len(error), np.int32)
+    none = np.zeros(0, np.int64)
+    return Reading(
+        rows,
+        grade_rows(rows, error, samples, 0.02),
+        b"",
+        samples,
+        error,
+        none,
+        none,
+        0.02,
+        FIRST_LEVEL,
+    )
 
 
 def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
     """Of four texels one is dark, one is good enough, and two would take more samples."""
-    error, samples = np.array([0.0, 0.01, 0.3, 0.4], np.float32), np.array([0, 64, 16, 16], np.int32)
+    error = np.array([0.0, 0.01, 0.3, 0.4], np.float32)
+    samples = np.array([0, 64, 16, 16], np.int32)
     lacking = SimpleNamespace(reading=reading_of(error, samples))
     frame: Any = SimpleNamespace(quality=SimpleNamespace(lacking=lacking))
     assert frame.quality.lacking.reading.noisy.tolist() == [False, False, True, True]
@@ -225,40 +262,57 @@ def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
 
 
 @pytest.mark.parametrize(("noisy", "step"), [(3, "controls"), (1000, "rung")])
-def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch, noisy: int, step: str) -> None:
-    """A picture whose interval holds its target: more samples of a few texels cost next to nothing, and are no use."""
+def test_a_rung_is_for_noise_that_it_takes_away(
+    monkeypatch: pytest.MonkeyPatch, noisy: int, step: str
+) -> None:
+    """A picture whose interval holds its target: more samples of a few texels cost next to nothing,
+    and are no use.
+    """
     taken: list[str] = []
     monkeypatch.setattr(PictureCheck, "_climb", lambda *_: bool(taken.append("rung")))
     monkeypatch.setattr(PictureCheck, "_add_controls", lambda *_: bool(taken.append("controls")))
     climbs = np.arange(1000) < noisy
     reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
-    state, total = PictureState(0.02, drawn=FIRST_LEVEL, paths=64), TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
+    state = PictureState(0.02, drawn=FIRST_LEVEL, paths=64)
+    total = TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
-    frame: Any = SimpleNamespace(quality=quality, noise=0.02, measured=total, surface=9, final=False)
+    frame: Any = SimpleNamespace(
+        quality=quality, noise=0.02, measured=total, surface=9, final=False
+    )
     unused: Any = None
     PictureCheck(unused, unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
 def test_no_pixel_is_final_while_its_picture_may_become_better(coarse: Workbench) -> None:
-    bench, view = coarse.again(), coarse.view(azimuth=200.0, size=32)
+    bench = coarse.again()
+    view = coarse.view(azimuth=200.0, size=32)
     frames = climbed(bench, view, TARGET)
     assert not frames[0].provisional and frames[0].improving
     for frame in frames[:-1]:
-        assert frame.final or (frame.counts["final"] == 0 and not (frame.reported_state == FINAL).any())
+        assert frame.final or (
+            frame.counts["final"] == 0 and not (frame.reported_state == FINAL).any()
+        )
     assert frames[-1].final and frames[-1].coverage["final"] == 1.0
 
 
 def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
-    view, target = bench.view(size=32), 0.015
+    view = bench.view(size=32)
+    target = 0.015
     frame = baked_so_far(bench, view, target)
     while frame.quality.enough == FIRST_LEVEL:
         assert bench.renderer.refine(view, target, prices=SHARED_PRICES)
         frame = bench.renderer.render(view, target)
-    assert frame.quality.outdated and frame.measured is not None and frame.demands and not frame.final
+    assert (
+        frame.quality.outdated and frame.measured is not None and frame.demands and not frame.final
+    )
     above = baked_so_far(bench, view, target)
-    assert controls_of(above) is controls_of(frame) and above.measured != frame.measured and not above.final
+    assert (
+        controls_of(above) is controls_of(frame)
+        and above.measured != frame.measured
+        and not above.final
+    )
     assert bench.renderer.refine(view, target)
     renewed = bench.renderer.render(view, target)
     assert not renewed.quality.outdated and controls_of(renewed) is not controls_of(frame)
@@ -266,8 +320,11 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
 
 
 def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> None:
-    """A server that is started again finds texels on a rung, and between two; another finds none."""
-    bench, target = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1)), 0.02
+    """A server that is started again finds texels on a rung, and between two; another finds
+    none.
+    """
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
+    target = 0.02
     view = bench.view(size=32)
     last = climbed(bench, view, target)[-1]
     again = bench.again()
@@ -278,10 +335,12 @@ def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> N
 
 def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> None:
     """Two threads draw the same picture, and one waits while the other takes a step."""
-    bench, view = coarse.again(), coarse.view(azimuth=75.0, size=32)
+    bench = coarse.again()
+    view = coarse.view(azimuth=75.0, size=32)
     bench.bake(view)
     bench.project(view)
-    renderer, seen = bench.renderer, []
+    renderer = bench.renderer
+    seen = []
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
@@ -301,21 +360,31 @@ def test_a_picture_that_is_good_enough_keeps_its_light(orbital: Workbench) -> No
 
 def test_no_controls_for_what_moves_or_is_shaded_locally(coarse: Workbench) -> None:
     view = coarse.view(azimuth=320.0, size=32)
-    for other in (replace(view, moving=True), replace(view, shading="lambert"), replace(view, shading="vicinity")):
+    for other in (
+        replace(view, moving=True),
+        replace(view, shading="lambert"),
+        replace(view, shading="vicinity"),
+    ):
         coarse.bake(other)
         frame = coarse.renderer.render(other)
         assert frame.quality.target is None and frame.final and not coarse.renderer.refine(other)
 
 
 def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
-    """Controls spread what they measure over the picture: in the mean as much as there is, and most where most is."""
+    """Controls spread what they measure over the picture: in the mean as much as there is, and most
+    where most is.
+    """
     view = coarse.view(azimuth=70.0, size=48)
     lit = coarse.bake(view, TARGET / 4)  # so that noise, which is anywhere, is little of it
     assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
     coarse.renderer.refine(view)
     frame = coarse.renderer.render(view)
-    light = trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float) @ LUMINANCE_WEIGHTS
-    told, wrong = frame.total_error[frame.state > 0] * luminance(frame), luminance(frame) - light
+    light = (
+        trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float)
+        @ LUMINANCE_WEIGHTS
+    )
+    told = frame.total_error[frame.state > 0] * luminance(frame)
+    wrong = luminance(frame) - light
     assert math.sqrt((told**2).mean()) / light.mean() == pytest.approx(frame.total.likely, rel=0.1)
     worst = told > np.quantile(told, 0.75)
     assert (wrong[worst] ** 2).mean() > 3.0 * (wrong[~worst] ** 2).mean()
@@ -323,7 +392,8 @@ def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
 
 
 def test_a_check_ends_when_it_is_cancelled(coarse: Workbench) -> None:
-    view, cancelled = coarse.view(azimuth=250.0, size=32), threading.Event()
+    view = coarse.view(azimuth=250.0, size=32)
+    cancelled = threading.Event()
     coarse.bake(view)
     cancelled.set()
     with pytest.raises(Cancelled):
@@ -339,8 +409,11 @@ def test_a_check_ends_when_it_is_cancelled(coarse: Workbench) -> None:
         *((2.0, None, CONSTANT), (2.0, False, SKY), (4.0, None, SKY), (4.0, False, CONSTANT)),
     ],
 )
-def test_a_closed_shell_is_dark_inside(workbench: Make, wall: float, projected: bool | None, light: Any) -> None:
-    """Texels in a thin wall lie on isosurfaces that are open: their light must not reach the inside of a closed one.
+def test_a_closed_shell_is_dark_inside(
+    workbench: Make, wall: float, projected: bool | None, light: Any
+) -> None:
+    """Texels in a thin wall lie on isosurfaces that are open: their light must not reach the inside
+    of a closed one.
 
     Projected ones are dark as they are; others are by the check of the picture.
     """
@@ -351,7 +424,10 @@ def test_a_closed_shell_is_dark_inside(workbench: Make, wall: float, projected: 
     volume = make_volume(shell.astype(np.float32))
     bench = workbench(scene_of(volume, isovalue=0.15, projected=projected, lights=[light]))
     view = bench.view(size=16)
-    inside = replace(view, camera=replace(view.camera, eye=(11.5, 11.5, 11.5), target=(16.0, 12.0, 13.0), fov=60.0))
+    inside = replace(
+        view,
+        camera=replace(view.camera, eye=(11.5, 11.5, 11.5), target=(16.0, 12.0, 13.0), fov=60.0),
+    )
     bench.bake(inside, 0.02)
     lit = bench.project(inside, 0.02)
     assert projected is False or luminance(lit).mean() < 0.01, "of 0.7 in the open"
@@ -360,10 +436,13 @@ def test_a_closed_shell_is_dark_inside(workbench: Make, wall: float, projected: 
     assert luminance(frame).max() == 0.0 and frame.total.likely == frame.total.high == 0.0
 
 
-# --- plans ------------------------------------------------------------------------------------------------------------
+# --- plans
+# --------------------------------------------------------------------------------------------------
 
 
-PIXELS, WANTED, CHUNKS = 4000, 0.02, 20
+PIXELS = 4000
+WANTED = 0.02
+CHUNKS = 20
 NONE = np.empty(0, np.int64)
 
 
@@ -373,8 +452,11 @@ def own_light(allowed: float) -> OwnLight:
 
 
 def cheapest(apart: float, noise: float, texels: int) -> Plan:
-    """The plan for a picture that is ``apart`` from the truth besides its ``noise``, by so many ``texels``."""
-    own, squares = own_light((0.85 * WANTED) ** 2), np.full(PIXELS, apart**2 + noise**2)
+    """The plan for a picture that is ``apart`` from the truth besides its ``noise``, by so many
+    ``texels``.
+    """
+    own = own_light((0.85 * WANTED) ** 2)
+    squares = np.full(PIXELS, apart**2 + noise**2)
     climbs = [0.0, *(16.0 * texels * (2**n - 1) for n in (1, 2, 3))]
     plans = by_rungs(own, squares, np.full(PIXELS, noise**2), climbs, CHUNKS)
     plans += by_finer(own, squares, np.full(PIXELS, noise**2), texels, CHUNKS, FIRST_LEVEL, WANTED)
@@ -388,7 +470,11 @@ def test_noise_asks_for_rungs() -> None:
 
 def test_light_between_texels_asks_for_finer_ones() -> None:
     plan = cheapest(apart=0.03, noise=0.005, texels=2000)
-    assert plan.finer and plan.rungs == 1 and plan.texel_paths == FINER_TEXELS_FACTOR * 2000 * FIRST_LEVEL
+    assert (
+        plan.finer
+        and plan.rungs == 1
+        and plan.texel_paths == FINER_TEXELS_FACTOR * 2000 * FIRST_LEVEL
+    )
 
 
 def test_many_texels_leave_pixels_to_light_of_their_own() -> None:
@@ -398,7 +484,9 @@ def test_many_texels_leave_pixels_to_light_of_their_own() -> None:
 
 def test_finer_texels_begin_with_their_first_samples_again() -> None:
     """Those of a third rung have four times the noise variance of the coarse ones at first."""
-    own, errors, noise = own_light(1.0), np.full(9, 0.05), np.full(9, 0.01)
+    own = own_light(1.0)
+    errors = np.full(9, 0.05)
+    noise = np.full(9, 0.01)
     own = OwnLight(np.full(9, 0.01), 256, NONE, 1e-12)
     asked: list[np.ndarray] = []
     by_finer(OwnLightSeen(own, asked), errors, noise, 10, CHUNKS, 4 * FIRST_LEVEL, WANTED)
@@ -421,18 +509,26 @@ class OwnLightSeen(OwnLight):
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:
     own = own_light(0.05**2)
     plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
-    assert plan.cost(AWAITED) == 10 * TASK + COUNTED_TEXEL_SHARE * HEAVIER * 30.0 + plan.choice.paths
+    assert (
+        plan.cost(AWAITED) == 10 * TASK + COUNTED_TEXEL_SHARE * HEAVIER * 30.0 + plan.choice.paths
+    )
     assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
     now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
     assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)
 
 
 def test_narrow_intervals_take_more_controls() -> None:
-    """256 of them leave the error within a factor of 1.2: to be sure of half of that takes four times as many."""
+    """256 of them leave the error within a factor of 1.2: to be sure of half of that takes four
+    times as many.
+    """
     measured = TotalError(0.018, 0.015, 0.018 * 1.2, 256)
     room = math.sqrt(1.2)
     assert controls_to(measured, WANTED / room, WANTED) in (1024, 1025)
-    assert controls_to(measured, WANTED, WANTED) == controls_to(measured, 0.019999, WANTED) == MAX_CONTROLS
+    assert (
+        controls_to(measured, WANTED, WANTED)
+        == controls_to(measured, 0.019999, WANTED)
+        == MAX_CONTROLS
+    )
 
 
 def test_cheap_rungs_are_climbed_at_once() -> None:

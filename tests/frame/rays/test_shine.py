@@ -1,4 +1,6 @@
-"""Shine in frames: what paths say of it, live, without a byte of light kept, and at no cost where nothing shines."""
+"""Shine in frames: what paths say of it, live, without a byte of light kept, and at no cost where
+nothing shines.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -26,7 +28,9 @@ POLISHED = {"kind": "plastic", "roughness": 0.3}
 @pytest.fixture(scope="module")
 def polished(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """The orbital in plastic under a sky with a sun, baked to a tenth in its view."""
-    scene = load_scene("demo:orbital", lights=[SKY], albedo=0.5, bounces=2, target_error=LOOSE, shine=POLISHED)
+    scene = load_scene(
+        "demo:orbital", lights=[SKY], albedo=0.5, bounces=2, target_error=LOOSE, shine=POLISHED
+    )
     bench = Workbench(scene, tmp_path_factory.mktemp("polished"))
     bench.bake(bench.view(size=SIZE))
     return bench
@@ -43,10 +47,15 @@ def traced(bench: Workbench, view: View, samples: int = 512) -> Frame:
     return bench.renderer.render(replace(view, shading="path_traced", samples=samples))
 
 
-@pytest.mark.parametrize(("kind", "roughness"), [("plastic", 0.1), ("plastic", 0.6), ("metal", 0.1), ("metal", 0.3)])
-def test_frames_at_rest_are_what_paths_say(polished: Workbench, kind: str, roughness: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "roughness"), [("plastic", 0.1), ("plastic", 0.6), ("metal", 0.1), ("metal", 0.3)]
+)
+def test_frames_at_rest_are_what_paths_say(
+    polished: Workbench, kind: str, roughness: float
+) -> None:
     view = polished.view(size=SIZE, shine=Shine(kind, roughness))
-    frame, truth = polished.settled(view), traced(polished, view)
+    frame = polished.settled(view)
+    truth = traced(polished, view)
     assert frame.final
     assert frame.measured is not None
     assert frame.measured.high <= LOOSE
@@ -57,13 +66,18 @@ def test_frames_at_rest_are_what_paths_say(polished: Workbench, kind: str, rough
 
 @pytest.mark.slow
 def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> None:
-    """Two threads draw the same picture, and one waits while the other casts: numbers are those of one alone."""
-    renderer, view = polished.renderer, polished.view(size=SIZE, shine=Shine("metal", 0.2))
+    """Two threads draw the same picture, and one waits while the other casts: numbers are those of
+    one alone.
+    """
+    renderer = polished.renderer
+    view = polished.view(size=SIZE, shine=Shine("metal", 0.2))
     alone = polished.settled(view)
     renderer.forget_views()
     while (frame := renderer.render(view)).refinable:
         for _ in range(2):
-            renderer.refine_frame(frame, renderer.prepared.scene.target_error, renderer.tiles, PRESENT)
+            renderer.refine_frame(
+                frame, renderer.prepared.scene.target_error, renderer.tiles, PRESENT
+            )
     assert (frame.version, frame.total) == (alone.version, alone.total)
 
 
@@ -72,7 +86,10 @@ def test_first_frames_tell_their_noise(polished: Workbench) -> None:
     view = polished.view(size=SIZE, shine=Shine("metal", 0.6))
     truth = polished.settled(view)
     polished.renderer.forget_views()
-    for first in (polished.renderer.render(view), polished.renderer.render(replace(view, moving=True))):
+    for first in (
+        polished.renderer.render(view),
+        polished.renderer.render(replace(view, moving=True)),
+    ):
         true = relative_rmse(first, truth)
         assert 0.4 * true < first.noise < 2.5 * true
     polished.renderer.forget_views()
@@ -83,12 +100,19 @@ def test_first_frames_tell_their_noise(polished: Workbench) -> None:
 def test_white_plastic_under_white_light_is_white(workbench: Callable[[Scene], Workbench]) -> None:
     """A ball, on which nothing but the sky is seen: what the coat mirrors is what it takes."""
     scene = load_scene(
-        "demo:orbital", lights=[CONSTANT], albedo=1.0, bounces=0, target_error=LOOSE, shine=POLISHED, isovalue=0.03
+        "demo:orbital",
+        lights=[CONSTANT],
+        albedo=1.0,
+        bounces=0,
+        target_error=LOOSE,
+        shine=POLISHED,
+        isovalue=0.03,
     )
     bench = workbench(scene)
     view = bench.view(size=SIZE)
     bench.bake(view)
-    frame, dull = bench.settled(view), bench.renderer.render(replace(view, shine=DULL))
+    frame = bench.settled(view)
+    dull = bench.renderer.render(replace(view, shine=DULL))
     lit = frame.state > 0
     open_to_sky = lit & (dull.radiance[..., 0] > 0.995)
     assert open_to_sky.sum() > 10
@@ -106,12 +130,16 @@ def test_shine_bakes_nothing_and_asks_for_nothing(polished: Workbench) -> None:
 
 def test_no_shine_is_the_diffuse_picture_to_the_bit(polished: Workbench) -> None:
     dull = Workbench(
-        load_scene("demo:orbital", lights=[SKY], albedo=0.5, bounces=2, target_error=LOOSE), polished.folder
+        load_scene("demo:orbital", lights=[SKY], albedo=0.5, bounces=2, target_error=LOOSE),
+        polished.folder,
     )
     for shading in ("gi", "path_traced", "lambert", "vicinity"):
         view = dull.view(size=SIZE, shading=shading)
         without = dull.renderer.render(view)
-        assert without.radiance.tobytes() == polished.renderer.render(replace(view, shine=DULL)).radiance.tobytes()
+        assert (
+            without.radiance.tobytes()
+            == polished.renderer.render(replace(view, shine=DULL)).radiance.tobytes()
+        )
         if shading in ("lambert", "vicinity"):
             assert without.radiance.tobytes() == polished.renderer.render(view).radiance.tobytes()
 
@@ -122,7 +150,9 @@ def test_shine_is_left_out_where_nothing_shines(polished: Workbench) -> None:
 
 
 def test_a_diffuse_scene_refuses_views_that_shine(evenly_lit: Workbench) -> None:
-    with pytest.raises(ViewError, match=r"^This scene's surface is diffuse: give the scene a \[shine\] table"):
+    with pytest.raises(
+        ViewError, match=r"^This scene's surface is diffuse: give the scene a \[shine\] table"
+    ):
         evenly_lit.renderer.render(evenly_lit.view(size=8, shine=Shine()))
 
 
@@ -130,16 +160,28 @@ def test_shine_names_its_pictures(polished: Workbench) -> None:
     view = polished.view(size=SIZE)
     versions = {
         polished.renderer.render(each).version
-        for each in (view, replace(view, shine=Shine("metal")), replace(view, shine=Shine("metal", 0.5)))
+        for each in (
+            view,
+            replace(view, shine=Shine("metal")),
+            replace(view, shine=Shine("metal", 0.5)),
+        )
     }
     assert len(versions) == 3
 
 
 def test_metal_mirrors_in_its_own_colour(workbench: Callable[[Scene], Workbench]) -> None:
-    """Pure metal scatters nothing: of copper under white light each channel is F₀ A + B at least where that is open."""
+    """Pure metal scatters nothing: of copper under white light each channel is F₀ A + B at least
+    where that is open.
+    """
     copper = [0.9, 0.5, 0.3]
     bench = workbench(
-        load_scene("demo:orbital", lights=[CONSTANT], albedo=copper, target_error=LOOSE, shine={"kind": "metal"})
+        load_scene(
+            "demo:orbital",
+            lights=[CONSTANT],
+            albedo=copper,
+            target_error=LOOSE,
+            shine={"kind": "metal"},
+        )
     )
     view = bench.view(size=SIZE)
     bench.bake(view)
@@ -153,14 +195,26 @@ def test_metal_mirrors_in_its_own_colour(workbench: Callable[[Scene], Workbench]
 @pytest.mark.parametrize("room", ["cornell", None])
 def test_rays_see_walls_and_lamps(tmp_path: Path, room: str | None) -> None:
     """In a Cornell room, and under an area light that only shine sees; against paths."""
-    lamp = {"type": "area", "corner": [-9, -9, 40], "u": [0, 60, 0], "v": [60, 0, 0], "radiance": 3.0}
-    given = {"room": room} if room else {"lights": [lamp]}
+    lamp = {
+        "type": "area",
+        "corner": [-9, -9, 40],
+        "u": [0, 60, 0],
+        "v": [60, 0, 0],
+        "radiance": 3.0,
+    }
+    if room:
+        given = {"room": room}
+    else:
+        given = {"lights": [lamp]}
     shine = {"kind": "metal", "roughness": 0.2, "strength": 0.5}
-    scene = load_scene("demo:orbital", bounces=2, target_error=LOOSE, projected=False, shine=shine, **given)
+    scene = load_scene(
+        "demo:orbital", bounces=2, target_error=LOOSE, projected=False, shine=shine, **given
+    )
     bench = Workbench(scene, tmp_path)
     view = bench.view(90.0, 20.0, SIZE, distance=4.0)
     bench.bake(view)
-    frame, truth = bench.settled(view), traced(bench, view, 256)
+    frame = bench.settled(view)
+    truth = traced(bench, view, 256)
     seen = frame.gbuffer.pixels
     one, other = (each.radiance.reshape(-1, 3)[seen].mean(axis=0) for each in (frame, truth))
     np.testing.assert_allclose(one, other, rtol=0.05)
@@ -168,14 +222,21 @@ def test_rays_see_walls_and_lamps(tmp_path: Path, room: str | None) -> None:
 
 
 def test_paths_at_the_ends_of_rays_are_those_of_the_surface(polished: Workbench) -> None:
-    """What rays see by one path each is on the average what many paths show there, of the surface without shine."""
-    renderer, view = polished.renderer, polished.view(size=SIZE)
-    gbuffer, light = renderer.gbuffer(view), RotatedLight(polished.caches.spec("gi"), view)
+    """What rays see by one path each is on the average what many paths show there, of the surface
+    without shine.
+    """
+    renderer = polished.renderer
+    view = polished.view(size=SIZE)
+    gbuffer = renderer.gbuffer(view)
+    light = RotatedLight(polished.caches.spec("gi"), view)
     rays = cast_rays(light, gbuffer, range(4), range(16), renderer.tiles)
     assert 0 < len(rays.seen) < rays.each * len(gbuffer.points)
     paths = paths_from(rays, np.arange(len(rays.seen)), light, 2, renderer.tiles)
     again = cast_rays(light, gbuffer, range(4), range(16), renderer.tiles)
-    np.testing.assert_array_equal(paths, paths_from(again, np.arange(len(rays.seen)), light, 2, renderer.tiles))
-    many, dull = np.zeros((len(rays.seen), 1, 3)), RotatedLight(light.spec, rays.view(view))
+    np.testing.assert_array_equal(
+        paths, paths_from(again, np.arange(len(rays.seen)), light, 2, renderer.tiles)
+    )
+    many = np.zeros((len(rays.seen), 1, 3))
+    dull = RotatedLight(light.spec, rays.view(view))
     Paths(dull, rays.hits, renderer.tiles, 2).add(many, 0, 0, 64)
     np.testing.assert_allclose(paths.mean(axis=0), many.mean(axis=(0, 1)) / 64, rtol=0.15)

@@ -1,4 +1,6 @@
-"""Pictures of glass: what is seen through it, and the caustics on walls, against paths from each pixel."""
+"""Pictures of glass: what is seen through it, and the caustics on walls, against paths from each
+pixel.
+"""
 
 from pathlib import Path
 
@@ -29,7 +31,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
 def test_glass_in_a_room_becomes_what_paths_say(room: Workbench) -> None:
     view = room.view(90.0, 20.0, SIZE, distance=3.0)
     first = room.renderer.render(view)
-    glass, walls = first.gbuffer.pixels, first.gbuffer.walls.pixels
+    glass = first.gbuffer.pixels
+    walls = first.gbuffer.walls.pixels
     assert len(glass) and len(walls) and not first.demands
     assert set(first.state.ravel()[walls]) == {PROVISIONAL}
     assert 0 < first.quality.waiting <= first.surface and first.checkable
@@ -37,9 +40,13 @@ def test_glass_in_a_room_becomes_what_paths_say(room: Workbench) -> None:
     assert frame.final
     assert frame.version != first.version
     assert (frame.state[first.state > 0] == FINAL).all()
-    traced = room.renderer.render(room.view(90.0, 20.0, SIZE, distance=3.0, shading="path_traced", samples=512))
+    traced = room.renderer.render(
+        room.view(90.0, 20.0, SIZE, distance=3.0, shading="path_traced", samples=512)
+    )
     for pixels in (glass, walls):
-        found, true = (each.radiance.reshape(-1, 3)[pixels].mean(axis=0) for each in (frame, traced))
+        found, true = (
+            each.radiance.reshape(-1, 3)[pixels].mean(axis=0) for each in (frame, traced)
+        )
         np.testing.assert_allclose(found, true, rtol=0.03)
     assert relative_rmse(frame, traced) < 0.1
 
@@ -51,7 +58,9 @@ def test_clear_glass_under_an_even_sky_is_as_bright_as_that(tmp_path: Path) -> N
     assert frame.final and not frame.demands and not frame.quality.waiting
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], 1.0, rtol=1e-5)
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=2))
-    np.testing.assert_allclose(traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(
+        traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +72,14 @@ def casting(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
 
 def true_light(bench: Workbench, view: View, trees: int) -> np.ndarray:
     """The luminance of each point by so many trees, of other random numbers than a picture's."""
-    light, gbuffer = RotatedLight(bench.renderer.caches.spec("gi"), view), bench.renderer.gbuffer(view)
-    seen = SeenThrough.of(gbuffer, light, Trees(BREADTH, range(10, 11), range(trees)), bench.renderer.tiles)
-    return np.asarray(seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE_WEIGHTS)
+    light = RotatedLight(bench.renderer.caches.spec("gi"), view)
+    gbuffer = bench.renderer.gbuffer(view)
+    seen = SeenThrough.of(
+        gbuffer, light, Trees(BREADTH, range(10, 11), range(trees)), bench.renderer.tiles
+    )
+    return np.asarray(
+        seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE_WEIGHTS
+    )
 
 
 @pytest.mark.slow
@@ -99,14 +113,21 @@ def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None
 
 @pytest.mark.slow
 def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
-    chosen = {"material": "subsurface", "mean_free_path": 3.0, "albedo": [0.9, 0.6, 0.3], "environment": "overcast"}
+    chosen = {
+        "material": "subsurface",
+        "mean_free_path": 3.0,
+        "albedo": [0.9, 0.6, 0.3],
+        "environment": "overcast",
+    }
     scene = load_scene("demo:casting", **chosen, target_error=LOOSE, projected=False)
     bench = Workbench(scene, tmp_path)
     frame = bench.settled(bench.bake(bench.view(size=SIZE)).view)
     assert frame.final
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=512))
     assert relative_rmse(frame, traced) < 1.2 * LOOSE
-    means = [each.radiance.reshape(-1, 3)[each.gbuffer.pixels].mean(axis=0) for each in (frame, traced)]
+    means = [
+        each.radiance.reshape(-1, 3)[each.gbuffer.pixels].mean(axis=0) for each in (frame, traced)
+    ]
     np.testing.assert_allclose(means[0][0], means[1][0], rtol=0.03)
     np.testing.assert_allclose(*means, rtol=0.1)
     assert means[0][0] / means[0][2] > 1.3 * 0.9 / 0.3

@@ -34,7 +34,9 @@ SIZE = 32
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """The orbital in a Cornell room, baked to a tenth in the view from its open side."""
-    scene = load_scene("demo:orbital", room="cornell", bounces=2, target_error=LOOSE, projected=False)
+    scene = load_scene(
+        "demo:orbital", room="cornell", bounces=2, target_error=LOOSE, projected=False
+    )
     bench = Workbench(scene, tmp_path_factory.mktemp("room"))
     bench.bake(bench.view(90.0, 0.0, SIZE, distance=4.0))
     return bench
@@ -54,10 +56,14 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
     assert frame.version != first.version
-    traced = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0, shading="path_traced", samples=256))
+    traced = room.renderer.render(
+        room.view(90.0, 0.0, SIZE, distance=4.0, shading="path_traced", samples=256)
+    )
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     assert frame.noise < LOOSE
-    red, green = (frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == k]].mean(axis=0) for k in (3, 4))
+    red, green = (
+        frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == k]].mean(axis=0) for k in (3, 4)
+    )
     assert red[0] > 2.0 * red[1]
     assert green[1] > 2.0 * green[0]
     lamp = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 5]]
@@ -72,11 +78,16 @@ def test_edges_of_walls_and_before_walls_are_smooth(room: Workbench) -> None:
     fine = replace(view, width=18 * SIZE, height=18 * SIZE, smooth=False)
     room.bake(view)
     room.bake(fine)
-    smooth, stairs, many = (room.renderer.render(each) for each in (view, replace(view, smooth=False), fine))
+    smooth, stairs, many = (
+        room.renderer.render(each) for each in (view, replace(view, smooth=False), fine)
+    )
     true = many.radiance.reshape(3 * SIZE, 6, 3 * SIZE, 6, 3).mean(axis=(1, 3)).reshape(-1, 3)
     assert smooth.edges is not None
     pixels = smooth.edges.pixels
-    assert np.isin(smooth.gbuffer.walls.pixels, pixels).any() and np.isin(smooth.gbuffer.pixels, pixels).any()
+    assert (
+        np.isin(smooth.gbuffer.walls.pixels, pixels).any()
+        and np.isin(smooth.gbuffer.pixels, pixels).any()
+    )
     found = smooth.edges.covered[:, :3], stairs.radiance.reshape(-1, 3)[pixels]
     off = [np.sqrt(np.mean((each - true[pixels]) ** 2)) for each in found]
     assert off[0] < off[1] / 3, off
@@ -86,7 +97,8 @@ def test_positions_are_those_of_walls_too(room: Workbench) -> None:
     frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0))
     walls = frame.gbuffer.walls
     places = frame.position.reshape(-1, 3)[walls.pixels]
-    corners, edges = room.scene.lighting.room.corners[walls.numbers], room.scene.lighting.room.edges[walls.numbers]
+    corners = room.scene.lighting.room.corners[walls.numbers]
+    edges = room.scene.lighting.room.edges[walls.numbers]
     heights = ((places - corners) * np.cross(edges[:, 0], edges[:, 1])).sum(axis=1)
     assert np.abs(heights).max() < 1e-2 * room.scene.volume.radius
     np.testing.assert_array_equal(frame.positions(3, 5), frame.position[3:5])
@@ -103,7 +115,8 @@ def test_other_shadings_show_the_walls(room: Workbench, shading: str) -> None:
 
 
 def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
-    view, wall = room.view(size=8), room.scene.lighting.room.walls[0]
+    view = room.view(size=8)
+    wall = room.scene.lighting.room.walls[0]
     eye = triple(np.array(wall.corner) + np.array(wall.edges).sum(axis=0) / 3.0)
     with pytest.raises(ViewError, match="The camera stands in wall 1: move it"):
         room.renderer.render(replace(view, camera=replace(view.camera, eye=eye)))
@@ -111,22 +124,35 @@ def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
 
 @pytest.mark.slow
 def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
-    """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
-    low, high = -30.0, 130.0
+    """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface
+    in them.
+    """
+    low = -30.0
+    high = 130.0
     a, b, c = (high - low) * np.eye(3)
     p, q = np.full(3, low), np.full(3, high)
     faces = [(p, b, c), (q, -c, -b), (p, c, a), (q, -a, -c), (p, a, b), (q, -b, -a)]
     walls = [
-        {"corner": x.tolist(), "edges": [u.tolist(), v.tolist()], "albedo": 0, "radiance": 1, "sides": 1}
+        {
+            "corner": x.tolist(),
+            "edges": [u.tolist(), v.tolist()],
+            "albedo": 0,
+            "radiance": 1,
+            "sides": 1,
+        }
         for x, u, v in faces
     ]
     settings = {"bounces": 1, "target_error": 0.05, "albedo": 0.5, "projected": False}
     closed = Workbench(load_scene("demo:orbital", walls=walls, **settings), tmp_path / "closed")
-    alone = load_scene("demo:orbital", lights=[CONSTANT], rotating=False, representation="irradiance", **settings)
+    alone = load_scene(
+        "demo:orbital", lights=[CONSTANT], rotating=False, representation="irradiance", **settings
+    )
     outside = Workbench(alone, tmp_path / "open")
     view = closed.view(40.0, 30.0, 16, distance=1.5)
     surface = closed.bake(view).gbuffer.pixels
-    found, expected = (bench.bake(view).radiance.reshape(-1, 3)[surface] for bench in (closed, outside))
+    found, expected = (
+        bench.bake(view).radiance.reshape(-1, 3)[surface] for bench in (closed, outside)
+    )
     assert abs(found.mean() / expected.mean() - 1.0) < 0.01
 
 
@@ -137,27 +163,39 @@ def on_walls(*frames: Frame) -> list[np.ndarray]:
 
 def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    before, after = room.settled(view), room.again().renderer.render(view)
+    before = room.settled(view)
+    after = room.again().renderer.render(view)
     assert after.quality.waiting == 0
     np.testing.assert_array_equal(*on_walls(before, after))
-    np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
+    np.testing.assert_array_equal(
+        *(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after))
+    )
 
 
 @pytest.mark.slow
-def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench, tmp_path: Path) -> None:
+def test_walls_between_two_isovalues_show_what_is_known_of_these(
+    room: Workbench, tmp_path: Path
+) -> None:
     middle = room.scene.isovalue
-    low, here, high = (room.view(90.0, 0.0, SIZE, distance=4.0, isovalue=middle * share) for share in (0.8, 1.0, 1.2))
+    low, here, high = (
+        room.view(90.0, 0.0, SIZE, distance=4.0, isovalue=middle * share)
+        for share in (0.8, 1.0, 1.2)
+    )
     fresh = Workbench(room.scene, tmp_path)
     for view in (low, high):
         fresh.bake(view)
         fresh.settled(view)
     fresh.bake(here)
     lent = fresh.again().renderer.render(here)
-    walls, true = lent.gbuffer.walls.pixels, room.settled(here)
+    walls = lent.gbuffer.walls.pixels
+    true = room.settled(here)
     assert lent.quality.waiting == len(walls), "they are not final"
     assert set(lent.state.ravel()[walls]) == {CONVERGING}
-    shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE_WEIGHTS for frame in (lent, true))
-    wrong, told = shown - known, lent.error.ravel()[walls] * shown
+    shown, known = (
+        frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE_WEIGHTS for frame in (lent, true)
+    )
+    wrong = shown - known
+    told = lent.error.ravel()[walls] * shown
     assert np.sqrt((wrong**2).mean()) < 2.0 * np.sqrt((told**2).mean())
     assert np.sqrt((wrong**2).mean()) < LOOSE * known.mean()
     np.testing.assert_array_equal(
@@ -170,9 +208,14 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     true = room.settled(view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
-    state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0)
+    state = WallState(
+        float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0
+    )
     objects = sorted(
-        (copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE_WALL_TEXELS).digest).glob("c/*/*/*/0")
+        (
+            copy.folder
+            / WallLayer(copy.caches.store, copy.prepared, state, FINE_WALL_TEXELS).digest
+        ).glob("c/*/*/*/0")
     )
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
@@ -195,19 +238,25 @@ def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path)
 
 @pytest.mark.slow
 def test_walls_are_lit_where_a_store_takes_nothing(room: Workbench, tmp_path: Path) -> None:
-    view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    bench = Workbench(room.scene, tmp_path)
     bench.bake(view)
     bench.caches.store.read_only = True
     np.testing.assert_array_equal(*on_walls(bench.settled(view), room.settled(view)))
     assert not (tmp_path / "walls").exists()
 
 
-def test_finer_texels_are_what_they_were_when_they_are_read(room: Workbench, tmp_path: Path) -> None:
+def test_finer_texels_are_what_they_were_when_they_are_read(
+    room: Workbench, tmp_path: Path
+) -> None:
     store = WallStore(Store(tmp_path), room.prepared)
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    light, surface = RotatedLight(room.caches.spec("gi"), view), room.prepared.surface(view.isovalue)
+    light = RotatedLight(room.caches.spec("gi"), view)
+    surface = room.prepared.surface(view.isovalue)
     lit = RoomLight.of(light, surface, store)
-    coarse = WallTexels.begun(light, 0, 1, FINE_WALL_TEXELS).grown(light, surface, room.renderer.tiles)
+    coarse = WallTexels.begun(light, 0, 1, FINE_WALL_TEXELS).grown(
+        light, surface, room.renderer.tiles
+    )
     asked = np.zeros((2 * FINE_WALL_TEXELS, 2 * FINE_WALL_TEXELS), bool)
     asked[20:50, 30:90] = True
     fine = coarse.finer(light, asked).grown(light, surface, room.renderer.tiles)
@@ -216,19 +265,30 @@ def test_finer_texels_are_what_they_were_when_they_are_read(room: Workbench, tmp
     assert (again.across, again.count) == (fine.across, fine.count)
     for name in ("means", "settled", "variance", "unsharp"):
         np.testing.assert_array_equal(getattr(again, name), getattr(fine, name))
-    further = (texels.grown(light, surface, room.renderer.tiles, texels.count).means for texels in (again, fine))
+    further = (
+        texels.grown(light, surface, room.renderer.tiles, texels.count).means
+        for texels in (again, fine)
+    )
     np.testing.assert_array_equal(*further)
 
 
-def wall_texels(across: int, light: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> WallTexels:
-    """Texels of a square wall on which so much light arrives, at (x, y) in 0 to 1; halves have so much noise."""
+def wall_texels(
+    across: int, light: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0
+) -> WallTexels:
+    """Texels of a square wall on which so much light arrives, at (x, y) in 0 to 1; halves have so
+    much noise.
+    """
     middles = (np.arange(across) + 0.5) / across
     found = light(*np.meshgrid(middles, middles))[..., None, None] * np.ones((2, 3))
     found += noise * np.random.default_rng(1).normal(size=(across, across, 2, 1))
-    return WallTexels(0, 1, np.ones(3), np.zeros(3), found, across, np.full((across, across), np.nan), count=8)
+    return WallTexels(
+        0, 1, np.ones(3), np.zeros(3), found, across, np.full((across, across), np.nan), count=8
+    )
 
 
-def between_texels(texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> float:
+def between_texels(
+    texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> float:
     """What their light, interpolated, errs by: the root of the mean square over a wall."""
     share = (np.arange(1000) + 0.5) / 1000 * texels.across - 0.5
     along = interp1d(np.arange(texels.across), texels.luminance, fill_value="extrapolate")(share)
@@ -243,10 +303,13 @@ def test_walls_tell_what_edges_of_shadows_between_texels_are_off(turn: float) ->
         return 1.0 + (np.cos(turn) * (x - 0.47) + np.sin(turn) * (y - 0.52) > 0.0)
 
     texels = wall_texels(64, shadow, noise=0.02)
-    told, true = np.sqrt(texels.unsharp.mean()), between_texels(texels, shadow)
+    told = np.sqrt(texels.unsharp.mean())
+    true = between_texels(texels, shadow)
     assert 0.7 < told / true < 1.6
     assert texels.too_coarse(0.02)
-    assert not wall_texels(MAX_WALL_TEXELS, shadow).too_coarse(0.02), "and no finer ones are made then"
+    assert not wall_texels(MAX_WALL_TEXELS, shadow).too_coarse(0.02), (
+        "and no finer ones are made then"
+    )
 
 
 def test_walls_tell_what_smooth_light_between_texels_is_off() -> None:
@@ -263,7 +326,8 @@ def test_noise_of_walls_is_not_taken_for_edges() -> None:
     assert not texels.too_coarse(0.02)
 
 
-# --- walls before and beside texels -----------------------------------------------------------------------------------
+# --- walls before and beside texels
+# -----------------------------------------------------------------------------------
 
 
 SMALL = 24
@@ -272,7 +336,9 @@ SCENES: dict[str, dict[str, Any]] = {"one": {}, "several": {"isovalue": 0.06, "c
 
 @pytest.fixture(params=list(SCENES))
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Workbench:
-    """The orbital in a Cornell room, with one surface or with both sides of one that lets rays pass; nothing is lit."""
+    """The orbital in a Cornell room, with one surface or with both sides of one that lets rays
+    pass; nothing is lit.
+    """
     own = {"room": "cornell", "bounces": 2, "target_error": LOOSE, "projected": False}
     return Workbench(load_scene("demo:orbital", **own, **SCENES[request.param]), tmp_path)
 
@@ -297,10 +363,13 @@ def beside_surface(frame: Frame) -> np.ndarray:
 @pytest.mark.slow
 def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     """A step makes them so; they err less then than a surface without light, and wait for that."""
-    view, target = view_of(bench), 0.01
+    view = view_of(bench)
+    target = 0.01
     first = bench.renderer.render(view, target)
     assert first.walls_lag and first.refinable and not first.checkable
-    assert not bench.renderer.render(replace(view, moving=True)).refinable, "a view that moves has no time for it"
+    assert not bench.renderer.render(replace(view, moving=True)).refinable, (
+        "a view that moves has no time for it"
+    )
     assert bench.renderer.refine(view, target)
     second = bench.renderer.render(view, target)
     assert 0.9 * first.quality.waiting < second.quality.waiting and not second.walls_lag

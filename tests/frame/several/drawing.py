@@ -16,14 +16,19 @@ def drawn(bench: Workbench, view: View) -> Frame:
 
 def bake(bench: Workbench, view: View, rungs: int | None = None) -> Frame:
     """Bake rung by rung all that is wanted; of so many ``rungs`` where they are given."""
-    rung, frame = FIRST_LEVEL, drawn(bench, view)
+    rung = FIRST_LEVEL
+    frame = drawn(bench, view)
     while frame.stages and (rungs is None or rung < FIRST_LEVEL << rungs):
         for stage in frame.stages:
             caches = stage.caches or bench.caches
-            loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
+            if stage.shown is None:
+                loader = caches.of("gi")
+            else:
+                loader = caches.projected(stage.shown)
             for demand in stage.demands:
                 refine_chunk(loader, rung, stage.target, demand)
-        rung, frame = 2 * rung, drawn(bench, view)
+        rung = 2 * rung
+        frame = drawn(bench, view)
     return frame
 
 

@@ -1,4 +1,6 @@
-"""Parts of several surfaces' frames: depth peels against crossings with spheres, and light mixed of two levels."""
+"""Parts of several surfaces' frames: depth peels against crossings with spheres, and light mixed of
+two levels.
+"""
 
 from typing import Any, cast
 
@@ -10,7 +12,13 @@ from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
 from isogi_core.frame.texel_reading import Level, MixedReading, Reading, mixed
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
+from isogi_core.kernels.shading.lattice import (
+    BURIED_GRADE,
+    LIGHT_NUMBERS,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    VOID_GRADE,
+)
 from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import Camera, View
@@ -19,7 +27,9 @@ from isogi_core.plan.variants import Side
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import ball, scene_of
 
-SIZE, EYE, MIDDLE = 24, np.array([20.0, -80.0, 20.0]), 20.0
+SIZE = 24
+EYE = np.array([20.0, -80.0, 20.0])
+MIDDLE = 20.0
 LEVELS = (4.0, 0.0, 8.0)
 """Isovalues of balls of radius 8, 12 and 4."""
 
@@ -29,7 +39,9 @@ def prepared() -> PreparedScene:
     return PreparedScene(scene_of(ball(), 4.0))
 
 
-def peeled(prepared: PreparedScene, levels: tuple[float, ...], clears: list[float]) -> tuple[View, Hits, np.ndarray]:
+def peeled(
+    prepared: PreparedScene, levels: tuple[float, ...], clears: list[float]
+) -> tuple[View, Hits, np.ndarray]:
     """What a view along y shows."""
     camera = Camera(tuple(EYE.tolist()), (MIDDLE, MIDDLE, MIDDLE), (0.0, 0.0, 1.0), 20.0)  # type: ignore[arg-type]
     view = View(levels[0], camera, width=SIZE, height=SIZE)
@@ -45,11 +57,17 @@ def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
 
 
 def through_sheets(clear: float) -> tuple[Hits, float]:
-    """What a ray shows that meets seventy clear sheets before an opaque block, and what is left of it."""
+    """What a ray shows that meets seventy clear sheets before an opaque block, and what is left of
+    it.
+    """
     values = np.where(np.arange(80) < 71, np.arange(80) % 2 - 0.5, 4.0)
-    sheets = make_volume(np.ones((9, 80, 9), np.float32) * values[:, None].astype(np.float32), (1.0, 1.0, 1.0))
+    sheets = make_volume(
+        np.ones((9, 80, 9), np.float32) * values[:, None].astype(np.float32), (1.0, 1.0, 1.0)
+    )
     prepared = PreparedScene(scene_of(sheets, 1.5))
-    view = View(1.5, Camera((4.0, -80.0, 4.0), (4.0, 40.0, 4.0), (0.0, 0.0, 1.0), 1.0), width=1, height=1)
+    view = View(
+        1.5, Camera((4.0, -80.0, 4.0), (4.0, 40.0, 4.0), (0.0, 0.0, 1.0), 1.0), width=1, height=1
+    )
     surfaces = [prepared.surface(each) for each in (view.isovalue, 0.0)]
     hits, left = Peeler.of(view, surfaces, np.array([0.0, clear]), Tiles()).whole(view, Tiles())
     return hits, left.item()
@@ -64,7 +82,9 @@ def test_a_ray_shows_all_layers_that_count() -> None:
 def test_the_last_layer_is_the_opaque_one_that_is_left() -> None:
     hits, left = through_sheets(0.99)
     assert (hits.sides // 2).tolist() == [1] * (MAX_PEELED_LAYERS - 1) + [0]
-    np.testing.assert_allclose(hits.weights[:-1], 0.01 * 0.99 ** np.arange(MAX_PEELED_LAYERS - 1), rtol=1e-5)
+    np.testing.assert_allclose(
+        hits.weights[:-1], 0.01 * 0.99 ** np.arange(MAX_PEELED_LAYERS - 1), rtol=1e-5
+    )
     assert hits.weights[-1] == pytest.approx(0.99 ** (MAX_PEELED_LAYERS - 1)) and left == 0.0
 
 
@@ -79,7 +99,8 @@ def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None
     view, hits, _ = peeled(prepared, LEVELS, [0.5, 0.8, 0.0])
     first = first_of(view, hits, prepared.surface(4.0))
     assert len(np.unique(first.pixels)) == len(first.pixels)
-    layers, some = side_layers(hits, Side(1), first, prepared.surface(0.0)), hits.rows_of(Side(1))
+    layers = side_layers(hits, Side(1), first, prepared.surface(0.0))
+    some = hits.rows_of(Side(1))
     assert layers.layers == 1
     ((rows, pixels),) = layers.each
     np.testing.assert_array_equal(pixels, hits.pixels[some])
@@ -89,19 +110,34 @@ def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None
     np.testing.assert_allclose(away, 12.0, atol=0.1)
 
 
-# --- light of two levels ----------------------------------------------------------------------------------------------
+# --- light of two levels
+# ----------------------------------------------------------------------------------------------
 
 
-ONE, OTHER = cast(Caches, "one"), cast(Caches, "other")
+ONE = cast(Caches, "one")
+OTHER = cast(Caches, "other")
 SHARES = (Level(ONE, 0.75), Level(OTHER, 0.25))
 
 
 def reading(grades: list[int], error: float) -> Reading:
     grade = np.array(grades, np.uint8)
-    rows = np.where(np.isin(grade, (UNBAKED_GRADE, BURIED_GRADE, VOID_GRADE)), -1, 0).astype(np.int32)
-    samples, errors = np.full(len(grade), 64, np.int32), np.full(len(grade), error, np.float32)
+    rows = np.where(np.isin(grade, (UNBAKED_GRADE, BURIED_GRADE, VOID_GRADE)), -1, 0).astype(
+        np.int32
+    )
+    samples = np.full(len(grade), 64, np.int32)
+    errors = np.full(len(grade), error, np.float32)
     short = np.array([(grade < FINAL).any()])
-    return Reading(rows, grade, bytes(grades), samples, errors, np.array([0, len(grade)]), short, 0.02, MAX_SAMPLES)
+    return Reading(
+        rows,
+        grade,
+        bytes(grades),
+        samples,
+        errors,
+        np.array([0, len(grade)]),
+        short,
+        0.02,
+        MAX_SAMPLES,
+    )
 
 
 def mix(one: list[int], other: list[int]) -> tuple[Reading, np.ndarray]:
@@ -131,7 +167,9 @@ def test_light_is_mixed_by_shares_and_noise_as_independent() -> None:
         (VOID_GRADE, VOID_GRADE, VOID_GRADE, 1.5),
     ],
 )
-def test_where_a_level_holds_nothing_the_other_stands_in(one: int, other: int, grade: int, light: float) -> None:
+def test_where_a_level_holds_nothing_the_other_stands_in(
+    one: int, other: int, grade: int, light: float
+) -> None:
     found, lit = mix([one], [other])
     assert found.grade.tolist() == [grade]
     assert lit[0, 0] == pytest.approx(light)

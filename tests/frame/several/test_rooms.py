@@ -1,4 +1,6 @@
-"""Several surfaces and sheets in a room: walls light them, are lit through them, and are seen through them."""
+"""Several surfaces and sheets in a room: walls light them, are lit through them, and are seen
+through them.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +33,13 @@ ROOMS: dict[str, dict[str, Any]] = {
 
 def bench_of(kind: str, folder: Path) -> Workbench:
     """The orbital as it is in a kind of ROOMS, of the Cornell kind."""
-    own = {"isovalue": 0.06, "room": "cornell", "bounces": 2, "target_error": LOOSE, "projected": False}
+    own = {
+        "isovalue": 0.06,
+        "room": "cornell",
+        "bounces": 2,
+        "target_error": LOOSE,
+        "projected": False,
+    }
     return Workbench(load_scene("demo:orbital", **own, **ROOMS[kind]), folder)
 
 
@@ -62,17 +70,22 @@ def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> No
     traced = drawn(bench, replace(view, shading="path_traced", samples=256))
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     on = frame.state > 0
-    np.testing.assert_allclose(frame.radiance[on].mean(axis=0), traced.radiance[on].mean(axis=0), rtol=0.05)
+    np.testing.assert_allclose(
+        frame.radiance[on].mean(axis=0), traced.radiance[on].mean(axis=0), rtol=0.05
+    )
     again = Workbench(bench.scene, tmp_path)
     assert drawn(again, view).quality.waiting == 0, "the store keeps the light of walls"
 
 
 def test_walls_are_seen_through_clear_surfaces_by_their_share(tmp_path: Path) -> None:
-    """Of all surfaces and walls the shares in a pixel make a whole, where the room has a wall behind."""
+    """Of all surfaces and walls the shares in a pixel make a whole, where the room has a wall
+    behind.
+    """
     bench = bench_of("clear", tmp_path)
     frame = drawn(bench, view_of(bench))
     assert {part.side for part in parts_of(frame)} == {OUTER, Side(0, True), WALLS_SIDE}
-    total, (walls,) = np.zeros(SIZE * SIZE), [part for part in parts_of(frame) if part.side == WALLS_SIDE]
+    total = np.zeros(SIZE * SIZE)
+    (walls,) = [part for part in parts_of(frame) if part.side == WALLS_SIDE]
     for part in parts_of(frame):
         for rows, pixels in part.layers.each:
             total[pixels] += part.layers.weights[rows]
@@ -88,10 +101,18 @@ def test_a_black_sheet_tints_its_shadow(tmp_path: Path) -> None:
     """What gets through is of the colours that it transmits: the floor below has more of these."""
     shadows = []
     for through in ([0.8, 0.0, 0.0], [0.0, 0.8, 0.0]):
-        sheet = {"albedo": 0.0, "transmission": through, "room": "cornell", "bounces": 2, "target_error": LOOSE}
+        sheet = {
+            "albedo": 0.0,
+            "transmission": through,
+            "room": "cornell",
+            "bounces": 2,
+            "target_error": LOOSE,
+        }
         bench = Workbench(scene_of(ball(24, 11.0), 0.0, **sheet), tmp_path / f"{through}")
         frame = bench.renderer.render(view_of(bench, shading="path_traced", samples=256))
-        floor = frame.radiance.reshape(-1, 3)[frame.gbuffer.walls.pixels[frame.gbuffer.walls.numbers == 0]]
+        floor = frame.radiance.reshape(-1, 3)[
+            frame.gbuffer.walls.pixels[frame.gbuffer.walls.numbers == 0]
+        ]
         shadows.append(np.sort(floor, axis=0)[: len(floor) // 8].mean(axis=0))
     (red, *_), (_, green, _) = np.array(shadows[0]) / shadows[1], np.array(shadows[1]) / shadows[0]
     assert red > 1.05
@@ -111,10 +132,15 @@ def test_edges_are_smooth_and_their_samples_show_walls(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [{}, {"room": "cornell"}], ids=["open", "room"])
 def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:
-    """A lesion in a shell: it lights the shell from inside, and walls through it, and is seen through it."""
+    """A lesion in a shell: it lights the shell from inside, and walls through it, and is seen
+    through it.
+    """
     shell = {"clear": 0.5, "albedo": [0.6, 0.5, 0.4], "bounces": 2, "target_error": LOOSE, **room}
     lesion = [{"sphere": [11.5, 11.5, 11.5, 4.0], "radiance": [9.0, 3.0, 1.0]}]
-    dark = {} if room else {"lights": [{"type": "constant", "radiance": 0.05}]}
+    if room:
+        dark = {}
+    else:
+        dark = {"lights": [{"type": "constant", "radiance": 0.05}]}
     bench = Workbench(scene_of(ball(24, 9.0), 0.0, glow=lesion, **shell, **dark), tmp_path)
     view = view_of(bench)
     frame = lit(bench, view)

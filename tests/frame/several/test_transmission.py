@@ -22,7 +22,9 @@ THIN = {"albedo": [0.3, 0.1, 0.5], "transmission": [0.4, 0.6, 0.2], "target_erro
 
 
 @pytest.mark.parametrize(("distance", "side"), [(3.0, OUTER), (0.1, Side(0, True))])
-def test_a_sheet_that_loses_nothing_vanishes_in_the_furnace(distance: float, side: Side, tmp_path: Path) -> None:
+def test_a_sheet_that_loses_nothing_vanishes_in_the_furnace(
+    distance: float, side: Side, tmp_path: Path
+) -> None:
     """A closed shell under an even sky is as bright as that, from outside and from inside."""
     shell = {"albedo": [0.7, 0.4, 0.2], "transmission": [0.3, 0.6, 0.8], "bounces": 60}
     bench = Workbench(scene_of(ball(), 0.0, **shell), tmp_path)
@@ -48,7 +50,9 @@ def test_texels_of_a_closed_shell_keep_its_closed_form(tmp_path: Path) -> None:
 def test_a_picture_at_its_target_is_what_paths_say(tmp_path: Path) -> None:
     """Lit from behind by a sun low in the sky."""
     sun = {"type": "sky", "sun_azimuth": 200.0, "sun_elevation": 20.0}
-    bench = Workbench(load_scene("demo:orbital", isovalue=0.06, lights=[sun], bounces=3, **THIN), tmp_path)
+    bench = Workbench(
+        load_scene("demo:orbital", isovalue=0.06, lights=[sun], bounces=3, **THIN), tmp_path
+    )
     view = bench.view(size=SIZE)
     bake(bench, view)
     frame = check(bench, view)
@@ -56,9 +60,20 @@ def test_a_picture_at_its_target_is_what_paths_say(tmp_path: Path) -> None:
     traced = drawn(bench, replace(view, shading="path_traced", samples=2048))
     assert relative_rmse(frame, traced) < 0.03
     on = frame.state > 0
-    np.testing.assert_allclose(frame.radiance[on].mean(axis=0), traced.radiance[on].mean(axis=0), rtol=0.01)
-    opaque = load_scene("demo:orbital", isovalue=0.06, lights=[sun], bounces=3, albedo=THIN["albedo"], rotating=False)
-    other = Workbench(opaque, tmp_path).renderer.render(replace(view, shading="path_traced", samples=256))
+    np.testing.assert_allclose(
+        frame.radiance[on].mean(axis=0), traced.radiance[on].mean(axis=0), rtol=0.01
+    )
+    opaque = load_scene(
+        "demo:orbital",
+        isovalue=0.06,
+        lights=[sun],
+        bounces=3,
+        albedo=THIN["albedo"],
+        rotating=False,
+    )
+    other = Workbench(opaque, tmp_path).renderer.render(
+        replace(view, shading="path_traced", samples=256)
+    )
     assert frame.radiance[on].mean() > 1.5 * other.radiance[on].mean(), "light comes through"
 
 

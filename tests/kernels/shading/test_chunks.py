@@ -1,4 +1,6 @@
-"""Chunks against plain NumPy: which a view touches, which of their texels it reads, and how it numbers these."""
+"""Chunks against plain NumPy: which a view touches, which of their texels it reads, and how it
+numbers these.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ COARSE = pytest.mark.parametrize("coarse", [False, True])
 
 
 def texels_read(points, coarse=False):
-    """The texels (n, 8, 3; z, y, x) that stand for those around each point, x fastest: these, or coarse ones of them.
+    """The texels (n, 8, 3; z, y, x) that stand for those around each point, x fastest: these, or
+    coarse ones of them.
 
     Coarse ones are all even or all odd, whichever of a cell's two is nearer to a corner.
     """
@@ -25,7 +28,10 @@ def texels_read(points, coarse=False):
     if not coarse:
         return texels
     parity = texels % 2
-    ends = [np.take_along_axis(texels, np.argmax((parity == p).all(axis=2), axis=1)[:, None, None], 1) for p in (0, 1)]
+    ends = [
+        np.take_along_axis(texels, np.argmax((parity == p).all(axis=2), axis=1)[:, None, None], 1)
+        for p in (0, 1)
+    ]
     apart = [np.abs(texels - end).sum(axis=2) for end in ends]
     return np.where((apart[0] < apart[1])[..., None], *ends)
 
@@ -38,7 +44,13 @@ def chunks_read(points, chunk, coarse=False):
 @SIDES
 def test_positions_are_lattice_indices(chunk):
     offsets = np.array([0, 1, chunk, chunk**2, chunk**3 - 1])
-    expected = np.array([[2, 0, 1]]) * chunk + [[0, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0], [chunk - 1] * 3]
+    expected = np.array([[2, 0, 1]]) * chunk + [
+        [0, 0, 0],
+        [0, 0, 1],
+        [0, 1, 0],
+        [1, 0, 0],
+        [chunk - 1] * 3,
+    ]
     found = lattice(chunk).positions((2, 0, 1), offsets)
     assert np.array_equal(found, expected) and found.dtype == np.int32
 
@@ -51,14 +63,17 @@ def test_touched_chunks_are_those_that_some_point_reads(chunk, coarse):
     for some in (points, points[:7], points[10:11]):
         touched = np.zeros(lattice(chunk).chunks, np.bool_)
         touch_chunks(lattice(chunk), some, coarse, touched)
-        assert set(map(tuple, np.argwhere(touched))) == set().union(*chunks_read(some, chunk, coarse))
+        assert set(map(tuple, np.argwhere(touched))) == set().union(
+            *chunks_read(some, chunk, coarse)
+        )
 
 
 @COARSE
 @SIDES
 def test_a_chunk_weighs_what_its_points_look_wrong_by(chunk, coarse):
     points = border_points()
-    width, height = 40, len(points) // 40 + 3
+    width = 40
+    height = len(points) // 40 + 3
     pixels = np.arange(len(points), dtype=np.uint32) + 17
     y, x = np.divmod(pixels.astype(float), width)
     aside = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
@@ -73,7 +88,9 @@ def test_a_chunk_weighs_what_its_points_look_wrong_by(chunk, coarse):
     _, places, corners = view_of(points, chunk=chunk, coarse=coarse)
     expected = np.zeros(lattice(chunk).chunks)
     weight = np.zeros(expected.size)
-    weigh_chunks(lattice(chunk), corners, places.astype(np.uint32), pixels, width, height, planes, weight)
+    weigh_chunks(
+        lattice(chunk), corners, places.astype(np.uint32), pixels, width, height, planes, weight
+    )
     for chunks, own in zip(chunks_read(points, chunk, coarse), weights, strict=True):
         for each in chunks:
             expected[each] += own
@@ -84,7 +101,8 @@ def test_a_chunk_weighs_what_its_points_look_wrong_by(chunk, coarse):
 @COARSE
 @SIDES
 def test_marked_texels_are_the_corners_of_all_points_and_no_more(pieces, chunk, coarse):
-    points, chunks = border_points(), lattice(chunk).chunks
+    points = border_points()
+    chunks = lattice(chunk).chunks
     _, places, corners = view_of(points, pieces, chunk, coarse)
     read = texels_read(points, coarse)
     expected = np.zeros(tuple(c * chunk for c in chunks), np.bool_)
@@ -110,7 +128,9 @@ def test_ones_counts_bits():
 
 @SIDES
 def test_rows_are_looked_up_chunk_by_chunk(chunk):
-    """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and their stamps."""
+    """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and
+    their stamps.
+    """
     table = np.full((3, chunk**3), UNLIT_ROW, np.int32)
     table[2, [5, 9, 11, 500]] = 4, VOID_ROW, BURIED_ROW, 1
     pool_error, pool_stamp = RNG.random((2, 6)).astype(np.float32)
@@ -120,4 +140,11 @@ def test_rows_are_looked_up_chunk_by_chunk(chunk):
     find_rows(lattice(chunk), places, np.array([2, -1], np.int32), pages, rows, error, stamp)
     assert rows.tolist() == [4, UNLIT_ROW, VOID_ROW, BURIED_ROW, 1, UNLIT_ROW]
     assert error.tolist() == [pool_error[4], 0.0, 0.0, 0.0, pool_error[1], 0.0]
-    assert stamp.tolist() == [pool_stamp[4], UNLIT_ROW, VOID_ROW, BURIED_ROW, pool_stamp[1], UNLIT_ROW]
+    assert stamp.tolist() == [
+        pool_stamp[4],
+        UNLIT_ROW,
+        VOID_ROW,
+        BURIED_ROW,
+        pool_stamp[1],
+        UNLIT_ROW,
+    ]

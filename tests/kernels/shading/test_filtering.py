@@ -26,7 +26,8 @@ from isogi_core.kernels.shading.irradiance_ratio import (
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
-BITS, CHUNKS = 2, (2, 3, 2)
+BITS = 2
+CHUNKS = (2, 3, 2)
 
 
 def numbered(positions):
@@ -57,7 +58,9 @@ def random_records(count, seed):
     rng = np.random.default_rng(seed)
     records = rng.uniform(0.2, 1.0, (count, RECORD_LENGTH)).astype(np.float32)
     normals = rng.normal(size=(count, 3)) * 0.3 + np.array([0.0, 0.0, 1.0])
-    records[:, NORMAL_COLUMN : NORMAL_COLUMN + 3] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    records[:, NORMAL_COLUMN : NORMAL_COLUMN + 3] = normals / np.linalg.norm(
+        normals, axis=1, keepdims=True
+    )
     records[:, GRADE_COLUMN] = rng.choice([UNBAKED_GRADE, CONVERGING, CONVERGING, FINAL], count)
     records[:, PATHS_COLUMN] = rng.choice([16, 64], count)
     records[:, VARIANCE_COLUMN] = rng.uniform(0.0, 0.1, count)
@@ -75,19 +78,28 @@ def filtered(numbering, positions, records, step=1):
 
 def one_by_one(positions, records, step):
     """The same, texel by texel, in double precision."""
-    found, kept = records.astype(float), records.astype(float)
+    found = records.astype(float)
+    kept = records.astype(float)
     for t in np.flatnonzero(np.isin(records[:, GRADE_COLUMN], (CONVERGING, UNBAKED_GRADE))):
         unlit = records[t, GRADE_COLUMN] == UNBAKED_GRADE
         apart = positions - positions[t]
         near = (np.abs(apart) <= step).all(axis=1) & (apart % step == 0).all(axis=1)
         near &= np.isin(records[:, GRADE_COLUMN], (CONVERGING, FINAL))
-        cosine = kept[near, NORMAL_COLUMN : NORMAL_COLUMN + 3] @ kept[t, NORMAL_COLUMN : NORMAL_COLUMN + 3]
-        weights = np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
-        around, weights = kept[near][weights > 0.0], weights[weights > 0.0]
+        cosine = (
+            kept[near, NORMAL_COLUMN : NORMAL_COLUMN + 3]
+            @ kept[t, NORMAL_COLUMN : NORMAL_COLUMN + 3]
+        )
+        weights = (
+            np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
+        )
+        around = kept[near][weights > 0.0]
+        weights = weights[weights > 0.0]
         if len(weights) < 2 or (unlit and weights.sum() < LENDS):
             continue
         counts = weights * around[:, PATHS_COLUMN]
-        ratio = counts @ around[:, :3] / (counts @ around[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3])
+        ratio = (
+            counts @ around[:, :3] / (counts @ around[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3])
+        )
         reflected = counts @ around[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] / counts.sum()
         variance = counts**2 @ around[:, VARIANCE_COLUMN] / counts.sum() ** 2
         differences = (
@@ -98,33 +110,41 @@ def one_by_one(positions, records, step):
         )
         noise = weights @ around[:, VARIANCE_COLUMN] / weights.sum()
         signal = max(weights @ (differences @ LUMINANCE_WEIGHTS) ** 2 / weights.sum() - noise, 0.0)
-        own = 0.0 if unlit else signal / (signal + noise)
-        found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3]
+        if unlit:
+            own = 0.0
+        else:
+            own = signal / (signal + noise)
+        found[t, :3] = (
+            own * kept[t, :3]
+            + (1 - own) * ratio * kept[t, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3]
+        )
         found[t, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] = (
             own * kept[t, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] + (1 - own) * reflected
         )
-        left, shared = signal if unlit else own * noise, (1 - own) ** 2 * variance
-        found[t, GRADE_COLUMN], found[t, PATHS_COLUMN] = (
-            CONVERGING,
-            weights @ around[:, PATHS_COLUMN] / weights.sum() if unlit else kept[t, PATHS_COLUMN],
-        )
-        found[t, VARIANCE_COLUMN], found[t, NOISE_COLUMN] = (
-            left + shared,
-            np.sqrt(left + SHARED_VARIANCE_FACTOR * shared),
-        )
+        left = signal if unlit else own * noise
+        shared = (1 - own) ** 2 * variance
+        found[t, GRADE_COLUMN] = CONVERGING
+        if unlit:
+            found[t, PATHS_COLUMN] = weights @ around[:, PATHS_COLUMN] / weights.sum()
+        else:
+            found[t, PATHS_COLUMN] = kept[t, PATHS_COLUMN]
+        found[t, VARIANCE_COLUMN] = left + shared
+        found[t, NOISE_COLUMN] = np.sqrt(left + SHARED_VARIANCE_FACTOR * shared)
     return found
 
 
 @pytest.mark.parametrize("step", [1, 2])
 def test_a_pass_is_that_of_plain_numpy(step):
-    (numbering, positions), records = scattered(300, 1), random_records(300, 2)
+    (numbering, positions) = scattered(300, 1)
+    records = random_records(300, 2)
     found = filtered(numbering, positions, records, step)
     np.testing.assert_allclose(found, one_by_one(positions, records, step), rtol=2e-4, atol=2e-5)
     assert (found != records).any(axis=1).sum() > 100
 
 
 def test_what_is_final_or_alone_stays_as_it_is():
-    (numbering, positions), records = scattered(60, 3), random_records(60, 4)
+    (numbering, positions) = scattered(60, 3)
+    records = random_records(60, 4)
     records[:30, GRADE_COLUMN] = FINAL
     found = filtered(numbering, positions, records)
     still = records[:, GRADE_COLUMN] == FINAL
@@ -136,12 +156,19 @@ def test_what_is_final_or_alone_stays_as_it_is():
 
 
 def sheet(edge):
-    """A flat sheet of texels whose light is 1, and 3 beyond an ``edge`` along x, with noise of 0.1; its x too."""
-    positions = np.stack(np.meshgrid([3], np.arange(12), np.arange(8), indexing="ij"), axis=-1).reshape(-1, 3)
+    """A flat sheet of texels whose light is 1, and 3 beyond an ``edge`` along x, with noise of 0.1;
+    its x too.
+    """
+    positions = np.stack(
+        np.meshgrid([3], np.arange(12), np.arange(8), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
     numbering, positions = numbered(positions)
     records = np.zeros((len(positions), RECORD_LENGTH), np.float32)
-    records[:, NORMAL_COLUMN + 2], records[:, GRADE_COLUMN], records[:, PATHS_COLUMN] = 1.0, CONVERGING, 16
-    records[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3], records[:, VARIANCE_COLUMN] = 4.0, 0.01
+    records[:, NORMAL_COLUMN + 2] = 1.0
+    records[:, GRADE_COLUMN] = CONVERGING
+    records[:, PATHS_COLUMN] = 16
+    records[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3] = 4.0
+    records[:, VARIANCE_COLUMN] = 0.01
     noise = 0.1 * np.random.default_rng(6).normal(size=len(positions))
     records[:, :3] = (np.where(positions[:, 2] < edge, 1.0, 3.0) + noise)[:, None]
     return numbering, positions, records
@@ -153,7 +180,11 @@ def test_even_light_loses_its_noise_and_says_how_much():
         records = filtered(numbering, positions, records, step)
     errors = records[:, 1] - 1.0
     assert errors.std() < 0.06
-    assert 0.5 < np.sqrt((records[:, NOISE_COLUMN] ** 2).mean() / SHARED_VARIANCE_FACTOR) / errors.std() < 1.5
+    assert (
+        0.5
+        < np.sqrt((records[:, NOISE_COLUMN] ** 2).mean() / SHARED_VARIANCE_FACTOR) / errors.std()
+        < 1.5
+    )
 
 
 def test_the_edge_of_a_shadow_stays():
@@ -165,11 +196,15 @@ def test_the_edge_of_a_shadow_stays():
 
 
 def test_texels_without_light_have_that_of_their_neighbours():
-    """Of those whose indices are all odd, in even light and beside the edge of a shadow: and tell how far they err."""
+    """Of those whose indices are all odd, in even light and beside the edge of a shadow: and tell
+    how far they err.
+    """
     for edge, most in ((99, 0.15), (4, 1.1)):
         numbering, positions, records = sheet(edge)
         unlit = (positions % 2 == 0).any(axis=1)
-        records[unlit, :3], records[unlit, GRADE_COLUMN], records[unlit, PATHS_COLUMN] = 4.0, UNBAKED_GRADE, 0
+        records[unlit, :3] = 4.0
+        records[unlit, GRADE_COLUMN] = UNBAKED_GRADE
+        records[unlit, PATHS_COLUMN] = 0
         for step in (1, 2):
             records = filtered(numbering, positions, records, step)
         assert unlit.mean() > 0.7 and (records[:, GRADE_COLUMN] == CONVERGING).all()
@@ -181,11 +216,9 @@ def test_neighbours_that_face_away_lend_no_light():
     """However faint: nothing that is told is without a number."""
     numbering, positions, records = sheet(edge=99)
     unlit = (positions % 2 == 0).any(axis=1)
-    records[unlit, GRADE_COLUMN], records[unlit, NORMAL_COLUMN], records[unlit, NORMAL_COLUMN + 2] = (
-        UNBAKED_GRADE,
-        1.0,
-        0.0,
-    )
+    records[unlit, GRADE_COLUMN] = UNBAKED_GRADE
+    records[unlit, NORMAL_COLUMN] = 1.0
+    records[unlit, NORMAL_COLUMN + 2] = 0.0
     records[~unlit, NORMAL_COLUMN] = 1e-2
     found = filtered(numbering, positions, records)
     np.testing.assert_array_equal(found[unlit], records[unlit])
@@ -197,16 +230,23 @@ def test_neighbours_count_by_a_gauss_curve():
 
 
 def test_filtered_light_replaces_noisy_and_missing_light():
-    records, rng = random_records(200, 7), np.random.default_rng(8)
-    grade, noisy = rng.choice([UNBAKED_GRADE, CONVERGING, FINAL], 200).astype(np.uint8), rng.random(200) < 0.5
-    lit, graded = rng.random((200, LIGHT_NUMBERS), np.float32), np.empty(200, np.uint8)
+    records = random_records(200, 7)
+    rng = np.random.default_rng(8)
+    grade = rng.choice([UNBAKED_GRADE, CONVERGING, FINAL], 200).astype(np.uint8)
+    noisy = rng.random(200) < 0.5
+    lit = rng.random((200, LIGHT_NUMBERS), np.float32)
+    graded = np.empty(200, np.uint8)
     found = np.empty_like(lit)
     take_filtered(records, noisy, grade, lit, graded, found)
     new = (grade == UNBAKED_GRADE) & (records[:, GRADE_COLUMN] == CONVERGING)
     taken = noisy | new
     reflected = records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]
     expected = np.column_stack(
-        [records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3] + reflected, records[:, NOISE_COLUMN], reflected]
+        [
+            records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3] + reflected,
+            records[:, NOISE_COLUMN],
+            reflected,
+        ]
     )
     np.testing.assert_array_equal(found, np.where(taken[:, None], expected, lit))
     np.testing.assert_array_equal(graded, np.where(new, CONVERGING, grade))

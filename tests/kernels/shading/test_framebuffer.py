@@ -1,4 +1,6 @@
-"""The planes of a frame: sums over them, light of lobes, the tone curve, the sRGB code and marks of state."""
+"""The planes of a frame: sums over them, light of lobes, the tone curve, the sRGB code and marks of
+state.
+"""
 
 import math
 
@@ -24,7 +26,9 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 def blank(pixels):
     """Planes of so many pixels."""
-    return Framebuffer(np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32))
+    return Framebuffer(
+        np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32)
+    )
 
 
 def test_luminance_is_the_models():
@@ -40,10 +44,13 @@ def test_a_pixel_is_written_whole_and_alone():
 
 
 def test_tallies_count_the_surface_alone():
-    rng, planes = np.random.default_rng(2), blank(500)
-    planes.radiance[:], planes.error[:] = rng.random((500, 3)), rng.random(500)
+    rng = np.random.default_rng(2)
+    planes = blank(500)
+    planes.radiance[:] = rng.random((500, 3))
+    planes.error[:] = rng.random(500)
     planes.state[:] = rng.choice([0, PROVISIONAL, CONVERGING, FINAL], 500)
-    counts, sums = np.zeros(4, np.int64), np.zeros(2)
+    counts = np.zeros(4, np.int64)
+    sums = np.zeros(2)
     tally(planes, counts, sums)
     assert counts.tolist() == np.bincount(planes.state, minlength=4).tolist()
     on = planes.state > 0
@@ -60,7 +67,8 @@ def test_light_of_lobes_joins_a_picture_with_its_error(unit):
     before = unit * rng.random((6, 3)).astype(np.float32)
     error = np.array([0.1, 0.02, 0.5, 1.0, 0.3, 1.0], np.float32)
     state = np.array([FINAL, CONVERGING, FINAL, PROVISIONAL, 0, FINAL], np.uint8)
-    planes, pixels = Framebuffer(before.copy(), state.copy(), error.copy()), np.array([0, 1, 2, 3, 5], np.uint32)
+    planes = Framebuffer(before.copy(), state.copy(), error.copy())
+    pixels = np.array([0, 1, 2, 3, 5], np.uint32)
     lit = rng.random((5, 4)).astype(np.float32)
     lit[0] = 0.0
     add_lobes(pixels, lit, unit, planes)
@@ -69,13 +77,15 @@ def test_light_of_lobes_joins_a_picture_with_its_error(unit):
     np.testing.assert_allclose(planes.radiance, after, rtol=1e-6)
     noise = np.hypot(error * (before @ LIGHT) / unit, np.sqrt(np.insert(lit[:, 3], 4, 0.0)))
     expected = np.minimum(noise / (after @ LIGHT) * unit, 1.0)
-    expected[3], expected[4] = 1.0, error[4]
+    expected[3] = 1.0
+    expected[4] = error[4]
     np.testing.assert_allclose(planes.error, expected, rtol=1e-5)
     assert np.array_equal(planes.state, state)
 
 
 LEVELS = 4096
-BACKGROUND, MARK = (0.01, 0.02, 0.03), (0.9, 0.4, 0.1)
+BACKGROUND = (0.01, 0.02, 0.03)
+MARK = (0.9, 0.4, 0.1)
 
 
 def decode(codes):
@@ -87,10 +97,13 @@ def decode(codes):
 def develop(radiance, state, exposure=1.0, overlay=False, first=0):
     """The picture (h, w, 3) of `radiance` (h, w, 3) and `state` (h, w)."""
     radiance = np.ascontiguousarray(radiance, np.float32)
-    curve, picture = np.empty(LEVELS, np.uint8), np.empty(radiance.shape, np.uint8)
+    curve = np.empty(LEVELS, np.uint8)
+    picture = np.empty(radiance.shape, np.uint8)
     film.fill_curve(curve)
     colours = np.array([BACKGROUND, MARK], np.float32)
-    film.develop_rows(radiance, np.asarray(state, np.uint8), first, exposure, colours, overlay, curve, picture)
+    film.develop_rows(
+        radiance, np.asarray(state, np.uint8), first, exposure, colours, overlay, curve, picture
+    )
     return picture
 
 
@@ -101,12 +114,18 @@ def greys(levels, exposure=1.0):
 
 
 def test_tone_curve_has_no_kink_and_deepens_shade() -> None:
-    s, step = film.TONE_SHOULDER, 1e-6
+    s = film.TONE_SHOULDER
+    step = 1e-6
     bend = next(x for x in np.linspace(0, 1, 100_001) if film.tone(x) >= s)
-    slopes = [(film.tone(x + step) - film.tone(x - step)) / (2 * step) for x in (bend - 1e-4, bend, bend + 1e-4)]
+    slopes = [
+        (film.tone(x + step) - film.tone(x - step)) / (2 * step)
+        for x in (bend - 1e-4, bend, bend + 1e-4)
+    ]
     assert slopes == pytest.approx([slopes[0]] * 3, rel=1e-2)
     assert film.tone(0.0) == 0.0
-    assert film.tone(0.1) < 0.1 and film.tone(0.5) > 0.5, "contrast: what is dark is darker, what is bright brighter"
+    assert film.tone(0.1) < 0.1 and film.tone(0.5) > 0.5, (
+        "contrast: what is dark is darker, what is bright brighter"
+    )
 
 
 def test_tone_curve_rises_for_ever_and_never_passes_one():
@@ -117,7 +136,8 @@ def test_tone_curve_rises_for_ever_and_never_passes_one():
 
 
 @pytest.mark.parametrize(
-    ("linear", "code"), [(0.0, 0.0), (0.0031308, 0.04045), (0.18, 0.46135), (0.5, 0.73536), (1.0, 1.0)]
+    ("linear", "code"),
+    [(0.0, 0.0), (0.0031308, 0.04045), (0.18, 0.46135), (0.5, 0.73536), (1.0, 1.0)],
 )
 def test_srgb_against_published_values(linear, code):
     assert film.srgb(linear) == pytest.approx(code, abs=2e-5)
@@ -163,9 +183,12 @@ def test_off_the_surface_is_background_whatever_the_light_there():
 
 def test_marks_show_what_is_not_final_and_nothing_else():
     state = np.zeros((24, 24))
-    state[:, :8], state[:, 8:16], state[:, 16:20] = PROVISIONAL, CONVERGING, FINAL
+    state[:, :8] = PROVISIONAL
+    state[:, 8:16] = CONVERGING
+    state[:, 16:20] = FINAL
     light = np.full((24, 24, 3), 0.3)
-    plain, marked = develop(light, state), develop(light, state, overlay=True)
+    plain = develop(light, state)
+    marked = develop(light, state, overlay=True)
     changed = (plain != marked).any(axis=-1)
     assert changed[:, :8].all(), "provisional is veiled everywhere"
     assert 0.3 < changed[:, 8:16].mean() < 0.7, "converging is hatched"
@@ -173,7 +196,8 @@ def test_marks_show_what_is_not_final_and_nothing_else():
 
 
 def test_hatching_goes_on_from_tile_to_tile():
-    light, state = np.full((30, 30, 3), 0.3), np.full((30, 30), PROVISIONAL)
+    light = np.full((30, 30, 3), 0.3)
+    state = np.full((30, 30), PROVISIONAL)
     state[:, 15:] = CONVERGING
     whole = develop(light, state, overlay=True)
     for first, last in ((0, 7), (7, 16), (16, 30)):

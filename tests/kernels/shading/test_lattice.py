@@ -1,4 +1,6 @@
-"""The illumination lattice against plain NumPy: the texels around a point, and light carried from them to it."""
+"""The illumination lattice against plain NumPy: the texels around a point, and light carried from
+them to it.
+"""
 
 import math
 
@@ -34,7 +36,16 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from tests.kernels.shading.lattices import RNG, SHAPE, STEP, border_points, lattice, lower_texels, some_points, view_of
+from tests.kernels.shading.lattices import (
+    RNG,
+    SHAPE,
+    STEP,
+    border_points,
+    lattice,
+    lower_texels,
+    some_points,
+    view_of,
+)
 from tests.kernels.transport.harmonic_bases import scipy_basis
 
 
@@ -71,18 +82,25 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
     rows = RNG.permutation(40)[:30].astype(np.int32)
     rows[4:7] = UNLIT_ROW, VOID_ROW, BURIED_ROW
     lit = np.full((30, LIGHT_NUMBERS), -7.0, np.float32)
-    square, straight = RNG.normal(size=order**2).astype(np.float32), int(firsts[-1]) or order**2
+    square = RNG.normal(size=order**2).astype(np.float32)
+    straight = int(firsts[-1]) or order**2
     light_texels(rows, transfer, noise, light, square, firsts, straight, lit)
     colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
     there = rows >= 0
     assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
     np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
     reflected = np.einsum(
-        "mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2))[..., straight:], light[:, straight:]
+        "mcn,cn->mc",
+        np.broadcast_to(transfer[rows], (30, 3, order**2))[..., straight:],
+        light[:, straight:],
     )
-    np.testing.assert_allclose(lit[there, 4:], np.clip(reflected, 0.0, np.maximum(colour, 0.0))[there], atol=1e-5)
+    np.testing.assert_allclose(
+        lit[there, 4:], np.clip(reflected, 0.0, np.maximum(colour, 0.0))[there], atol=1e-5
+    )
     seen = transfer[rows, channels // 2]
-    variance = np.maximum(seen @ square - (colour @ (RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE)) ** 2, 0.0)
+    variance = np.maximum(
+        seen @ square - (colour @ (RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE)) ** 2, 0.0
+    )
     variance += LEAST_SPREAD * np.maximum(seen[:, firsts] * square[firsts], 0.0).sum(axis=1)
     np.testing.assert_allclose(lit[there, 3], (noise[rows] * np.sqrt(variance))[there], atol=1e-4)
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
@@ -90,15 +108,22 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
 
 def carry(points, grade, lit, normals=None, order=3, unit=1.0):
     """`carry_light`: radiance (n, 3), state (n,), error (n,), and the sky it was given."""
-    sky = Sky(order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT)
+    sky = Sky(
+        order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT
+    )
     _, _, corners = view_of(points)
     size = 3 * len(points)
-    planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
+    planes = Framebuffer(
+        np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32)
+    )
     pixels = np.arange(1, size, 3, dtype=np.uint32)
-    normals = np.zeros_like(points) if normals is None else normals
+    if normals is None:
+        normals = np.zeros_like(points)
     some = SurfacePoints(points, normals, pixels)
     carry_light(lattice(), some, corners, grade, lit, sky, np.float32(unit), planes)
-    assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
+    assert not planes.state[::3].any() and not planes.radiance[2::3].any(), (
+        "other pixels are left alone"
+    )
     return tuple(plane[pixels] for plane in planes)
 
 
@@ -141,7 +166,9 @@ def test_light_is_carried_in_units(unit):
 
 
 def irradiance_over_pi(normals):
-    """E/π (n, 3) of SKY_LIGHT about unit normals (n, 3), by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n)."""
+    """E/π (n, 3) of SKY_LIGHT about unit normals (n, 3), by SciPy's harmonics: Σ A_l/π ℓ_lm
+    Y_lm(n).
+    """
     lobes = np.repeat([1.0, 2.0 / 3.0, 0.25], [1, 3, 5])
     return scipy_basis(3, np.asarray(normals, float)) @ (lobes * SKY_LIGHT).T
 
@@ -149,18 +176,27 @@ def irradiance_over_pi(normals):
 def one_by_one(points, grade, lit, normals):
     """Light (n, 3), its standard error (n,) and the least grade (n,), by a loop over points.
 
-    Void and buried texels are left out of the mean, and unshadowed light stands in for what is not baked. Where no
-    texel counts it is dark among buried ones, as somebody looked, and else unshadowed.
+    Void and buried texels are left out of the mean, and unshadowed light stands in for what is not
+    baked. Where no texel counts it is dark among buried ones, as somebody looked, and else
+    unshadowed.
     """
-    corners, (_, fractions), under = view_of(points)[2], lower_texels(points), irradiance_over_pi(normals)
-    light, noise, least = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points), int)
+    corners = view_of(points)[2]
+    (_, fractions) = lower_texels(points)
+    under = irradiance_over_pi(normals)
+    light = np.zeros((len(points), 3))
+    noise = np.zeros(len(points))
+    least = np.zeros(len(points), int)
     for m, (own, f) in enumerate(zip(corners, fractions, strict=True)):
         weights = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
-        counts, baked = grade[own] <= FINAL, (grade[own] <= FINAL) & (grade[own] != UNBAKED_GRADE)
-        buried, total = weights[grade[own] == BURIED_GRADE].sum() > 0.0, weights[counts].sum()
+        counts = grade[own] <= FINAL
+        baked = (grade[own] <= FINAL) & (grade[own] != UNBAKED_GRADE)
+        buried = weights[grade[own] == BURIED_GRADE].sum() > 0.0
+        total = weights[counts].sum()
         least[m] = grade[own].min()
         if total > 0.0:
-            light[m] = weights[baked] @ lit[own[baked], :3] + weights[counts & ~baked].sum() * under[m]
+            light[m] = (
+                weights[baked] @ lit[own[baked], :3] + weights[counts & ~baked].sum() * under[m]
+            )
             light[m] /= total
             noise[m] = np.sqrt(((weights[baked] * lit[own[baked], 3]) ** 2).sum()) / total
         elif not buried:
@@ -173,7 +209,13 @@ ALL_GRADES = (FINAL, CONVERGING, PARTIAL_GRADE, UNBAKED_GRADE, BURIED_GRADE, VOI
 
 @pytest.mark.parametrize(
     "grades",
-    [*((each,) for each in ALL_GRADES), ALL_GRADES, (FINAL, VOID_GRADE), (BURIED_GRADE, VOID_GRADE), ALL_GRADES[3:]],
+    [
+        *((each,) for each in ALL_GRADES),
+        ALL_GRADES,
+        (FINAL, VOID_GRADE),
+        (BURIED_GRADE, VOID_GRADE),
+        ALL_GRADES[3:],
+    ],
 )
 def test_light_is_carried_as_a_loop_over_texels_has_it(grades):
     points = border_points()
@@ -187,4 +229,6 @@ def test_light_is_carried_as_a_loop_over_texels_has_it(grades):
     np.testing.assert_allclose(radiance, light, rtol=2e-5, atol=1e-6)
     assert np.array_equal(state, np.clip(least, PROVISIONAL, FINAL))
     expected = np.minimum(noise / np.maximum(light @ LUMINANCE_WEIGHTS, 1e-30), 1.0)
-    np.testing.assert_allclose(error, np.where(least <= PARTIAL_GRADE, 1.0, expected), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        error, np.where(least <= PARTIAL_GRADE, 1.0, expected), rtol=1e-4, atol=1e-6
+    )

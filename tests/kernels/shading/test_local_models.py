@@ -27,12 +27,15 @@ Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
 BALL = 12.0 - np.sqrt(X * X + Y * Y + Z * Z)
 EYE = (90.0, 35.0, 60.0)
 KEY = (0.36, 0.48, 0.8)
-SUN, AMBIENT = (0.9, 0.5, 0.2), (0.1, 0.2, 0.3)
+SUN = (0.9, 0.5, 0.2)
+AMBIENT = (0.1, 0.2, 0.3)
 LAMBERT = LocalModel(KEY, SUN, AMBIENT, 0.0, 32.0, False, 0.0, 0.0)
 
 
 def ball_points(count=COUNT, spacing=(1.0, 1.0, 1.0)):
-    """Points (n, 3) float32 of the sphere, index space, and their exact unit normals in world space."""
+    """Points (n, 3) float32 of the sphere, index space, and their exact unit normals in world
+    space.
+    """
     u = np.random.default_rng(31).normal(size=(count, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     n = u / spacing
@@ -41,16 +44,23 @@ def ball_points(count=COUNT, spacing=(1.0, 1.0, 1.0)):
 
 def shade(model, points, normals, voxels=BALL, iso=0.0, spacing=(1.0, 1.0, 1.0)):
     """`shade_local` after `find_shadows`: linear RGB (n, 3)."""
-    field, normals = field_of(voxels, spacing), normals.astype(np.float32)
+    field = field_of(voxels, spacing)
+    normals = normals.astype(np.float32)
     seen = np.zeros(len(points), np.bool_)
     size = 2 * len(points)
     some = SurfacePoints(points, normals, np.arange(1, size, 2, dtype=np.uint32))
     if model.shadow:
         find_shadows(surface_of(field, iso), some, model.key, seen)
-    planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.full(size, 7.0, np.float32))
+    planes = Framebuffer(
+        np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.full(size, 7.0, np.float32)
+    )
     pixels = some.pixels
     shade_local(some, seen, EYE, spacing, model, planes)
-    assert not planes.radiance[::2].any() and (planes.state[pixels] == FINAL).all() and not planes.error[pixels].any()
+    assert (
+        not planes.radiance[::2].any()
+        and (planes.state[pixels] == FINAL).all()
+        and not planes.error[pixels].any()
+    )
     return planes.radiance[pixels]
 
 
@@ -106,9 +116,12 @@ def test_local_models_are_those_of_numpy(model, spacing):
 
 
 def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
-    """Two balls in line with the light: in shadow is what the cylinder behind the upper one holds."""
+    """Two balls in line with the light: in shadow is what the cylinder behind the upper one
+    holds.
+    """
     key = (0.0, 0.0, 1.0)
-    low, high = 9.0 - np.sqrt(X**2 + Y**2 + (Z + 10) ** 2), 5.0 - np.sqrt((X - 3) ** 2 + Y**2 + (Z - 10) ** 2)
+    low = 9.0 - np.sqrt(X**2 + Y**2 + (Z + 10) ** 2)
+    high = 5.0 - np.sqrt((X - 3) ** 2 + Y**2 + (Z - 10) ** 2)
     u = np.random.default_rng(32).normal(size=(COUNT, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     u[:, 2] = np.abs(u[:, 2])
@@ -118,7 +131,9 @@ def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
     model = LAMBERT._replace(key=key, shadow=True)
     expected = twin(model, points.astype(float), u, seen=(aside > 5.0) * 1.0)
     assert 0.1 < (aside < 5.0).mean() < 0.9
-    np.testing.assert_allclose(shade(model, points, u, np.maximum(low, high))[clear], expected[clear], atol=2e-6)
+    np.testing.assert_allclose(
+        shade(model, points, u, np.maximum(low, high))[clear], expected[clear], atol=2e-6
+    )
 
 
 NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
@@ -137,7 +152,8 @@ def shadows_one_by_one(field, iso, points, normals, key, seen):
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 def test_shadows_of_many_rays_are_those_of_single_ones(spacing):
     points, normals = ball_points(spacing=spacing)
-    field, normals = field_of(NOISY, spacing), normals.astype(np.float32)
+    field = field_of(NOISY, spacing)
+    normals = normals.astype(np.float32)
     seen = np.zeros((2, len(points)), np.bool_)
     pixels = np.arange(len(points), dtype=np.uint32)
     find_shadows(surface_of(field, 0.0), SurfacePoints(points, normals, pixels), KEY, seen[0])
@@ -147,17 +163,24 @@ def test_shadows_of_many_rays_are_those_of_single_ones(spacing):
 
 
 def trace(place, light, weights, samples, replicas=2, stream=0):
-    """Sums (n, replicas, 3) of `trace_points` over the ball; ``place`` is points, normals and perhaps pixels."""
+    """Sums (n, replicas, 3) of `trace_points` over the ball; ``place`` is points, normals and
+    perhaps pixels.
+    """
     points, normals, *pixels = place
     sums = np.zeros((len(points), replicas, 3))
     own = (pixels[0] if pixels else np.arange(len(points))).astype(np.uint32)
-    some, rules = SurfacePoints(points, normals.astype(np.float32), own), PathRules(weights, 1.0)
-    trace_points(surface_of(field_of(BALL), 0.0), some, light, rules, stream, SampleRange(*samples), sums)
+    some = SurfacePoints(points, normals.astype(np.float32), own)
+    rules = PathRules(weights, 1.0)
+    trace_points(
+        surface_of(field_of(BALL), 0.0), some, light, rules, stream, SampleRange(*samples), sums
+    )
     return sums
 
 
 def half_sky(matrix):
-    """Radiance 1 from the upper half in red, the lower in green, a constant 0.25 in all, turned by `matrix`."""
+    """Radiance 1 from the upper half in red, the lower in green, a constant 0.25 in all, turned by
+    `matrix`.
+    """
     image = np.zeros((2, 4, 3), np.float32)
     image[0, :, 0] = image[1, :, 1] = 1.0
     return Surroundings(np.full(3, 0.25), image, np.ascontiguousarray(matrix, float))
@@ -170,7 +193,9 @@ def test_path_tracer_sees_the_turned_environment(axis):
     pole = matrix @ np.array([0.0, 0.0, 1.0])
     points, normals = ball_points(20)
     count = few(2048, 64)
-    light = trace((points, normals), half_sky(matrix), np.full((1, 3), 0.5), (0, count)).sum(axis=1) / (2 * count)
+    light = trace((points, normals), half_sky(matrix), np.full((1, 3), 0.5), (0, count)).sum(
+        axis=1
+    ) / (2 * count)
     up = (1.0 + normals @ pole) / 2.0
     expected = 0.5 * (0.25 + np.stack([up, 1.0 - up, np.zeros_like(up)], axis=1))
     np.testing.assert_allclose(light, expected, atol=few(0.01, 0.03))
@@ -178,10 +203,13 @@ def test_path_tracer_sees_the_turned_environment(axis):
 
 def test_paths_belong_to_the_pixel():
     points, normals = ball_points(6)
-    light, weights = half_sky(np.eye(3)), np.full((3, 3), 0.5)
+    light = half_sky(np.eye(3))
+    weights = np.full((3, 3), 0.5)
     place = points, normals
     whole = trace(place, light, weights, (0, 12))
-    turned = trace((points[::-1].copy(), normals[::-1], np.arange(6)[::-1].copy()), light, weights, (0, 12))
+    turned = trace(
+        (points[::-1].copy(), normals[::-1], np.arange(6)[::-1].copy()), light, weights, (0, 12)
+    )
     assert np.array_equal(turned[::-1], whole)
     others = trace((*place, np.arange(6) + 100), light, weights, (0, 12))
     assert not np.array_equal(others, whole)
@@ -189,7 +217,9 @@ def test_paths_belong_to_the_pixel():
 
 
 def test_replicas_are_numbered_from_the_stream_on():
-    place, light, weights = ball_points(6), half_sky(np.eye(3)), np.full((3, 3), 0.5)
+    place = ball_points(6)
+    light = half_sky(np.eye(3))
+    weights = np.full((3, 3), 0.5)
     four = trace(place, light, weights, (0, 5), replicas=4)
     assert np.array_equal(trace(place, light, weights, (0, 5)), four[:, :2])
     assert np.array_equal(trace(place, light, weights, (0, 5), stream=1, replicas=3), four[:, 1:])
@@ -197,7 +227,8 @@ def test_replicas_are_numbered_from_the_stream_on():
 
 def test_sums_of_any_number_of_goes_have_the_same_bits():
     points, normals = ball_points(6)
-    surface, light = surface_of(field_of(BALL), 0.0), half_sky(np.eye(3))
+    surface = surface_of(field_of(BALL), 0.0)
+    light = half_sky(np.eye(3))
     rules = PathRules(np.full((3, 3), 0.5), 1.0)
     place = SurfacePoints(points, normals.astype(np.float32), np.arange(6, dtype=np.uint32))
     sums = np.zeros((2, 6, 2, 3))

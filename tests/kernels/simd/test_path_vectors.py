@@ -12,7 +12,13 @@ from isogi_core.kernels.simd.memory import load as load_width
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.simd.voxels import four
 from isogi_core.kernels.tracing.field import smooth_gradient, smooth_gradients, value
-from isogi_core.kernels.tracing.vec import column, load_columns, orthonormal_basis, put_column, store_columns
+from isogi_core.kernels.tracing.vec import (
+    column,
+    load_columns,
+    orthonormal_basis,
+    put_column,
+    store_columns,
+)
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.rng import point_2d, point_of_words
 from isogi_core.kernels.transport.sampling import cosine_and_sine, sample_cosine_hemisphere
@@ -33,32 +39,67 @@ def arithmetic(a, b, out):
     for i in range(0, len(a), PATH_WIDTH):
         x, y = load(a, i), load(b, i)
         results = (
-            x + y, x - y, x * y, x / y, -x, 2.0 - x, x * 0.5, abs(x), math.sqrt(abs(x)), math.copysign(1.0, x),
-            where(x < y, x, y), where((x > 0.5) & (y <= 0.5), 1.0, 0.0), where(x != 0.0, x, 7.0), where(x >= y, 3.0, y),
-        )  # fmt: skip
+            x + y,
+            x - y,
+            x * y,
+            x / y,
+            -x,
+            2.0 - x,
+            x * 0.5,
+            abs(x),
+            math.sqrt(abs(x)),
+            math.copysign(1.0, x),
+            where(x < y, x, y),
+            where((x > 0.5) & (y <= 0.5), 1.0, 0.0),
+            where(x != 0.0, x, 7.0),
+            where(x >= y, 3.0, y),
+        )
         for k, result in enumerate(results):
             store(out[k], i, result)
 
 
 def test_arithmetic_of_f64_is_numpys():
     a, b = RNG.normal(size=(2, COUNT))
-    a[:3], b[3:5] = (0.0, -0.0, 0.5), (np.inf, -np.inf)
+    a[:3] = (0.0, -0.0, 0.5)
+    b[3:5] = (np.inf, -np.inf)
     out = np.empty((14, COUNT))
     arithmetic(a, b, out)
     expected = (
-        a + b, a - b, a * b, a / b, -a, 2.0 - a, a * 0.5, np.abs(a), np.sqrt(np.abs(a)), np.copysign(1.0, a),
-        np.minimum(a, b), (a > 0.5) & (b <= 0.5), np.where(a != 0.0, a, 7.0), np.where(a >= b, 3.0, b),
-    )  # fmt: skip
+        a + b,
+        a - b,
+        a * b,
+        a / b,
+        -a,
+        2.0 - a,
+        a * 0.5,
+        np.abs(a),
+        np.sqrt(np.abs(a)),
+        np.copysign(1.0, a),
+        np.minimum(a, b),
+        (a > 0.5) & (b <= 0.5),
+        np.where(a != 0.0, a, 7.0),
+        np.where(a >= b, 3.0, b),
+    )
     for k, right in enumerate(expected):
         assert np.array_equal(out[k], right), f"operation {k}"
 
 
 @njit
 def wordwise(a, b, out, fractions):
-    mask, three = np.uint64(0xFFFFFFFF), np.uint64(3)
+    mask = np.uint64(0xFFFFFFFF)
+    three = np.uint64(3)
     for i in range(0, len(a), PATH_WIDTH):
         x, y = load(a, i), load(b, i)
-        results = ((x + y) & mask, (x * y) & mask, x ^ y, x & y, x | y, (x << three) & mask, x >> three, u32(7))
+        results = (
+            (x + y) & mask,
+            (x * y) & mask,
+            x ^ y,
+            x & y,
+            x | y,
+            (x << three) & mask,
+            x >> three,
+            u32(7),
+        )
         for k, result in enumerate(results):
             store(out[k], i, result)
         store(fractions, i, fraction(x))
@@ -67,14 +108,26 @@ def wordwise(a, b, out, fractions):
 def test_arithmetic_of_u32_is_numpys():
     a, b = RNG.integers(0, 2**32, (2, COUNT), dtype=np.uint64)
     a[0] = 2**32 - 1
-    out, fractions = np.empty((8, COUNT), np.uint32), np.empty(COUNT)
+    out = np.empty((8, COUNT), np.uint32)
+    fractions = np.empty(COUNT)
     if PYTHON:
         wordwise(a, b, out, fractions)
     else:
         wordwise(a.astype(np.uint32), b.astype(np.uint32), out, fractions)
-    expected = (a + b, a * b, a ^ b, a & b, a | b, a << np.uint64(3), a >> np.uint64(3), np.full_like(a, 7))
+    expected = (
+        a + b,
+        a * b,
+        a ^ b,
+        a & b,
+        a | b,
+        a << np.uint64(3),
+        a >> np.uint64(3),
+        np.full_like(a, 7),
+    )
     for k, right in enumerate(expected):
-        assert np.array_equal(out[k], (right & np.uint64(2**32 - 1)).astype(np.uint32)), f"operation {k}"
+        assert np.array_equal(out[k], (right & np.uint64(2**32 - 1)).astype(np.uint32)), (
+            f"operation {k}"
+        )
     assert np.array_equal(fractions, a / 2.0**32) and fractions.max() < 1.0
 
 
@@ -86,7 +139,8 @@ def sums(values, out):
 
 
 def test_add_to_keeps_a_sum_for_each_lane():
-    values, out = RNG.random(COUNT), np.zeros(2 * PATH_WIDTH)
+    values = RNG.random(COUNT)
+    out = np.zeros(2 * PATH_WIDTH)
     sums(values, out)
     lanes = values.reshape(-1, PATH_WIDTH).cumsum(axis=0)[-1]
     np.testing.assert_allclose(out, np.concatenate([lanes, 2 * lanes]), rtol=1e-14)
@@ -145,7 +199,8 @@ def test_four_repeats_the_ends(width):
 @njit
 def together(seeds, samples, normals, voxels, points, draws, values, gradients):
     weights = np.empty((3, 9, PATH_WIDTH))
-    low, high = (seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32), (seeds >> np.uint64(32)).astype(np.uint32)
+    low = (seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+    high = (seeds >> np.uint64(32)).astype(np.uint32)
     for i in range(0, len(seeds), PATH_WIDTH):
         u, v = point_of_words(load(low, i), load(high, i), load(samples, i), u32(2))
         store_columns(draws[0], i, sample_cosine_hemisphere(u, v))
@@ -172,7 +227,8 @@ def apart(seeds, samples, normals, voxels, points, draws, values, gradients):
 @pytest.mark.parametrize("shape", [(5, 6, 7), (2, 2, 2), (9, 3, 3)])
 def test_vectors_are_one_number_at_a_time(shape):
     voxels = RNG.random(shape, np.float32)
-    seeds, samples = RNG.integers(0, 2**63, COUNT).astype(np.uint64), np.arange(COUNT, dtype=np.uint32)
+    seeds = RNG.integers(0, 2**63, COUNT).astype(np.uint64)
+    samples = np.arange(COUNT, dtype=np.uint32)
     normals = RNG.normal(size=(3, COUNT))
     normals /= np.linalg.norm(normals, axis=0)
     points = RNG.random((3, COUNT)) * (np.array(shape[::-1])[:, None] - 1)
@@ -203,7 +259,8 @@ def test_harmonics_of_vectors_are_one_at_a_time(order):
     ways = RNG.normal(size=(3, COUNT))
     ways /= np.linalg.norm(ways, axis=0)
     weights = np.where(RNG.random(COUNT) < 0.5, 0.0, RNG.random(COUNT))
-    together_, apart_ = np.zeros(order**2 * PATH_WIDTH), np.zeros((PATH_WIDTH, order**2))
+    together_ = np.zeros(order**2 * PATH_WIDTH)
+    apart_ = np.zeros((PATH_WIDTH, order**2))
     harmonics_together(order, ways, weights, together_)
     harmonics_apart(order, ways, weights, apart_)
     assert np.array_equal(together_.reshape(-1, PATH_WIDTH).T, apart_)

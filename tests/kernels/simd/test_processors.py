@@ -1,4 +1,6 @@
-"""Kernels of vectors again, compiled for other processors than this: tests of them in a process of their own."""
+"""Kernels of vectors again, compiled for other processors than this: tests of them in a process of
+their own.
+"""
 
 import os
 import subprocess
@@ -29,8 +31,30 @@ def test_all_of_it_again_for_other_processors(processor: str) -> None:
     """Eight lanes and rays by AVX2, four lanes without it."""
     told, tests = PROCESSORS[processor]
     files = [str(KERNELS / each) for each in tests]
-    options = ["-q", "-x", "-m", "not data", "-p", "no:cacheprovider", "--noconftest", "-c", os.devnull]
+    options = [
+        "-q",
+        "-x",
+        "-m",
+        "not data",
+        "-p",
+        "no:cacheprovider",
+        "--noconftest",
+        "-c",
+        os.devnull,
+    ]
     command = [sys.executable, "-m", "pytest", *options, *files]
-    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "NUMBA_CPU_NAME": processor, **told}
-    run = subprocess.run(command, env=environment, cwd=KERNELS.parents[1], capture_output=True, text=True, check=False)
+    environment = {
+        **os.environ,
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "NUMBA_CPU_NAME": processor,
+        **told,
+    }
+    run = subprocess.run(
+        command,
+        env=environment,
+        cwd=KERNELS.parents[1],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert run.returncode == 0, run.stdout + run.stderr

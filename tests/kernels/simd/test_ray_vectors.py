@@ -12,7 +12,9 @@ from isogi_core.kernels.simd.memory import gather, scatter, store
 from isogi_core.kernels.simd.memory import load as load_width
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 
-needs_simd = pytest.mark.skipif(REGISTER_LANES is None, reason="this processor, or Numba switched off, has no SIMD")
+needs_simd = pytest.mark.skipif(
+    REGISTER_LANES is None, reason="this processor, or Numba switched off, has no SIMD"
+)
 
 
 @njit
@@ -30,7 +32,19 @@ def numbers(seed):
 @njit
 def arithmetic(a, b, c, out):
     x, y, z = load(a, 0), load(b, 0), load(c, 0)
-    results = (x + y, x - y, x * y, x / y, -x, fma(x, y, z), min(x, y), max(x, y), abs(x), 2.0 - x, x * 0.5)
+    results = (
+        x + y,
+        x - y,
+        x * y,
+        x / y,
+        -x,
+        fma(x, y, z),
+        min(x, y),
+        max(x, y),
+        abs(x),
+        2.0 - x,
+        x * 0.5,
+    )
     for i, result in enumerate(results):
         store(out[i], 0, result)
 
@@ -41,19 +55,48 @@ def test_arithmetic_of_f32_is_numpys():
     a[5] = b[5]
     out = np.empty((11, RAY_WIDTH), np.float32)
     arithmetic(a, b, c, out)
-    half, two = np.float32(0.5), np.float32(2)
+    half = np.float32(0.5)
+    two = np.float32(2)
     with np.errstate(invalid="ignore"):
         exact = (a.astype(float) * b + c).astype(np.float32)
-        smaller, larger = np.where(b < a, b, a), np.where(b > a, b, a)
-        expected = (a + b, a - b, a * b, a / b, -a, exact, smaller, larger, np.abs(a), two - a, a * half)
+        smaller = np.where(b < a, b, a)
+        larger = np.where(b > a, b, a)
+        expected = (
+            a + b,
+            a - b,
+            a * b,
+            a / b,
+            -a,
+            exact,
+            smaller,
+            larger,
+            np.abs(a),
+            two - a,
+            a * half,
+        )
     for i, (found, right) in enumerate(zip(out, expected, strict=True)):
-        np.testing.assert_allclose(found, right, rtol=0 if i != 5 else 1e-6, err_msg=f"operation {i}")
+        np.testing.assert_allclose(
+            found, right, rtol=0 if i != 5 else 1e-6, err_msg=f"operation {i}"
+        )
 
 
 @njit
 def whole(a, b, out):
     x, y = load(a, 0), load(b, 0)
-    results = (x + y, x - y, x * y, x & y, x | y, x ^ y, x << 3, x >> 2, max(x, y), min(x, 5), i32(7), 1 + x)
+    results = (
+        x + y,
+        x - y,
+        x * y,
+        x & y,
+        x | y,
+        x ^ y,
+        x << 3,
+        x >> 2,
+        max(x, y),
+        min(x, 5),
+        i32(7),
+        1 + x,
+    )
     for i, result in enumerate(results):
         store(out[i], 0, result)
 
@@ -63,7 +106,20 @@ def test_arithmetic_of_i32_is_numpys():
     a, b = np.random.default_rng(4).integers(-(2**31), 2**31, (2, RAY_WIDTH)).astype(np.int32)
     out = np.empty((12, RAY_WIDTH), np.int32)
     whole(a, b, out)
-    expected = (a + b, a - b, a * b, a & b, a | b, a ^ b, a << 3, a >> 2, np.maximum(a, b), np.minimum(a, 5), 7, 1 + a)
+    expected = (
+        a + b,
+        a - b,
+        a * b,
+        a & b,
+        a | b,
+        a ^ b,
+        a << 3,
+        a >> 2,
+        np.maximum(a, b),
+        np.minimum(a, 5),
+        7,
+        1 + a,
+    )
     for i, (found, right) in enumerate(zip(out, expected, strict=True)):
         assert np.array_equal(found, np.broadcast_to(right, RAY_WIDTH)), f"operation {i}"
 
@@ -84,7 +140,9 @@ def comparisons(a, b, out):
     )
     for i, mask in enumerate(masks):
         out[i] = bits(mask)
-    out[9], out[10], out[11] = popcount(x < y), bits(mask_of(True)), bits(mask_of(False))
+    out[9] = popcount(x < y)
+    out[10] = bits(mask_of(True))
+    out[11] = bits(mask_of(False))
 
 
 @needs_simd
@@ -94,8 +152,20 @@ def test_masks_are_numpys():
     out = np.zeros(12, np.int64)
     comparisons(a, b, out)
     less = a < b
-    masks = (less, a <= b, a > b, a >= b, a == b, a != b, less | (a > 1), less & ~(a < 0), less ^ (a < 0))
-    assert out[:9].tolist() == [sum(1 << i for i in np.flatnonzero(mask).tolist()) for mask in masks]
+    masks = (
+        less,
+        a <= b,
+        a > b,
+        a >= b,
+        a == b,
+        a != b,
+        less | (a > 1),
+        less & ~(a < 0),
+        less ^ (a < 0),
+    )
+    assert out[:9].tolist() == [
+        sum(1 << i for i in np.flatnonzero(mask).tolist()) for mask in masks
+    ]
     assert out[9:].tolist() == [less.sum(), 2**RAY_WIDTH - 1, 0]
 
 
@@ -116,8 +186,10 @@ def moves(values, index, order, threshold, whole_numbers, real_numbers, picked):
 @needs_simd
 def test_gather_where_rank_and_item():
     rng = np.random.default_rng(7)
-    values, index = rng.random(1000).astype(np.float32), rng.integers(0, 1000, RAY_WIDTH).astype(np.int32)
-    whole_numbers, real_numbers = np.empty((3, RAY_WIDTH), np.int32), np.empty((3, RAY_WIDTH), np.float32)
+    values = rng.random(1000).astype(np.float32)
+    index = rng.integers(0, 1000, RAY_WIDTH).astype(np.int32)
+    whole_numbers = np.empty((3, RAY_WIDTH), np.int32)
+    real_numbers = np.empty((3, RAY_WIDTH), np.float32)
     picked = np.empty(RAY_WIDTH, np.float32)
     order = (np.arange(RAY_WIDTH) ^ 1).astype(np.int32)
     moves(values, index, order, 0.5, whole_numbers, real_numbers, picked)
@@ -125,14 +197,26 @@ def test_gather_where_rank_and_item():
     assert np.array_equal(real_numbers, [found, np.where(found > 0.5, found, -1), index])
     before = np.cumsum(found > 0.5) - (found > 0.5)
     swapped = index[order]
-    assert np.array_equal(whole_numbers, [before, (found * np.float32(100)).astype(np.int32), swapped])
+    assert np.array_equal(
+        whole_numbers, [before, (found * np.float32(100)).astype(np.int32), swapped]
+    )
     assert np.array_equal(picked, found)
 
 
 @njit
 def in_doubles(a, b, whole, single, out, cut):
     x, y = load(a, 0), load(b, 0)
-    results = (x + y, x - y, x * y, x / y, -x, math.sqrt(abs(x)), math.copysign(x, y), min(x, y), max(x, 0.5))
+    results = (
+        x + y,
+        x - y,
+        x * y,
+        x / y,
+        -x,
+        math.sqrt(abs(x)),
+        math.copysign(x, y),
+        min(x, y),
+        max(x, 0.5),
+    )
     for i, result in enumerate(results):
         store(out[i], 0, result)
     total = x * y
@@ -147,14 +231,25 @@ def in_doubles(a, b, whole, single, out, cut):
 def test_f64_are_numpys_to_the_bit():
     rng = np.random.default_rng(8)
     a, b = rng.normal(size=(2, RAY_WIDTH))
-    whole, single = rng.integers(-9, 9, RAY_WIDTH).astype(np.int32), rng.random(RAY_WIDTH).astype(np.float32)
+    whole = rng.integers(-9, 9, RAY_WIDTH).astype(np.int32)
+    single = rng.random(RAY_WIDTH).astype(np.float32)
     mixed = np.where(a < b, whole, single.astype(float))
-    out, cut = np.empty((11, RAY_WIDTH)), np.empty((1, RAY_WIDTH), np.int32)
+    out = np.empty((11, RAY_WIDTH))
+    cut = np.empty((1, RAY_WIDTH), np.int32)
     in_doubles(a, b, whole, single, out, cut)
     expected = (
-        a + b, a - b, a * b, a / b, -a, np.sqrt(np.abs(a)), np.copysign(a, b), np.minimum(a, b), np.maximum(a, 0.5),
-        a * b + a, mixed,
-    )  # fmt: skip
+        a + b,
+        a - b,
+        a * b,
+        a / b,
+        -a,
+        np.sqrt(np.abs(a)),
+        np.copysign(a, b),
+        np.minimum(a, b),
+        np.maximum(a, 0.5),
+        a * b + a,
+        mixed,
+    )
     assert np.array_equal(out, expected)
     assert np.array_equal(cut[0], (a * 10).astype(np.int32))
     assert np.array_equal(single, a.astype(np.float32))
@@ -170,8 +265,10 @@ def scatter_some(values, index, limit, array, signs):
 @needs_simd
 def test_scatter_writes_where_the_mask_is_set():
     rng = np.random.default_rng(9)
-    values, index = rng.normal(size=RAY_WIDTH) * 50, rng.permutation(100)[:RAY_WIDTH].astype(np.int32)
-    array, signs = np.zeros(100), np.zeros(100, np.int8)
+    values = rng.normal(size=RAY_WIDTH) * 50
+    index = rng.permutation(100)[:RAY_WIDTH].astype(np.int32)
+    array = np.zeros(100)
+    signs = np.zeros(100, np.int8)
     scatter_some(values, index, 0.0, array, signs)
     expected = np.zeros(100)
     expected[index] = np.where(values > 0, values, 0)

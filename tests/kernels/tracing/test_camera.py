@@ -1,4 +1,6 @@
-"""The camera: rays through pixels against NumPy, and the G-buffer of surfaces that can be told in closed form."""
+"""The camera: rays through pixels against NumPy, and the G-buffer of surfaces that can be told in
+closed form.
+"""
 
 import math
 
@@ -32,16 +34,23 @@ def look_down(eye, fov=40.0, width=SIDE, height=SIDE, spacing=(1.0, 1.0, 1.0)):
 
 
 def picture(voxels, iso, camera, width=SIDE, height=SIDE, tile=None, spacing=(1.0, 1.0, 1.0)):
-    """Where each pixel meets the surface, (h, w, 3) in index space, NaN where none is seen, in tiles of rays."""
+    """Where each pixel meets the surface, (h, w, 3) in index space, NaN where none is seen, in
+    tiles of rays.
+    """
     field = field_of(voxels, spacing)
     surface = surface_of(field, float(iso))
     position = np.full((width * height, 3), np.nan, np.float32)
     for first in range(0, width * height, tile or width * height):
         count = min(tile or width * height, width * height - first)
-        pixels, points = np.zeros((2, count), np.uint32), np.zeros((2, count, 3), np.float32)
-        hits, beside = trace_pixels(surface, ALONE, camera, first, width, pixels, points, np.zeros(count, np.int8))
+        pixels = np.zeros((2, count), np.uint32)
+        points = np.zeros((2, count, 3), np.float32)
+        hits, beside = trace_pixels(
+            surface, ALONE, camera, first, width, pixels, points, np.zeros(count, np.int8)
+        )
         assert beside == 0 and not pixels[1].any()
-        assert not points[0, hits:].any() and not pixels[0, hits:].any(), "nothing is written past the hits"
+        assert not points[0, hits:].any() and not pixels[0, hits:].any(), (
+            "nothing is written past the hits"
+        )
         assert (np.diff(pixels[0, :hits].astype(int)) > 0).all()
         position[pixels[0, :hits]] = points[0, :hits]
     return position.reshape(height, width, 3)
@@ -78,10 +87,14 @@ def pixel_angles(fov, width, height):
     """Tangents (h, w) of the angles right and up of each pixel's centre."""
     right = (np.arange(width) + 0.5 - width / 2.0) / (height / 2.0)
     up = (height / 2.0 - np.arange(height) - 0.5) / (height / 2.0)
-    return np.meshgrid(right * math.tan(math.radians(fov) / 2), up * math.tan(math.radians(fov) / 2))
+    return np.meshgrid(
+        right * math.tan(math.radians(fov) / 2), up * math.tan(math.radians(fov) / 2)
+    )
 
 
-@pytest.mark.parametrize(("width", "height", "fov"), [(7, 5, 40.0), (1, 1, 90.0), (1, 9, 5.0), (64, 2, 170.0)])
+@pytest.mark.parametrize(
+    ("width", "height", "fov"), [(7, 5, 40.0), (1, 1, 90.0), (1, 9, 5.0), (64, 2, 170.0)]
+)
 def test_pixel_rays_pass_through_pixel_centres(width, height, fov):
     camera = look_down((16, 16, 60), fov, width, height)
     right, up = pixel_angles(fov, width, height)
@@ -115,7 +128,9 @@ def test_tiles_make_the_same_picture_as_the_whole(tile):
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 3.0)])
 def test_a_plane_across_the_view_is_met_where_each_pixel_looks(spacing):
     x, y, z = 16.0 * np.array(spacing)
-    position = picture(SLOPE, 0.0, look_down((x, y, z + 24.0), 25.0, spacing=spacing), spacing=spacing)
+    position = picture(
+        SLOPE, 0.0, look_down((x, y, z + 24.0), 25.0, spacing=spacing), spacing=spacing
+    )
     right, up = pixel_angles(25.0, SIDE, SIDE)
     hit = seen(position)
     assert hit.mean() > 0.5

@@ -1,4 +1,6 @@
-"""Rays cast by SIMD against the scalar kernel: the same bits, on smooth, noisy, flat, holed and real volumes."""
+"""Rays cast by SIMD against the scalar kernel: the same bits, on smooth, noisy, flat, holed and
+real volumes.
+"""
 
 import mmap
 
@@ -28,17 +30,22 @@ BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
 
 def cast_both(voxels, isovalues, origins, directions, sides, spread=0.0):
-    """(t, came) by SIMD and one by one; the map covers ``spread`` more than the isovalues on each side."""
+    """(t, came) by SIMD and one by one; the map covers ``spread`` more than the isovalues on each
+    side.
+    """
     volume = make_volume(voxels)
     scale = np.array([volume.normalise_isovalue(v) for v in np.atleast_1d(isovalues)])
     isovalues = np.broadcast_to(scale, len(origins)).copy()
     field = make_field(volume)
     ranges = block_ranges(volume.voxels)
-    cells = make_active_cells(volume.voxels, ranges, isovalues.min() - spread, isovalues.max() + spread)
+    cells = make_active_cells(
+        volume.voxels, ranges, isovalues.min() - spread, isovalues.max() + spread
+    )
     sides = np.broadcast_to(np.asarray(sides, np.int8), len(origins)).copy()
     results = []
     for kernel in (cast_batch, cast_one_by_one):
-        t, came = np.full(len(origins), -1.0), np.full(len(origins), 99, np.int8)
+        t = np.full(len(origins), -1.0)
+        came = np.full(len(origins), 99, np.int8)
         kernel(field, cells, Rays(isovalues, *along(origins, directions), sides), t, came)
         results.append((t, came))
     return results
@@ -98,7 +105,9 @@ def test_one_map_serves_a_range_of_isovalues(spread):
 def axis_aligned():
     """Rays along axes, nearly, on and off lattice planes."""
     rng = np.random.default_rng(7)
-    origins = rng.integers(0, 41, (COUNT, 3)) + rng.choice([0.0, 0.5, 1e-9, -1e-9, 1e-5], (COUNT, 3))
+    origins = rng.integers(0, 41, (COUNT, 3)) + rng.choice(
+        [0.0, 0.5, 1e-9, -1e-9, 1e-5], (COUNT, 3)
+    )
     directions = rng.choice([0.0, -0.0, 1e-300, -1e-9, 1e-4], (COUNT, 3))
     directions[np.arange(COUNT), rng.integers(0, 3, COUNT)] += rng.choice([-1.0, 1.0], COUNT)
     return origins, directions
@@ -107,7 +116,8 @@ def axis_aligned():
 def diagonal():
     """Rays through lattice points, along axes and diagonals."""
     rng = np.random.default_rng(8)
-    origins, directions = rng.integers(-5, 46, (COUNT, 3)).astype(float), rng.integers(-2, 3, (COUNT, 3)).astype(float)
+    origins = rng.integers(-5, 46, (COUNT, 3)).astype(float)
+    directions = rng.integers(-2, 3, (COUNT, 3)).astype(float)
     directions[~directions.any(axis=1)] = 1.0
     return origins, directions
 
@@ -139,7 +149,9 @@ def test_holes_are_the_scalar_kernels(share):
 def test_rays_that_say_nothing_hit_nothing():
     directions = np.zeros((5, 3))
     directions[1:] = [[np.nan, 0, 1], [0, np.inf, 0], [np.nan] * 3, [-np.inf, np.inf, 1]]
-    (t, came), (t_one, came_one) = cast_both(BALL, 0.0, np.full((5, 3), 20.0), directions, SOLID_SIGN)
+    (t, came), (t_one, came_one) = cast_both(
+        BALL, 0.0, np.full((5, 3), 20.0), directions, SOLID_SIGN
+    )
     assert np.array_equal(t, t_one) and np.array_equal(came, came_one)
 
 
@@ -158,20 +170,27 @@ def cast_nothing():
 
 
 def vast(shape):
-    """A volume of zeros with a ball in its last corner, the field and the map; memory holds what is touched alone.
+    """A volume of zeros with a ball in its last corner, the field and the map; memory holds what is
+    touched alone.
 
     All is empty to the map but for the cells about the ball, whose cells are all marked.
     """
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)
     room = mmap.mmap(-1, 4 * int(np.prod(shape)), flags=flags)
     voxels = np.frombuffer(room, np.float32).reshape(shape)
-    voxels[-24:, -24:, -24:] = np.maximum(6.0 - np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0), 0.0)
+    voxels[-24:, -24:, -24:] = np.maximum(
+        6.0 - np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0), 0.0
+    )
     low, high = np.zeros((2, *macrocell_shape(shape)), np.float32)
     high[-4:, -4:, -4:] = 6.0
-    tops, margins = np.zeros(brick_shape(shape), np.int32), np.zeros(brick_shape(shape), np.float32)
-    tops[-7:, -7:, -7:], margins[-7:, -7:, -7:] = 1, 0.1
+    tops = np.zeros(brick_shape(shape), np.int32)
+    margins = np.zeros(brick_shape(shape), np.float32)
+    tops[-7:, -7:, -7:] = 1
+    margins[-7:, -7:, -7:] = 0.1
     words = np.repeat(np.array([0, -1], np.int32), BRICK_CELLS)
-    return Field(voxels, low, high, (1.0, 1.0, 1.0)), ActiveCells(tops.ravel(), words, margins.ravel(), tops.shape)
+    return Field(voxels, low, high, (1.0, 1.0, 1.0)), ActiveCells(
+        tops.ravel(), words, margins.ravel(), tops.shape
+    )
 
 
 @COMPILED
@@ -180,12 +199,14 @@ def test_volumes_of_up_to_two_billion_voxels_are_cast_by_simd(shape):
     field, cells = vast(shape)
     origins, directions = rays_about((24, 24, 24), 17)
     origins = origins + np.array(shape[::-1]) - 24.0
-    isovalues, sides = np.full(len(origins), 0.5), np.full(len(origins), UNKNOWN_SIDE, np.int8)
+    isovalues = np.full(len(origins), 0.5)
+    sides = np.full(len(origins), UNKNOWN_SIDE, np.int8)
     rays = Rays(isovalues, *along(origins, directions), sides)
     empty = field._replace(high=np.zeros_like(field.high))  # where the scalar kernel finds nothing
     found = []
     for kernel, seen in ((cast_batch, field), (cast_one_by_one, field), (cast_batch, empty)):
-        t, came = np.empty(len(origins)), np.empty(len(origins), np.int8)
+        t = np.empty(len(origins))
+        came = np.empty(len(origins), np.int8)
         kernel(seen, cells, rays, t, came)
         found.append((t, came))
     (t, came), (t_one, came_one), (t_simd, _) = found

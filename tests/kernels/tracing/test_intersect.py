@@ -1,4 +1,5 @@
-"""Rays against boxes, cells and isosurfaces, one at a time: NumPy's slabs and roots, SciPy's values, dense marching.
+"""Rays against boxes, cells and isosurfaces, one at a time: NumPy's slabs and roots, SciPy's
+values, dense marching.
 
 Closed surfaces, planes, holes and far origins are among the cases of `tests/stability`.
 """
@@ -11,7 +12,13 @@ from numba import njit
 
 from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing import intersect
-from isogi_core.kernels.tracing.cubic import cubic_along, ends_solid, first_crossing, horner, turning_points
+from isogi_core.kernels.tracing.cubic import (
+    cubic_along,
+    ends_solid,
+    first_crossing,
+    horner,
+    turning_points,
+)
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE, less
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, longest, reciprocals
 from tests.kernels.fields import cast_each, field_of
@@ -23,9 +30,13 @@ def test_clip_box_against_numpys_slabs():
     rng = np.random.default_rng(4)
     shape = (4, 5, 6)
     size = np.array(shape[::-1]) - 1.0
-    for o, d in zip(rng.uniform(-4, 9, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True):
-        a, b = -o / d, (size - o) / d
-        near, far = max(np.minimum(a, b).max(), 0.0), np.maximum(a, b).min()
+    for o, d in zip(
+        rng.uniform(-4, 9, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True
+    ):
+        a = -o / d
+        b = (size - o) / d
+        near = max(np.minimum(a, b).max(), 0.0)
+        far = np.maximum(a, b).min()
         found = clip_box(shape, tuple(o), tuple(d))
         assert found[0] <= found[1] if near <= far else found[0] > found[1]
         if near <= far:
@@ -40,11 +51,16 @@ def test_a_ray_beside_the_box_or_along_its_face(zero):
 
 
 def test_a_cell_is_cut_as_a_box_of_its_own():
-    """Along still axes all of the ray is within; a component too small for a reciprocal counts as still."""
+    """Along still axes all of the ray is within; a component too small for a reciprocal counts as
+    still.
+    """
     rng = np.random.default_rng(5)
-    for o, d in zip(rng.uniform(-2, 4, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True):
+    for o, d in zip(
+        rng.uniform(-2, 4, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True
+    ):
         near, far = cut_cell(tuple(o), reciprocals(tuple(d)), (1, 0, 2), -9.0, 9.0)
-        a, b = (np.array([1, 0, 2]) - o) / d, (np.array([2, 1, 3]) - o) / d
+        a = (np.array([1, 0, 2]) - o) / d
+        b = (np.array([2, 1, 3]) - o) / d
         expected = max(np.minimum(a, b).max(), -9.0), min(np.maximum(a, b).min(), 9.0)
         assert (near, far) == pytest.approx(expected, rel=1e-12)
     assert reciprocals((0.0, 5e-324, -4.0)) == (0.0, 0.0, -0.25)
@@ -62,7 +78,8 @@ def crossing(q, side, blur):
 @njit(cache=True)
 def first_crossings(cubics, side):
     """`crossing` of cubics (n, 4): t (n,) and the last side (n,)."""
-    t, last = np.empty(len(cubics)), np.empty(len(cubics), np.int64)
+    t = np.empty(len(cubics))
+    last = np.empty(len(cubics), np.int64)
     for m in range(len(cubics)):
         q = (float(cubics[m, 0]), float(cubics[m, 1]), float(cubics[m, 2]), float(cubics[m, 3]))
         t[m], last[m] = crossing(q, side, 0.0)
@@ -70,7 +87,9 @@ def first_crossings(cubics, side):
 
 
 def roots(cubics):
-    """`numpy.roots` of many cubics at once: the eigenvalues of their companion matrices, (n, 3) complex."""
+    """`numpy.roots` of many cubics at once: the eigenvalues of their companion matrices, (n, 3)
+    complex.
+    """
     companion = np.zeros((len(cubics), 3, 3))
     companion[:, 1, 0] = companion[:, 2, 1] = 1.0
     companion[:, 0] = -cubics[:, 1:] / cubics[:, :1]
@@ -92,20 +111,27 @@ def test_turning_points_are_the_roots_of_the_slope():
     rng = np.random.default_rng(2)
     for q in rng.normal(size=(many(2000), 4)):
         slope = np.roots([3 * q[0], 2 * q[1], q[2]])
-        expected = sorted(np.clip(slope.real, 0, 1)) if np.isreal(slope).all() else (1.0, 1.0)
+        if np.isreal(slope).all():
+            expected = sorted(np.clip(slope.real, 0, 1))
+        else:
+            expected = (1.0, 1.0)
         np.testing.assert_allclose(turning_points(tuple(q)), expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("side", [OUTSIDE_SIGN, SOLID_SIGN])
 def test_first_crossing_against_numpys_roots(side):
-    """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: both answers are right."""
+    """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: both
+    answers are right.
+    """
     rng = np.random.default_rng(3)
     cubics = rng.normal(size=(many(100_000), 4)) * 10.0 ** rng.uniform(-3, 3, (many(100_000), 4))
     cubics[:, 3] = -side * np.abs(cubics[:, 3])
     found, last = first_crossings(cubics, side)
     all_roots = roots(cubics)
     real = np.abs(all_roots.imag) < 1e-9
-    expected = np.where(real & (all_roots.real >= 0) & (all_roots.real <= 1), all_roots.real, math.inf).min(axis=1)
+    expected = np.where(
+        real & (all_roots.real >= 0) & (all_roots.real <= 1), all_roots.real, math.inf
+    ).min(axis=1)
     delicate = (np.abs(all_roots.imag) < 1e-4) & ~real
     pairs = np.abs(all_roots - np.roll(all_roots, 1, axis=1)).min(axis=1) < 1e-4
     ends = np.minimum(np.abs(all_roots), np.abs(all_roots - 1)).min(axis=1) < 1e-9
@@ -148,15 +174,21 @@ def test_a_cell_whose_corners_agree_has_only_a_lost_surface():
 
 @pytest.mark.parametrize("kind", ["noise", "smooth", "binary"])
 def test_cast_against_dense_marching(kind):
-    """Every hit lies on the isosurface, nothing that marching sees comes before it, and nothing is missed."""
+    """Every hit lies on the isosurface, nothing that marching sees comes before it, and nothing is
+    missed.
+    """
     rng = np.random.default_rng(5)
     voxels = rng.random((12, 11, 14)).astype(np.float32)
     if kind == "smooth":
         z, y, x = np.mgrid[:12, :11, :14]
-        voxels = (0.5 + np.sin(x * 0.9) * np.cos(y * 0.7) * np.sin(z * 0.8 + 1) / 2).astype(np.float32)
+        voxels = (0.5 + np.sin(x * 0.9) * np.cos(y * 0.7) * np.sin(z * 0.8 + 1) / 2).astype(
+            np.float32
+        )
     elif kind == "binary":
         voxels = (voxels > 0.6).astype(np.float32)
-    count, steps, iso = many(1000), 2000, 0.45
+    count = many(1000)
+    steps = 2000
+    iso = 0.45
     size = np.array(voxels.shape[::-1]) - 1.0
     origins, ends = rng.random((2, count, 3)) * size
     along = np.linspace(0, 1, steps + 1)
@@ -173,12 +205,15 @@ def test_cast_against_dense_marching(kind):
     assert early.mean() < 0.02, "grazing pairs between two steps are rare"
     assert np.array_equal(came[hit] == SOLID_SIGN, solid[hit, 0])
     both = seen & ~early
-    assert np.abs(t - bisect(voxels, iso, origins, ends, along[first], 1 / steps))[both].max() < 1e-8
+    assert (
+        np.abs(t - bisect(voxels, iso, origins, ends, along[first], 1 / steps))[both].max() < 1e-8
+    )
 
 
 def bisect(voxels, iso, origins, ends, low, width):
     """The change of side between the fractions low and low + width of each segment, to rounding."""
-    low, high = low.copy(), low + width
+    high = low + width
+    low = low.copy()
     start = trilinear(voxels, origins + low[:, None] * (ends - origins)) > iso
     for _ in range(40):
         middle = (low + high) / 2
@@ -191,7 +226,9 @@ BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
 
 def inner_rays(rng, count):
-    """Origins well inside the ball, half on lattice points; integer, axis-aligned and any directions."""
+    """Origins well inside the ball, half on lattice points; integer, axis-aligned and any
+    directions.
+    """
     origins = 20.0 + rng.uniform(-1.7, 1.7, (count, 3))
     origins[::2] = np.rint(origins[::2])
     directions = rng.normal(size=(count, 3))
@@ -205,10 +242,13 @@ def inner_rays(rng, count):
 
 
 def test_a_block_that_a_ray_only_touches_tells_no_side():
-    """From a corner of four macrocells on the surface, into the one that is solid: no hit, and then the way out."""
+    """From a corner of four macrocells on the surface, into the one that is solid: no hit, and then
+    the way out.
+    """
     voxels = np.zeros((17, 17, 17), np.float32)
     voxels[:8, :8, :8] = 1.0
-    start, inwards = np.full((1, 3), 8.0), np.array([[-1.0, -2.0, -1.5]])
+    start = np.full((1, 3), 8.0)
+    inwards = np.array([[-1.0, -2.0, -1.5]])
     into, came = cast_each(field_of(voxels), 0.0, start, inwards, OUTSIDE_SIGN)
     assert (into[0], came[0]) == (pytest.approx(0.0, abs=1e-5), OUTSIDE_SIGN)
     out, _ = cast_each(field_of(voxels), 0.0, start + into[0] * inwards, inwards, SOLID_SIGN)

@@ -1,4 +1,6 @@
-"""Texels at the edge of a plateau: against a search in NumPy, and where a wall, a ball and a border put them."""
+"""Texels at the edge of a plateau: against a search in NumPy, and where a wall, a ball and a border
+put them.
+"""
 
 import collections
 
@@ -20,9 +22,14 @@ WALL = (LAYERS < 8).astype(np.float32)
 def locate(voxels, texels, step=(1.0, 1.0, 1.0), spacing=(1.0, 1.0, 1.0)):
     """`locate_texels`: points and normals (m, 3), isovalues and void (m,)."""
     m = len(texels)
-    points, normals, isovalues, void = np.empty((3, m)), np.empty((3, m)), np.empty(m), np.empty(m, np.bool_)
+    points = np.empty((3, m))
+    normals = np.empty((3, m))
+    isovalues = np.empty(m)
+    void = np.empty(m, np.bool_)
     texels = np.ascontiguousarray(texels, np.int32)
-    locate_texels(field_of(voxels, spacing), np.array(step), texels, points, normals, isovalues, void)
+    locate_texels(
+        field_of(voxels, spacing), np.array(step), texels, points, normals, isovalues, void
+    )
     return points.T, normals.T, isovalues, void
 
 
@@ -32,16 +39,25 @@ def about(voxels, p):
 
 
 def lifted(voxels, points, normals):
-    """Values RAY_OFFSET_VOXELS above points (m, 3) along their normals in index space, of any length."""
+    """Values RAY_OFFSET_VOXELS above points (m, 3) along their normals in index space, of any
+    length.
+    """
     with np.errstate(invalid="ignore"):
-        return trilinear(voxels, points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        return trilinear(
+            voxels,
+            points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        )
 
 
 def expected(voxels, p):
-    """What becomes of a texel at `p`: "own", "kept", "void" or "moved", its isovalue, and the stride that it is in."""
-    block, own = about(voxels, p), trilinear(voxels, p[None])[0]
+    """What becomes of a texel at `p`: "own", "kept", "void" or "moved", its isovalue, and the
+    stride that it is in.
+    """
+    block = about(voxels, p)
+    own = trilinear(voxels, p[None])[0]
     low, high = np.nanmin(block), np.nanmax(block)
-    edge, level = EDGE_SHARE * (high - low), (low + high) / 2
+    edge = EDGE_SHARE * (high - low)
+    level = (low + high) / 2
     if low + edge < own < high - edge or (abs(block - own) <= edge).mean() < FLAT_SHARE:
         return "own", own, None
     uphill = smoothed(voxels, p)
@@ -50,7 +66,9 @@ def expected(voxels, p):
     behind = AROUND[AROUND @ down < BEHIND_VOXELS]
     if own > level and (found is None or (trilinear(voxels, p + behind) <= level).any()):
         return "void", own, None
-    return ("kept", own, None) if found is None else ("moved", level, found)
+    if found is None:
+        return ("kept", own, None)
+    return ("moved", level, found)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 4.0)])
@@ -64,14 +82,19 @@ def test_texels_are_where_a_search_in_numpy_finds_them(step, spacing):
     kinds = collections.Counter()
     for m, p in enumerate(texels[:, ::-1] * step):
         kind, isovalue, within = expected(voxels, p)
-        within = p[None] if within is None else np.clip(within, 0.0, 8.0)
+        if within is None:
+            within = p[None]
+        else:
+            within = np.clip(within, 0.0, 8.0)
         if kind != "void" and abs(above[m]) > 1e-9:
             kind = "hemmed in" if above[m] > 0.0 else kind
             assert void[m] == (kind == "hemmed in")
         kinds[kind] += 1
         assert void[m] or kind != "void"
         assert isovalues[m] == pytest.approx(isovalue)
-        assert (points[m] >= within.min(axis=0) - 1e-9).all() and (points[m] <= within.max(axis=0) + 1e-9).all()
+        assert (points[m] >= within.min(axis=0) - 1e-9).all() and (
+            points[m] <= within.max(axis=0) + 1e-9
+        ).all()
         assert kind != "moved" or trilinear(voxels, points[None, m])[0] == pytest.approx(isovalue)
     assert kinds.keys() >= {"own", "moved", "void", "hemmed in"}, kinds
 
@@ -93,7 +116,9 @@ def test_texels_about_a_masks_ball_are_lit_on_its_skin():
     assert not void.any() and (isovalues == 0.5).all()
     away = points - 15.0
     size = np.linalg.norm(away, axis=1)
-    slant = np.degrees(np.arccos(np.einsum("mi,mi->m", normals, away / size[:, None]).clip(-1.0, 1.0)))
+    slant = np.degrees(
+        np.arccos(np.einsum("mi,mi->m", normals, away / size[:, None]).clip(-1.0, 1.0))
+    )
     assert np.abs(size - 10.2).max() < 0.8 and np.abs(size - 10.2).mean() < 0.25
     assert slant.max() < 35.0 and slant.mean() < 10.0
 
@@ -112,7 +137,9 @@ def test_voxels_that_are_no_number_leave_the_others_alone():
     voxels = WALL.copy()
     voxels[6:9, 5, 5] = np.nan
     points, _, isovalues, void = locate(voxels, [[7, 6, 6], [8, 6, 6], [7, 5, 5], [7, 4, 4]])
-    assert void.tolist() == [False, True, True, True], "their own cells are sound; flat; not a number; nor this"
+    assert void.tolist() == [False, True, True, True], (
+        "their own cells are sound; flat; not a number; nor this"
+    )
     np.testing.assert_allclose(points[0], (6.0, 6.0, 7.5), atol=1e-9)
     assert isovalues[0] == 0.5
 
@@ -127,7 +154,9 @@ def test_texels_stay_in_the_box():
 
 
 def test_a_wall_one_voxel_thin_has_no_texels_of_its_own():
-    """Nor where it meets a thick one, whose normals point along it; those on its sides are lit on their side of it."""
+    """Nor where it meets a thick one, whose normals point along it; those on its sides are lit on
+    their side of it.
+    """
     voxels = np.where((LAYERS == 8) | (LAYERS.transpose(0, 2, 1) < 3), 1.0, 0.0).astype(np.float32)
     texels = [[z, y, 7] for z in (7, 8, 9) for y in (2, 3, 8)]
     points, normals, _, void = locate(voxels, texels)

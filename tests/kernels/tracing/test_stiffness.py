@@ -24,7 +24,9 @@ from tests.kernels.fields import field_of
 
 
 def steps(shape: tuple[int, int, int], seed: int = 1) -> np.ndarray:
-    """A field of few values, so that plateaus and corners at an isovalue itself are common, with a few holes."""
+    """A field of few values, so that plateaus and corners at an isovalue itself are common, with a
+    few holes.
+    """
     rng = np.random.default_rng(seed)
     voxels = (rng.integers(0, 5, shape) / 4.0 * (rng.random(shape) < 0.6)).astype(np.float32)
     voxels[rng.random(shape) < 0.01] = np.nan
@@ -41,9 +43,16 @@ def counted(field, levels, *cuts):
 
 
 def block(voxels, corner, before, behind):
-    """The voxels from ``before`` steps before a place to ``behind`` steps behind it, as far as there are any."""
+    """The voxels from ``before`` steps before a place to ``behind`` steps behind it, as far as
+    there are any.
+    """
     shape = voxels.shape
-    return voxels[tuple(slice(max(c - before, 0), min(c + behind + 1, n)) for c, n in zip(corner, shape, strict=True))]
+    return voxels[
+        tuple(
+            slice(max(c - before, 0), min(c + behind + 1, n))
+            for c, n in zip(corner, shape, strict=True)
+        )
+    ]
 
 
 def told(field, level, place):
@@ -52,21 +61,35 @@ def told(field, level, place):
     corners = block(voxels, place, 0, 1)
     if np.isnan(corners).any() or not corners.min() <= level < corners.max():
         return set()
-    normals, edges, hole, void = [], 0, False, False
+    normals = []
+    edges = 0
+    hole = False
+    void = False
     for offset in np.ndindex(2, 2, 2):
         at = tuple(np.add(place, offset))
         around = block(voxels, at, 1, 1)
         low, high = np.nanmin(around), np.nanmax(around)
-        near, own = EDGE_SHARE * (np.float64(high) - np.float64(low)), np.float64(voxels[at])
-        edges += bool(not low + near < own < high - near and (np.abs(around - own) <= near).mean() >= FLAT_SHARE)
+        near = EDGE_SHARE * (np.float64(high) - np.float64(low))
+        own = np.float64(voxels[at])
+        edges += bool(
+            not low + near < own < high - near
+            and (np.abs(around - own) <= near).mean() >= FLAT_SHARE
+        )
         hole |= bool(np.isnan(around).any())
         n = normal(field, tuple(float(a) for a in at[::-1]))
         void |= n == (0.0, 0.0, 0.0)
         normals += [n] if n != (0.0, 0.0, 0.0) else []
-    straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < MIN_MEAN_NORMAL if normals else True
+    if normals:
+        straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < MIN_MEAN_NORMAL
+    else:
+        straying = True
     kinds = {STEEP_ROW: edges >= STEEP_CORNERS, NOISY_ROW: straying, HOLED_ROW: hole}
     kinds[PLATEAU_ROW] = void or np.count_nonzero(corners == level) >= STEEP_CORNERS
-    return {CELLS_ROW} | {row for row, is_so in kinds.items() if is_so} | faces(corners, level, place, voxels.shape)
+    return (
+        {CELLS_ROW}
+        | {row for row, is_so in kinds.items() if is_so}
+        | faces(corners, level, place, voxels.shape)
+    )
 
 
 def faces(corners, level, place, shape):
@@ -84,7 +107,8 @@ def faces(corners, level, place, shape):
 @pytest.mark.parametrize("shape", [(6, 7, 8), (2, 2, 2), (2, 9, 3), (9, 2, 4)])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 3.0)])
 def test_counts_are_those_of_a_loop_over_cells_and_isovalues(shape, spacing):
-    field, levels = field_of(steps(shape), spacing), [0.0, 0.1, 0.25, 0.6, 0.75, 1.0]
+    field = field_of(steps(shape), spacing)
+    levels = [0.0, 0.1, 0.25, 0.6, 0.75, 1.0]
     expected = np.zeros((COUNTED_ROWS, len(levels)), np.int64)
     for place in np.ndindex(*(n - 1 for n in shape)):
         for i, level in enumerate(np.float32(levels)):
@@ -95,7 +119,8 @@ def test_counts_are_those_of_a_loop_over_cells_and_isovalues(shape, spacing):
 
 
 def test_layers_may_be_counted_in_pieces():
-    field, levels = field_of(steps((12, 9, 10))), np.linspace(0.0, 1.0, 9)
+    field = field_of(steps((12, 9, 10)))
+    levels = np.linspace(0.0, 1.0, 9)
     np.testing.assert_array_equal(counted(field, levels, 1, 2, 7), counted(field, levels))
 
 

@@ -26,11 +26,15 @@ def python(function):
     return getattr(function, "py_func", function)
 
 
-@pytest.mark.parametrize(("kernel", "arguments", "twin"), TWINS, ids=lambda x: getattr(x, "__name__", ""))
+@pytest.mark.parametrize(
+    ("kernel", "arguments", "twin"), TWINS, ids=lambda x: getattr(x, "__name__", "")
+)
 def test_matches_numpy_compiled_and_not(kernel, arguments, twin):
     rows = [tuple(map(tuple, row)) for row in zip(*arguments, strict=True)]
     for function in (kernel, python(kernel)):
-        np.testing.assert_allclose([function(*row) for row in rows], twin(*arguments), rtol=1e-14, atol=1e-15)
+        np.testing.assert_allclose(
+            [function(*row) for row in rows], twin(*arguments), rtol=1e-14, atol=1e-15
+        )
 
 
 def test_scale_and_madd():
@@ -47,7 +51,10 @@ def test_normalize_keeps_directions_of_extreme_length(size):
 @pytest.mark.parametrize("bad", [0.0, math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("place", range(3))
 def test_normalize_of_no_direction_is_zero(bad, place):
-    vector = [0.0, 0.0, 0.0] if bad == 0.0 else [1.0, 2.0, 3.0]
+    if bad == 0.0:
+        vector = [0.0, 0.0, 0.0]
+    else:
+        vector = [1.0, 2.0, 3.0]
     vector[place] = bad
     assert vec.normalize(tuple(vector)) == (0.0, 0.0, 0.0)
     assert python(vec.normalize)(tuple(vector)) == (0.0, 0.0, 0.0)

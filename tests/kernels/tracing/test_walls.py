@@ -1,4 +1,6 @@
-"""Rays among walls: the same bits in lanes as in numbers, what the camera sees of them, and depth peels."""
+"""Rays among walls: the same bits in lanes as in numbers, what the camera sees of them, and depth
+peels.
+"""
 
 import math
 
@@ -44,11 +46,13 @@ def test_lanes_meet_the_walls_that_numbers_do() -> None:
     slanted = wall((3.0, 1.0, 2.0), 2.0 * (X + Y), 3.0 * (X - Y), twofold=True)
     walls = room_of([*box(10.0), slanted], SPACING).walls
     origins = np.ascontiguousarray(draw.uniform(0.0, 10.0, (3, count)) / np.array(SPACING)[:, None])
-    directions, own = draw.normal(size=(3, count)), draw.integers(-1, 7, count).astype(float)
+    directions = draw.normal(size=(3, count))
+    own = draw.integers(-1, 7, count).astype(float)
     directions[0, ::7] = 0.0
     found = []
     for each in (one_by_one, together):
-        t, met = np.full(count, 8.0), np.empty(count)
+        t = np.full(count, 8.0)
+        met = np.empty(count)
         each(walls, origins, directions, own, t, met)
         found.append((t, met))
     np.testing.assert_array_equal(found[0], found[1])
@@ -63,9 +67,12 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     room = room_of([(corner - 10.0, *rest) for corner, *rest in box(40.0)])
     walls = room.walls._replace(backs=np.zeros(6))
     camera = Pinhole((80.0, 10.0, 10.0), (-1.0, 0.5, 0.5), (0.0, -0.0625, 0.0), (0.0, 0.0, -0.0625))
-    pixels, points = np.empty((2, 256), np.uint32), np.empty((2, 256, 3), np.float32)
+    pixels = np.empty((2, 256), np.uint32)
+    points = np.empty((2, 256, 3), np.float32)
     numbers = np.empty(256, np.int8)
-    seen, walled = trace_pixels(surface_of(field, 0.0), Sight(walls, WHOLE), camera, 0, 16, pixels, points, numbers)
+    seen, walled = trace_pixels(
+        surface_of(field, 0.0), Sight(walls, WHOLE), camera, 0, 16, pixels, points, numbers
+    )
     assert seen > 0
     assert seen + walled < 256  # what passes beside the room
     assert 0 in numbers[:walled]
@@ -74,13 +81,16 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     radii = np.linalg.norm(points[0, :seen] - 10.0, axis=1)
     np.testing.assert_allclose(radii, 4.0, atol=0.1)
     closed = room.walls
-    seen, _ = trace_pixels(surface_of(field, 0.0), Sight(closed, WHOLE), camera, 0, 16, pixels, points, numbers)
+    seen, _ = trace_pixels(
+        surface_of(field, 0.0), Sight(closed, WHOLE), camera, 0, 16, pixels, points, numbers
+    )
     assert seen == 0
     assert math.isfinite(float(points[1, 0, 0]))
 
 
 EYE = (20.0, -60.0, 22.0)
-LEVELS, CLEARS = (6.0, 0.0, 3.5), (0.0, 0.7, 0.4)
+LEVELS = (6.0, 0.0, 3.5)
+CLEARS = (0.0, 0.7, 0.4)
 WHOLE = np.empty((0, 4))
 """The planes of no window."""
 
@@ -90,15 +100,22 @@ OBLIQUE = np.array([[0.6, 0.8, 0.0, -28.3], [0.0, -1.0, 0.0, 27.6]])
 Met = tuple[list[tuple[int, float, float]], float]
 """What a ray meets, (side, way, weight) each, and what is left of it."""
 
-EMPTY, BACK = [], wall((-40.0, 80.0, -40.0), 120.0 * X, 120.0 * Z)
-BETWEEN = [BACK, wall((10.0, 0.0, 15.0), 20.0 * X + 22.0 * Y, 15.0 * Z), wall((10.0, -5.0, 25.0), 8.0 * X, 8.0 * Z)]
+EMPTY = []
+BACK = wall((-40.0, 80.0, -40.0), 120.0 * X, 120.0 * Z)
+BETWEEN = [
+    BACK,
+    wall((10.0, 0.0, 15.0), 20.0 * X + 22.0 * Y, 15.0 * Z),
+    wall((10.0, -5.0, 25.0), 8.0 * X, 8.0 * Z),
+]
 """No walls; one behind all; and with it one through the surfaces, and one before them."""
 
 
 @njit(cache=True)
 def crossings(field, isovalue, eye, d, near, far):
     """All crossings of a ray with a surface between ``near`` and ``far``: (way, side) each."""
-    found, t, side = [(math.inf, 0) for _ in range(0)], near, UNKNOWN_SIDE
+    found = [(math.inf, 0) for _ in range(0)]
+    t = near
+    side = UNKNOWN_SIDE
     while True:
         step, came = cast(field, isovalue, madd(eye, t, d), d, side)
         t += step
@@ -110,7 +127,8 @@ def crossings(field, isovalue, eye, d, near, far):
 
 def part_seen(window: np.ndarray, d: np.ndarray) -> tuple[float, float]:
     """The part of a ray that a window leaves to see."""
-    heights, slopes = window[:, :3] @ EYE + window[:, 3], window[:, :3] @ d
+    heights = window[:, :3] @ EYE + window[:, 3]
+    slopes = window[:, :3] @ d
     near = max([0.0, *(-heights[slopes > 0.0] / slopes[slopes > 0.0])])
     return near, min([math.inf, *(-heights[slopes < 0.0] / slopes[slopes < 0.0])])
 
@@ -149,40 +167,56 @@ def expected_before(
         for k, level in enumerate(LEVELS)
         for t, came in crossings(field, level, EYE, tuple(d), near, far)
     ]
-    left, found = 1.0, []
+    left = 1.0
+    found = []
     for t, side in sorted(ways):
         clear = CLEARS[side // 2]
         if left > 0.0 and (
-            len(found) < MAX_PEELED_LAYERS - 1 or (len(found) == MAX_PEELED_LAYERS - 1 and clear == 0.0)
+            len(found) < MAX_PEELED_LAYERS - 1
+            or (len(found) == MAX_PEELED_LAYERS - 1 and clear == 0.0)
         ):
             found.append((side, t, left * (1.0 - clear)))
-            left = left * clear if left * clear >= MIN_RAY_SHARE else 0.0
+            if left * clear >= MIN_RAY_SHARE:
+                left = left * clear
+            else:
+                left = 0.0
     return found, left
 
 
 @pytest.mark.parametrize("walls", [EMPTY, BETWEEN], ids=["open", "walls"])
 @pytest.mark.parametrize("window", [WHOLE, OBLIQUE], ids=["whole", "window"])
 def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray, walls: list) -> None:
-    field, (side,) = field_of(NOISY), few((16,), (5,))
+    field = field_of(NOISY)
+    (side,) = few((16,), (5,))
     maps = [cells_of(field, level) for level in LEVELS]
-    shells = Shells(field, (*maps, *[maps[0]] * (MAX_SURFACES - 3)), np.array(LEVELS), np.array(CLEARS))
+    shells = Shells(
+        field, (*maps, *[maps[0]] * (MAX_SURFACES - 3)), np.array(LEVELS), np.array(CLEARS)
+    )
     x, z = np.meshgrid(np.linspace(-0.24, 0.24, side), np.linspace(-0.24, 0.24, side))
     directions = np.ascontiguousarray([x.ravel(), np.ones(x.size), z.ravel()])
-    room, left, sight = (
-        (MAX_PEELED_LAYERS + 1) * x.size,
-        np.empty(x.size),
-        Sight(room_of(walls, field.spacing).walls, window),
-    )
+    room = (MAX_PEELED_LAYERS + 1) * x.size
+    left = np.empty(x.size)
+    sight = Sight(room_of(walls, field.spacing).walls, window)
     bytes_of = np.empty((2, room), np.int8)
-    peeled = Peeled(np.empty(room, np.uint32), np.empty((room, 3), np.float32), *bytes_of, np.empty(room, np.float32))
+    peeled = Peeled(
+        np.empty(room, np.uint32),
+        np.empty((room, 3), np.float32),
+        *bytes_of,
+        np.empty(room, np.float32),
+    )
     count = peel_rays(shells, sight, EYE, directions, peeled, left)
     rays, points, sides, ranks, weights = (each[:count] for each in peeled)
     assert count > x.size // 2 and len(np.unique(sides)) >= 5 + len(walls)
     for ray in range(x.size):
-        mine, d = rays == ray, np.array(column(directions, ray))
+        mine = rays == ray
+        d = np.array(column(directions, ray))
         those, rest = expected(field, window, sight.walls, d)
         assert sides[mine].tolist() == [each[0] for each in those]
-        assert ranks[mine].tolist() == [[one[0] for one in those[:k]].count(each[0]) for k, each in enumerate(those)]
-        np.testing.assert_allclose(points[mine], [EYE + each[1] * d for each in those] or points[mine], atol=1e-4)
+        assert ranks[mine].tolist() == [
+            [one[0] for one in those[:k]].count(each[0]) for k, each in enumerate(those)
+        ]
+        np.testing.assert_allclose(
+            points[mine], [EYE + each[1] * d for each in those] or points[mine], atol=1e-4
+        )
         np.testing.assert_allclose(weights[mine], [each[2] for each in those], rtol=1e-6)
         assert left[ray] == pytest.approx(rest)

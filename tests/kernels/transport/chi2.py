@@ -1,4 +1,6 @@
-"""A chi-square test of samples against the density they claim to follow, after Mitsuba's `ChiSquareTest`."""
+"""A chi-square test of samples against the density they claim to follow, after Mitsuba's
+`ChiSquareTest`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +22,8 @@ def uniform(s: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ChiSquare:
-    """Counts of samples in the cells of a grid over a rectangle, and what the density makes them expect.
+    """Counts of samples in the cells of a grid over a rectangle, and what the density makes them
+    expect.
 
     ``points`` (n, 2) lie in ``bounds``; ``density(s, t)`` is per unit area of that rectangle and is
     integrated over every cell by Gauss quadrature, so it may bend within a cell, but not break.
@@ -35,7 +38,9 @@ class ChiSquare:
         """Samples per cell; a sample outside the bounds is an error."""
         counts, _, _ = np.histogram2d(*self.points.T, bins=self.cells, range=self.bounds)
         if counts.sum() != len(self.points):
-            raise AssertionError(f"{len(self.points) - counts.sum():.0f} samples lie outside {self.bounds}")
+            raise AssertionError(
+                f"{len(self.points) - counts.sum():.0f} samples lie outside {self.bounds}"
+            )
         return counts.ravel()
 
     def expected(self) -> np.ndarray:
@@ -43,19 +48,31 @@ class ChiSquare:
         (s, s_weight), (t, t_weight) = map(self._nodes, self.bounds, self.cells)
         mass = self.density(s[:, None], t[None, :]) * s_weight[:, None] * t_weight
         rows, columns = self.cells
-        return len(self.points) * mass.reshape(rows, -1, columns, len(t) // columns).sum(axis=(1, 3)).ravel()
+        return (
+            len(self.points)
+            * mass.reshape(rows, -1, columns, len(t) // columns).sum(axis=(1, 3)).ravel()
+        )
 
     @staticmethod
-    def _nodes(bounds: tuple[float, float], cells: int, count: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    def _nodes(
+        bounds: tuple[float, float], cells: int, count: int = 8
+    ) -> tuple[np.ndarray, np.ndarray]:
         nodes, weights = np.polynomial.legendre.leggauss(count)
         width = (bounds[1] - bounds[0]) / cells
         starts = bounds[0] + width * np.arange(cells)
-        return (starts[:, None] + width * (nodes + 1) / 2).ravel(), np.tile(weights * width / 2, cells)
+        return (starts[:, None] + width * (nodes + 1) / 2).ravel(), np.tile(
+            weights * width / 2, cells
+        )
 
     def p_value(self) -> float:
-        """Chance of counts at least this far from the expected ones; cells that expect < 5 are pooled."""
-        observed, expected = self.observed(), self.expected()
-        np.testing.assert_allclose(expected.sum(), len(self.points), rtol=1e-6, err_msg="no density: its integral")
+        """Chance of counts at least this far from the expected ones; cells that expect < 5 are
+        pooled.
+        """
+        observed = self.observed()
+        expected = self.expected()
+        np.testing.assert_allclose(
+            expected.sum(), len(self.points), rtol=1e-6, err_msg="no density: its integral"
+        )
         if observed[expected < 1e-9].any():
             return 0.0
         order = np.argsort(-expected)
@@ -67,6 +84,9 @@ class ChiSquare:
         return float(chi2.sf(((counts - means) ** 2 / means).sum(), kept))
 
     def check(self, tests: int = 1) -> None:
-        """Fail where the p-value is below the level 0.01, shared by Šidák's rule among ``tests`` tests."""
-        p, level = self.p_value(), 1.0 - (1.0 - LEVEL) ** (1.0 / tests)
+        """Fail where the p-value is below the level 0.01, shared by Šidák's rule among ``tests``
+        tests.
+        """
+        p = self.p_value()
+        level = 1.0 - (1.0 - LEVEL) ** (1.0 / tests)
         assert p >= level, f"samples do not follow their density: p = {p:.2e} < {level:.2e}"

@@ -1,4 +1,6 @@
-"""The harmonics' basis at many directions, also by SciPy, directions to integrate with, and rotation matrices."""
+"""The harmonics' basis at many directions, also by SciPy, directions to integrate with, and
+rotation matrices.
+"""
 
 import math
 
@@ -20,14 +22,18 @@ def basis(order, directions):
 
 
 def scipy_basis(order, directions):
-    """Y_i at unit directions (n, 3) by SciPy's complex harmonics, without their Condon-Shortley phase: (n, order²)."""
+    """Y_i at unit directions (n, 3) by SciPy's complex harmonics, without their Condon-Shortley
+    phase: (n, order²).
+    """
     x, y, z = directions.T
-    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    theta = np.arctan2(np.hypot(x, y), z)
+    phi = np.arctan2(y, x)
     out = np.empty((len(directions), order * order))
     for l in range(order):
         for m in range(l + 1):
             value = (-1) ** m * sph_harm_y(l, m, theta, phi) * math.sqrt(2.0 if m else 1.0)
-            out[:, l * (l + 1) - m], out[:, l * (l + 1) + m] = value.imag, value.real
+            out[:, l * (l + 1) - m] = value.imag
+            out[:, l * (l + 1) + m] = value.real
             if m == 0:
                 out[:, l * (l + 1)] = value.real
     return out

@@ -28,13 +28,17 @@ def lamps(*rows):
     """Lamps of (kind, place, edges, colour)."""
     kinds, places, edges, colours = zip(*rows, strict=True)
     edges = [np.zeros((2, 3)) if each is None else each for each in edges]
-    return LampArrays(np.array(kinds, np.int8), *(np.array(each, float) for each in (places, edges, colours)))
+    return LampArrays(
+        np.array(kinds, np.int8), *(np.array(each, float) for each in (places, edges, colours))
+    )
 
 
 def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=None):
     """Light of an image, with a table where it is to be drawn from."""
     image = np.asarray(image, np.float32)
-    light = Surroundings(np.full(3, constant), image, np.eye(3) if matrix is None else matrix, lamps=lamps)
+    light = Surroundings(
+        np.full(3, constant), image, np.eye(3) if matrix is None else matrix, lamps=lamps
+    )
     if not table:
         return light
     bright = np.maximum(image.sum(axis=2) - image.sum(axis=2).mean(), 0.0)
@@ -42,18 +46,30 @@ def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=N
 
 
 def gather(field, place, light, weights, samples, sums=None):
-    """E/π at the two halves of each texel, the mean of some samples, (m, 2, 3); those before are in ``sums``.
+    """E/π at the two halves of each texel, the mean of some samples, (m, 2, 3); those before are in
+    ``sums``.
 
     ``samples`` are a number, or first and count.
     """
-    some = SampleRange(0, samples) if isinstance(samples, int) else SampleRange(*samples)
-    sums, cells = np.zeros((len(place[0]), 2, 3)) if sums is None else sums.copy(), cells_of(field, place[3][0])
-    bake_irradiance(field, cells, place, np.arange(len(sums)), some, PathRules(weights, 1.0), light, sums)
+    if isinstance(samples, int):
+        some = SampleRange(0, samples)
+    else:
+        some = SampleRange(*samples)
+    if sums is None:
+        sums = np.zeros((len(place[0]), 2, 3))
+    else:
+        sums = sums.copy()
+    cells = cells_of(field, place[3][0])
+    bake_irradiance(
+        field, cells, place, np.arange(len(sums)), some, PathRules(weights, 1.0), light, sums
+    )
     return sums / (some.first + some.count)
 
 
 def place_at(points, normals):
-    """The place of texels (texels, points, normals, isovalues) of points with normals (3, m), on one isosurface."""
+    """The place of texels (texels, points, normals, isovalues) of points with normals (3, m), on
+    one isosurface.
+    """
     texels = np.zeros((points.shape[1], 3), np.int32)
     texels[:, 0] = np.arange(len(texels))
     return texels, points, normals, np.zeros(len(texels))
@@ -68,9 +84,13 @@ def halves_of(place):
 
 
 def trace_points(surface, points, light, rules, stream, samples, sums):
-    """Add what paths in the open bring to ``SurfacePoints`` to ``sums`` (m, replicas, 3), from a ``stream`` on."""
+    """Add what paths in the open bring to ``SurfacePoints`` to ``sums`` (m, replicas, 3), from a
+    ``stream`` on.
+    """
     starts = path_starts(surface, points, range(stream, stream + sums.shape[1]))
-    light_in_the_open(Open(surface.field, surface.cells), starts, samples, rules, light, sums.reshape(-1, 3))
+    light_in_the_open(
+        Open(surface.field, surface.cells), starts, samples, rules, light, sums.reshape(-1, 3)
+    )
 
 
 def on_ball(count, seed=3):
@@ -107,7 +127,12 @@ LIGHTS = {
 def place_of(field, texels):
     """What `locate_texels` tells, and the map of their isosurfaces."""
     m = len(texels)
-    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
+    place = (
+        np.ascontiguousarray(texels, np.int32),
+        np.empty((3, m)),
+        np.empty((3, m)),
+        np.empty(m),
+    )
     void = np.empty(m, np.bool_)
     locate_texels(field, np.ones(3), *place, void)
     assert not void.any()

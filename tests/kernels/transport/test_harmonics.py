@@ -24,9 +24,13 @@ def units(seed, count):
 
 
 def rotations(count):
-    """Rotation matrices: random ones, half turns, turns about the axes, poles swapped, and tiny ones."""
+    """Rotation matrices: random ones, half turns, turns about the axes, poles swapped, and tiny
+    ones.
+    """
     half = Rotation.from_rotvec(math.pi * np.concatenate([AXES[::2], NEAR_POLES[:2], units(1, 40)]))
-    turns = Rotation.from_rotvec(np.concatenate([AXES * angle for angle in (math.pi / 2, 1.0, 1e-3, 1e-9)]))
+    turns = Rotation.from_rotvec(
+        np.concatenate([AXES * angle for angle in (math.pi / 2, 1.0, 1e-3, 1e-9)])
+    )
     special = np.concatenate([half.as_matrix(), turns.as_matrix()])
     return np.concatenate([special, Rotation.random(count - len(special), rng=2).as_matrix()])
 
@@ -34,7 +38,9 @@ def rotations(count):
 @pytest.mark.parametrize("order", [1, 2, 5, MAX_ORDER])
 def test_basis_matches_scipy(order):
     directions = np.concatenate([AXES, NEAR_POLES, units(3, few(10_000, 500))])
-    np.testing.assert_allclose(basis(order, directions), scipy_basis(order, directions), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        basis(order, directions), scipy_basis(order, directions), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
@@ -63,14 +69,19 @@ def test_rotation_at_every_order_and_any_number_of_channels(order):
     out = np.full_like(coefficients, np.nan)
     harmonics.rotate(order, matrix, coefficients, out)
     d = units(7, 50)
-    np.testing.assert_allclose(basis(order, d) @ out.T, basis(order, d @ matrix) @ coefficients.T, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        basis(order, d) @ out.T, basis(order, d @ matrix) @ coefficients.T, rtol=0, atol=1e-12
+    )
 
 
 def test_cosine_lobe_factors():
     """A_l = 2π ∫₀¹ P_l(z) z dz; the first are π, 2π/3, π/4, 0, -π/24."""
     z, weights = np.polynomial.legendre.leggauss(20)
-    z, weights = (z + 1.0) / 2.0, weights / 2.0
-    integrals = [2.0 * math.pi * np.sum(weights * z * eval_legendre(l, z)) for l in range(MAX_ORDER)]
+    z = (z + 1.0) / 2.0
+    weights = weights / 2.0
+    integrals = [
+        2.0 * math.pi * np.sum(weights * z * eval_legendre(l, z)) for l in range(MAX_ORDER)
+    ]
     factors = harmonics.cosine_lobe_factors(MAX_ORDER)
     np.testing.assert_allclose(factors, integrals, rtol=0, atol=1e-14)
     first = math.pi * np.array([1, 2 / 3, 1 / 4, 0, -1 / 24])

@@ -1,4 +1,6 @@
-"""Light transport against closed forms: furnaces, cavities, half a sky, and the cosine lobe of an open surface."""
+"""Light transport against closed forms: furnaces, cavities, half a sky, and the cosine lobe of an
+open surface.
+"""
 
 import math
 from pathlib import Path
@@ -9,7 +11,13 @@ import pytest
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE, launch, shading_normal
+from isogi_core.kernels.tracing.intersect import (
+    OUTSIDE_SIGN,
+    SOLID_SIGN,
+    UNKNOWN_SIDE,
+    launch,
+    shading_normal,
+)
 from isogi_core.kernels.transport import transfer
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.transport.light_paths import Surroundings
@@ -31,7 +39,9 @@ SMALL_BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
 
 def slope(towards):
-    """A half-space: solid behind the plane through the middle of the box with the normal `towards`."""
+    """A half-space: solid behind the plane through the middle of the box with the normal
+    `towards`.
+    """
     return -(X * towards[0] + Y * towards[1] + Z * towards[2])
 
 
@@ -46,7 +56,8 @@ def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0), *
 def bake_more(field, texels, samples, rules, sums, step=(1.0, 1.0, 1.0)):
     """Add samples to the sums of texels; isovalues and void (m,)."""
     m = len(texels)
-    isovalues, void = np.full(m, np.nan), np.zeros(m, np.bool_)
+    isovalues = np.full(m, np.nan)
+    void = np.zeros(m, np.bool_)
     place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(field, np.array(step), *place, void)
     rows = np.flatnonzero(~void)
@@ -60,11 +71,13 @@ def bake_more(field, texels, samples, rules, sums, step=(1.0, 1.0, 1.0)):
 def trace(field, iso, points, light, weights, count, image=DARK):
     """Mean over the samples of `trace_points` from surface points; (m, 3)."""
     points = np.ascontiguousarray(points, np.float32)
-    normals, sums = np.empty_like(points), np.zeros((len(points), 2, 3))
+    normals = np.empty_like(points)
+    sums = np.zeros((len(points), 2, 3))
     find_normals(field, points, (0.0, 0.0, 0.0), normals)
     surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
     pixels = SurfacePoints(points, normals, np.arange(len(points), dtype=np.uint32))
-    samples, rules = SampleRange(0, count // 2), PathRules(weights, 1.0)
+    samples = SampleRange(0, count // 2)
+    rules = PathRules(weights, 1.0)
     trace_points(surface_of(field, iso), pixels, surroundings, rules, 0, samples, sums)
     return sums.sum(axis=1) / (count // 2 * 2)
 
@@ -75,7 +88,9 @@ def albedo_powers(albedos, bounces, extra=0):
 
 
 def shares_of(albedos, bounces, least=0):
-    """What a path counts, one row for each albedo: R^k after k = `least` … `bounces` bounces, or else nothing."""
+    """What a path counts, one row for each albedo: R^k after k = `least` … `bounces` bounces, or
+    else nothing.
+    """
     shares = np.zeros((len(albedos), bounces + 2))
     shares[:, 1 + least :] = np.array(albedos, float)[:, None] ** np.arange(least, bounces + 1)
     return shares
@@ -93,13 +108,16 @@ def surface_points(field, iso, count, seed=1):
     return (origins - t[:, None] * away)[hit].astype(np.float32)
 
 
-# --- furnaces ------------------------------------------------------------------------------------------------
+# --- furnaces
+# ------------------------------------------------------------------------------------------------
 
 
 @COMPILED
 @pytest.mark.parametrize("body", [BALL, TORUS], ids=["ball", "torus"])
 def test_white_furnace_texels(body):
-    """Albedo 1 and no end of bounces: every path gets out, so a texel's whole transfer is that of open sky."""
+    """Albedo 1 and no end of bounces: every path gets out, so a texel's whole transfer is that of
+    open sky.
+    """
     texels = np.argwhere(np.abs(body) < 1.0)[::17]
     sums, _, void = bake(field_of(body), texels, 64, shares_of([1.0], ENDLESS))
     reflected, _, _ = bake(field_of(body), texels, 64, shares_of([1.0], ENDLESS, 1))
@@ -113,7 +131,9 @@ def test_white_furnace_texels(body):
 @COMPILED
 @pytest.mark.data
 def test_white_furnace_engine(shared_data: Path):
-    """The engine at 70, seen from outside: bores and passages give their light back after many bounces."""
+    """The engine at 70, seen from outside: bores and passages give their light back after many
+    bounces.
+    """
     voxels, _ = read_nrrd(shared_data / "engine_256x256x128_uint8.nhdr")
     field = field_of(voxels.astype(np.float32))
     points = surface_points(field, 70.0, 3000)
@@ -126,7 +146,8 @@ def test_white_furnace_engine(shared_data: Path):
     assert abs(whole.mean() - 1.0) < 0.005
 
 
-# --- open surfaces -------------------------------------------------------------------------------------------
+# --- open surfaces
+# -------------------------------------------------------------------------------------------
 
 
 def cosine_lobe(order, normal):
@@ -138,7 +159,8 @@ def cosine_lobe(order, normal):
 
 @pytest.mark.parametrize("towards", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (1, 2, 2), (-2, 3, 6)])
 def test_transfer_of_a_plane_is_the_cosine_lobe(towards):
-    order, count = 6, few(4096, 128)
+    order = 6
+    count = few(4096, 128)
     normal = np.array(towards) / np.linalg.norm(towards)
     plane = field_of(slope(towards)), [[24, 24, 24]], count
     sums, isovalues, void = bake(*plane, shares_of([0.9], 3), order)
@@ -151,7 +173,9 @@ def test_transfer_of_a_plane_is_the_cosine_lobe(towards):
 
 @COMPILED
 def test_transfer_of_a_ball_is_the_cosine_lobe():
-    """Each texel is lit on the isosurface through itself, and its rays start above the facets of a trilinear ball."""
+    """Each texel is lit on the isosurface through itself, and its rays start above the facets of a
+    trilinear ball.
+    """
     texels = np.argwhere(np.abs(BALL) < 1.0)[::97]
     sums, _, _ = bake(field_of(BALL), texels, 2048, shares_of([0.0], 1), 5)
     away = texels[:, ::-1] - 24.0
@@ -159,7 +183,8 @@ def test_transfer_of_a_ball_is_the_cosine_lobe():
     assert np.abs(sums[:, :, 0].mean(axis=1) / 2048 - lobes).max() < 0.002
 
 
-# --- cavities ------------------------------------------------------------------------------------------------
+# --- cavities
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 30])
@@ -181,12 +206,13 @@ def test_nothing_leaves_a_closed_cavity(bounces):
 def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
     """The closed form of a spherical cavity whose cap above z = h is cut off by a plane.
 
-    From a point of a sphere's inner wall, cosine-distributed directions hit the sphere uniformly. So a path
-    leaves with the probability f = (1 - h/a)/2, the cap's share of the sphere, at its first step and, being
-    uniform over the rest of the wall again, at every later one: after k bounces with f (1 - f)^k. The plane
-    cuts the wall off too, so the opening has no depth and nothing is above it. Under constant light 1 the
-    direct transfer is f and the whole one, with albedo R, f / (1 - R (1 - f)). On a lattice the brim is
-    blunt by about a voxel and the opening as much too wide, which halves as the radius a doubles.
+    From a point of a sphere's inner wall, cosine-distributed directions hit the sphere uniformly.
+    So a path leaves with the probability f = (1 - h/a)/2, the cap's share of the sphere, at its
+    first step and, being uniform over the rest of the wall again, at every later one: after k
+    bounces with f (1 - f)^k. The plane cuts the wall off too, so the opening has no depth and
+    nothing is above it. Under constant light 1 the direct transfer is f and the whole one, with
+    albedo R, f / (1 - R (1 - f)). On a lattice the brim is blunt by about a voxel and the opening
+    as much too wide, which halves as the radius a doubles.
     """
     n = int(2 * a + 11)
     middle = (n - 1) / 2
@@ -198,7 +224,8 @@ def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
     t, came = cast_each(cavity, 0.0, origins, outward, UNKNOWN_SIDE)
     closed = np.isfinite(t)
     assert (came[closed] == OUTSIDE_SIGN).all()
-    points, albedos = (origins + t[:, None] * outward)[closed], np.array([0.0, 0.5, 0.9])
+    points = (origins + t[:, None] * outward)[closed]
+    albedos = np.array([0.0, 0.5, 0.9])
     light = trace(cavity, 0.0, points, 1.0, albedo_powers(albedos, 300), 64).mean(axis=0)
     share = (1.0 - cosine) / 2.0
     np.testing.assert_allclose(light, share / (1.0 - albedos * (1.0 - share)), rtol=1.7 / a)
@@ -206,7 +233,8 @@ def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
     np.testing.assert_allclose(light, opening / (1.0 - albedos * (1.0 - opening)), rtol=0.004)
 
 
-# --- the parts -----------------------------------------------------------------------------------------------
+# --- the parts
+# -----------------------------------------------------------------------------------------------
 
 
 def test_about_turns_the_pole_to_the_normal_and_keeps_lengths():
@@ -220,7 +248,9 @@ def test_about_turns_the_pole_to_the_normal_and_keeps_lengths():
 
 
 def test_shading_normal_looks_to_the_side_that_the_ray_came_from():
-    ball, p, d = field_of(BALL), (40.0, 24.0, 24.0), (-2.0, 0.0, 0.0)
+    ball = field_of(BALL)
+    p = (40.0, 24.0, 24.0)
+    d = (-2.0, 0.0, 0.0)
     assert shading_normal(ball, p, OUTSIDE_SIGN, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
     assert shading_normal(ball, p, SOLID_SIGN, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
     flat = field_of(np.ones((5, 5, 5)))
@@ -245,7 +275,9 @@ def test_launch_is_as_many_voxels_whatever_the_spacing(offset):
 
 
 def test_rays_without_an_offset_do_not_meet_what_they_start_on():
-    """From float32 points on either side of an oblique plane by rounding, all leave to where it is not."""
+    """From float32 points on either side of an oblique plane by rounding, all leave to where it is
+    not.
+    """
     towards = (0.48, 0.6, 0.64)
     field = field_of(slope(towards))._replace(offset=0.0)
     across = np.random.default_rng(9).uniform(-8.0, 8.0, (200, 3))
@@ -256,29 +288,48 @@ def test_rays_without_an_offset_do_not_meet_what_they_start_on():
 
 @COMPILED
 def test_roulette_ends_paths_and_keeps_their_light():
-    """Each path that goes on stands for those that do not: the same means from fewer paths that leave."""
+    """Each path that goes on stands for those that do not: the same means from fewer paths that
+    leave.
+    """
     texels = np.argwhere(np.abs(TORUS) < 0.3)[::40].astype(np.int32)
-    k, albedo, survival, count = np.arange(9), 0.9, 0.6, 2048
+    k = np.arange(9)
+    albedo = 0.9
+    survival = 0.6
+    count = 2048
     carried = albedo**k / survival ** np.maximum(k - 1, 0)
-    shares, ends = np.hstack([[0.0], albedo**k])[None], np.hstack([[0.0, 0.0], np.ones(8)])[None]
+    shares = np.hstack([[0.0], albedo**k])[None]
+    ends = np.hstack([[0.0, 0.0], np.ones(8)])[None]
     field = field_of(TORUS)
     whole = bake(field, texels, count, shares)[0].mean(axis=1).ravel() * FACTOR / count
-    spun = bake(field, texels, count, np.hstack([[0.0], carried])[None], survival=survival)[0] * FACTOR / count
+    spun = (
+        bake(field, texels, count, np.hstack([[0.0], carried])[None], survival=survival)[0]
+        * FACTOR
+        / count
+    )
     assert abs((spun.mean(axis=1).ravel() - whole).mean()) < 1e-3 * whole.mean()
     assert np.abs(spun.mean(axis=1).ravel() / whole - 1.0).max() < 0.05
-    reflected = [bake(field, texels, count, ends, survival=chance)[0].sum() for chance in (1.0, survival)]
+    reflected = [
+        bake(field, texels, count, ends, survival=chance)[0].sum() for chance in (1.0, survival)
+    ]
     assert reflected[1] < 0.95 * reflected[0]
 
 
 @COMPILED
 def test_branches_keep_the_light_and_take_its_noise():
-    """Four ways on from the first hit: the same means, with less than half of the variance above band 0."""
+    """Four ways on from the first hit: the same means, with less than half of the variance above
+    band 0.
+    """
     texels = np.argwhere(np.abs(TORUS) < 0.3)[::10].astype(np.int32)
-    shares, field, count = shares_of([0.9], 8, 1), field_of(TORUS), 256
-    single, four = (bake(field, texels, count, shares, 3, branches=branches)[0] / count for branches in (1, 4))
+    shares = shares_of([0.9], 8, 1)
+    field = field_of(TORUS)
+    count = 256
+    single, four = (
+        bake(field, texels, count, shares, 3, branches=branches)[0] / count for branches in (1, 4)
+    )
     spreads = [np.mean((halves[:, 0] - halves[:, 1]) ** 2, axis=0)[0] for halves in (single, four)]
     assert spreads[1][1:].sum() < 0.5 * spreads[0][1:].sum()
-    apart, allowed = (four - single).mean(axis=(0, 1))[0], np.sqrt((spreads[0] + spreads[1]) / 2.0 / len(texels))
+    apart = (four - single).mean(axis=(0, 1))[0]
+    allowed = np.sqrt((spreads[0] + spreads[1]) / 2.0 / len(texels))
     assert (np.abs(apart) < 4.0 * allowed).all()
 
 
@@ -295,11 +346,15 @@ def test_texels_without_a_surface_are_void_and_untouched():
 
 @pytest.mark.parametrize("level", [0.1, 0.3, 0.7, 1.0])
 def test_texels_on_a_plateaus_edge_agree_between_voxels(level):
-    """Rounding of a texel's value must not tell them from those on voxels: all are lit half-way down, in the open."""
+    """Rounding of a texel's value must not tell them from those on voxels: all are lit half-way
+    down, in the open.
+    """
     voxels = np.zeros((16, 16, 16), np.float32)
     voxels[:8] = level
     texels = [[9, y, x] for y in range(4, 18) for x in range(4, 18)]
-    sums, isovalues, void = bake(field_of(voxels), texels, 8, shares_of([0.5], 1), step=(5 / 7,) * 3)
+    sums, isovalues, void = bake(
+        field_of(voxels), texels, 8, shares_of([0.5], 1), step=(5 / 7,) * 3
+    )
     assert np.array_equal(isovalues, np.full(len(texels), np.float32(level) / 2)) and not void.any()
     assert sums.min() * FACTOR == pytest.approx(8.0)
 

@@ -41,9 +41,13 @@ from tests.scale import COMPILED, PYTHON, few
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
     texels, count = few((150, 20), (10, 2))
     weights = np.cumprod(np.array([[1.0, 0.9, 0.8], *[[0.9, 0.7, 0.5]] * 4]), axis=0)
-    light, field, place = LIGHTS[name], field_of(NOISY, spacing), place_at(*on_ball(texels))
+    light = LIGHTS[name]
+    field = field_of(NOISY, spacing)
+    place = place_at(*on_ball(texels))
     world = one_surface(field, albedo=(0.9, 0.7, 0.5))
-    paths = gathered(world, halves_of(place), SampleRange(3, count), 4, light, weight=(1.0, 0.9, 0.8))[:, :, 0]
+    paths = gathered(
+        world, halves_of(place), SampleRange(3, count), 4, light, weight=(1.0, 0.9, 0.8)
+    )[:, :, 0]
     nothing = np.zeros((texels, 2, 3))
     found = gather(field, place, light, weights, (3, count), nothing) * (3 + count)
     np.testing.assert_allclose(found.reshape(-1, 3), paths.sum(axis=1), rtol=1e-12, atol=1e-14)
@@ -54,14 +58,20 @@ def test_waves_gather_what_paths_one_by_one_do(name, spacing):
 def test_points_are_traced_by_the_paths_one_by_one(count, points):
     """To the last bit of their sums, also where one point alone has more paths than a wave."""
     if PYTHON:
-        count, points = min(count, 3), min(points, 20)
-    field, light = field_of(NOISY), LIGHTS["image"]
+        count = min(count, 3)
+        points = min(points, 20)
+    field = field_of(NOISY)
+    light = LIGHTS["image"]
     points, normals = (np.ascontiguousarray(each.T, np.float32) for each in on_ball(points))
-    weights, pixels = np.cumprod(np.full((4, 3), 0.7), axis=0), np.arange(len(points), dtype=np.uint32) + 11
+    weights = np.cumprod(np.full((4, 3), 0.7), axis=0)
+    pixels = np.arange(len(points), dtype=np.uint32) + 11
     sums = np.zeros((2, len(points), 2, 3))
-    place, samples = SurfacePoints(points, normals, pixels), SampleRange(2, count)
+    place = SurfacePoints(points, normals, pixels)
+    samples = SampleRange(2, count)
     trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
-    seeds = np.array([mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64)
+    seeds = np.array(
+        [mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64
+    )
     here, around = (np.repeat(each.T.astype(float), 2, axis=1) for each in (points, normals))
     starts = PathStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NO_WALL))
     paths = gathered(one_surface(field, albedo=0.7), starts, samples, 3, light, weight=0.7)[:, :, 0]
@@ -70,18 +80,23 @@ def test_points_are_traced_by_the_paths_one_by_one(count, points):
     assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)
 
 
-# --- closed forms ------------------------------------------------------------------------------------------------
+# --- closed forms
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("table", [False, True])
 def test_furnace(table):
-    """A convex body under radiance 1 from everywhere receives π; the table may draw what it likes."""
+    """A convex body under radiance 1 from everywhere receives π; the table may draw what it
+    likes.
+    """
     image = np.ones((8, 16, 3), np.float32)
     light = surroundings(image)
     if table:
         light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
     count = few(4096, 40)
-    found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((2, 3)), count // 2).mean(axis=1)
+    found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((2, 3)), count // 2).mean(
+        axis=1
+    )
     np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
 
 
@@ -95,18 +110,24 @@ def test_a_lamp_is_hidden_by_what_is_nearer_only():
         assert (found > 0.0).all() == seen and found.any() == seen
 
 
-# --- statistics ----------------------------------------------------------------------------------------------------
+# --- statistics
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
 def test_rays_towards_bright_parts_change_noise_and_not_the_mean(voxels):
-    """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at far less of it."""
-    weights, image = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None], sunny(radiance=60.0)
+    """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at
+    far less of it.
+    """
+    weights = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None]
+    image = sunny(radiance=60.0)
     place = place_at(*(np.tile(each, 10_000) for each in on_ball(40)))
     plain, drawn = (
-        gather(field_of(voxels), place, surroundings(image, 0.1, table=table, matrix=TURN), weights, 1)
+        gather(
+            field_of(voxels), place, surroundings(image, 0.1, table=table, matrix=TURN), weights, 1
+        )
         .reshape(10_000, 40, 2, 3)
         .swapaxes(0, 1)
         .reshape(40, 20_000, 3)
@@ -120,13 +141,15 @@ def test_rays_towards_bright_parts_change_noise_and_not_the_mean(voxels):
 
 @COMPILED
 def test_a_small_sun_is_found_by_few_samples():
-    """Irradiance of a plane under a dim sky and one pixel of 10⁻⁵ of it, against the sum over the pixels."""
+    """Irradiance of a plane under a dim sky and one pixel of 10⁻⁵ of it, against the sum over the
+    pixels.
+    """
     image = np.full((256, 512, 3), 0.2)
     image[60, 100] = 40_000.0
     share = solid_angles(256, 512) * np.maximum(pixel_directions(256, 512)[..., 2], 0.0) / math.pi
     expected = (share[..., None] * image).sum(axis=(0, 1))
     assert expected[0] > 1.0
-    found = gather(field_of(PLANE), place_at(MIDDLE, UP), surroundings(image, table=True), np.ones((1, 3)), 128).mean(
-        axis=1
-    )
+    found = gather(
+        field_of(PLANE), place_at(MIDDLE, UP), surroundings(image, table=True), np.ones((1, 3)), 128
+    ).mean(axis=1)
     np.testing.assert_allclose(found[0], expected, rtol=0.01)

@@ -7,7 +7,14 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.transport.harmonics import evaluate
-from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT, LampArrays, illuminate, project_lamps
+from isogi_core.kernels.transport.lights import (
+    AREA,
+    DIRECTIONAL,
+    POINT,
+    LampArrays,
+    illuminate,
+    project_lamps,
+)
 from tests.scale import few
 
 COUNT = few(20_000, 400)
@@ -17,8 +24,11 @@ COLOUR = np.array([3.0, 2.0, 1.0])
 
 def lamp(kind, place, edges=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))):
     """One lamp among two: the first is another, which gives nothing."""
-    places, both = np.array([(1.0, 0.0, 0.0), place]), np.array([np.zeros((2, 3)), edges])
-    return LampArrays(np.array([DIRECTIONAL, kind], np.int8), places, both, np.array([(0.0, 0.0, 0.0), COLOUR]))
+    places = np.array([(1.0, 0.0, 0.0), place])
+    both = np.array([np.zeros((2, 3)), edges])
+    return LampArrays(
+        np.array([DIRECTIONAL, kind], np.int8), places, both, np.array([(0.0, 0.0, 0.0), COLOUR])
+    )
 
 
 @njit(cache=True)
@@ -33,7 +43,9 @@ def shine(lamps, p, n, numbers, towards, distances, light):
 def illuminated(lamps, p, n=N, count=COUNT):
     """Directions (n, 3), distances (n,) and light (n, 3) from random numbers."""
     numbers = np.random.default_rng(9).random((count, 2))
-    towards, distances, light = np.empty((count, 3)), np.empty(count), np.empty((count, 3))
+    towards = np.empty((count, 3))
+    distances = np.empty(count)
+    light = np.empty((count, 3))
     shine(lamps, p, n, numbers, towards, distances, light)
     np.testing.assert_allclose(np.linalg.norm(towards, axis=1), 1.0, rtol=1e-12)
     return towards, distances, light
@@ -48,7 +60,10 @@ def test_a_point_gives_the_cosine_over_its_distance_squared():
 
 @pytest.mark.parametrize("kind", [POINT, AREA])
 def test_a_lamp_behind_the_surface_gives_nothing(kind):
-    edges = [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)] if kind == AREA else np.zeros((2, 3))
+    if kind == AREA:
+        edges = [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)]
+    else:
+        edges = np.zeros((2, 3))
     _, _, light = illuminated(lamp(kind, (0.0, -3.0, -9.0), edges), (1.0, 1.0, 2.0))
     assert not light.any()
 
@@ -56,28 +71,41 @@ def test_a_lamp_behind_the_surface_gives_nothing(kind):
 @pytest.mark.parametrize("away", [0.0, 1e-170])
 def test_a_point_that_touches_the_surface_gives_nothing_there(away):
     """Touching it is being so near that the square of the distance is nothing."""
-    numbers, towards, distances, light = np.full((1, 2), 0.5), np.empty((1, 3)), np.empty(1), np.empty((1, 3))
+    numbers = np.full((1, 2), 0.5)
+    towards = np.empty((1, 3))
+    distances = np.empty(1)
+    light = np.empty((1, 3))
     shine(lamp(POINT, (0.0, 0.0, away)), (0.0, 0.0, 0.0), N, numbers, towards, distances, light)
     assert distances[0] == 0.0 and not light.any() and np.isfinite(towards).all()
 
 
 @pytest.mark.parametrize("half", [0.0, 5.0, 45.0])
 def test_a_directional_lamp_fills_its_disc_evenly(half):
-    """A facing surface gets E/π from every ray; the rays' density is cosθ/(π sin²α) over the disc."""
+    """A facing surface gets E/π from every ray; the rays' density is cosθ/(π sin²α) over the
+    disc.
+    """
     sine = math.sin(math.radians(half))
     edges = sine * np.array([(1.0, 0.0, 0.0), (0.0, 0.8, -0.6)])
     towards, distances, light = illuminated(lamp(DIRECTIONAL, N, edges), (5.0, 6.0, 7.0))
     cosines = towards @ N
     np.testing.assert_allclose(light, np.broadcast_to(COLOUR, light.shape), rtol=1e-9)
     assert (distances == np.inf).all() and cosines.min() >= math.cos(math.radians(half)) - 1e-12
-    mean = 2.0 / 3.0 * (1.0 - math.cos(math.radians(half)) ** 3) / sine**2 if half else 1.0
+    if half:
+        mean = 2.0 / 3.0 * (1.0 - math.cos(math.radians(half)) ** 3) / sine**2
+    else:
+        mean = 1.0
     assert cosines.mean() == pytest.approx(mean, abs=4.0 * cosines.std() / COUNT**0.5 + 1e-12)
     assert np.abs((towards - cosines[:, None] * N).mean(axis=0)).max() <= 4.0 * sine / COUNT**0.5
 
 
 def test_an_area_adds_up_to_the_integral_over_it():
-    """Against midpoints: ∫ cosθ cosθ'/(π r²) dA, of a skew parallelogram that dips below the horizon."""
-    corner, u, v, p = (-3.0, 2.0, 4.0), np.array([4.0, 0.0, -9.0]), np.array([1.0, 5.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    """Against midpoints: ∫ cosθ cosθ'/(π r²) dA, of a skew parallelogram that dips below the
+    horizon.
+    """
+    corner = (-3.0, 2.0, 4.0)
+    u = np.array([4.0, 0.0, -9.0])
+    v = np.array([1.0, 5.0, 0.0])
+    p = np.array([0.0, 0.0, 1.0])
     _, distances, light = illuminated(lamp(AREA, corner, [u, v]), tuple(p))
     a, b = ((np.mgrid[:400, :400] + 0.5) / 400).reshape(2, -1, 1)
     away = corner + a * u + b * v - p
@@ -90,25 +118,34 @@ def test_an_area_adds_up_to_the_integral_over_it():
 
 
 def test_lamps_far_away_or_small_are_one_another():
-    """A point at distance D of intensity E D² is a directional lamp; a small area L A facing the point is a point."""
-    d, p = np.array([0.36, 0.48, 0.8]), (3.0, -2.0, 1.0)
+    """A point at distance D of intensity E D² is a directional lamp; a small area L A facing the
+    point is a point.
+    """
+    d = np.array([0.36, 0.48, 0.8])
+    p = (3.0, -2.0, 1.0)
     _, _, sun = illuminated(lamp(DIRECTIONAL, d), p, count=1)
     for far in (1e6, 1e30, 1e140):
         point = lamp(POINT, far * d)
-        _, distances, light = illuminated(point._replace(colours=point.colours * far**2), p, count=1)
+        _, distances, light = illuminated(
+            point._replace(colours=point.colours * far**2), p, count=1
+        )
         np.testing.assert_allclose(light, sun, rtol=1e-5)
         np.testing.assert_allclose(distances, far, rtol=1e-5)
     for size in (1e-3, 1e-12):
         edges = size * np.array([(0.0, 0.6, -0.36), (0.8, 0.0, -0.36)])
         area = abs(np.cross(*edges) @ d)
         _, _, point = illuminated(lamp(POINT, p + 5.0 * d), p, count=1)
-        both = [illuminated(lamp(AREA, p + 5.0 * d, e), p, count=9)[2] for e in (edges, edges[::-1])]
+        both = [
+            illuminated(lamp(AREA, p + 5.0 * d, e), p, count=9)[2] for e in (edges, edges[::-1])
+        ]
         np.testing.assert_allclose(sum(both), area * np.repeat(point, 9, axis=0), rtol=1e-3)
 
 
 def test_harmonics_of_lamps_are_those_of_their_directions():
     d = np.array([(0.0, 0.0, 1.0), (0.36, -0.48, 0.8)])
-    irradiances, found, basis = np.array([COLOUR, (0.5, 0.0, 4.0)]), np.ones((3, 25)), np.empty((2, 25))
+    irradiances = np.array([COLOUR, (0.5, 0.0, 4.0)])
+    found = np.ones((3, 25))
+    basis = np.empty((2, 25))
     for k in range(2):
         evaluate(5, *d[k], basis[k])
     project_lamps(5, d, irradiances, found)

@@ -49,9 +49,14 @@ def seen_at(cosine):
 
 
 def integrated(alpha, cosine, count=1024):
-    """(A, B) by midpoints over the normals of facets, in NumPy, with D cosθ dω = du dφ/2π for tan²θ = α² u/(1 - u)."""
-    rest, phi = np.meshgrid((np.arange(count) + 0.5) / count, (np.arange(count) + 0.5) * (2.0 * np.pi / count))
-    weights, rest = 3.0 * rest**2, rest**3  # of 1 - u, finer where facets are steep
+    """(A, B) by midpoints over the normals of facets, in NumPy, with D cosθ dω = du dφ/2π for tan²θ
+    = α² u/(1 - u).
+    """
+    rest, phi = np.meshgrid(
+        (np.arange(count) + 0.5) / count, (np.arange(count) + 0.5) * (2.0 * np.pi / count)
+    )
+    weights = 3.0 * rest**2
+    rest = rest**3  # of 1 - u, finer where facets are steep
     tangent = alpha * np.sqrt((1.0 - rest) / rest)
     z = 1.0 / np.sqrt(1.0 + tangent**2)
     h = np.stack([z * tangent * np.cos(phi), z * tangent * np.sin(phi), z], axis=-1)
@@ -62,7 +67,11 @@ def integrated(alpha, cosine, count=1024):
     def hidden(c):
         return 0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / np.maximum(c, 1e-9) ** 2 - 1.0)) - 1.0)
 
-    light = np.where((towards > 0.0) & (l_z > 0.0), towards / (cosine * z) / (1.0 + hidden(cosine) + hidden(l_z)), 0.0)
+    light = np.where(
+        (towards > 0.0) & (l_z > 0.0),
+        towards / (cosine * z) / (1.0 + hidden(cosine) + hidden(l_z)),
+        0.0,
+    )
     edge = (1.0 - np.clip(towards, 0.0, 1.0)) ** 5
     return float((weights * light * (1.0 - edge)).mean()), float((weights * light * edge).mean())
 
@@ -80,7 +89,9 @@ def tables():
 @pytest.mark.parametrize("alpha", ALPHAS)
 def test_energy_is_the_integral_over_facets(tables, alpha):
     for cosine in (0.1, 0.35, 0.7, 1.0):
-        np.testing.assert_allclose(energy_at(tables[alpha], cosine), integrated(alpha, cosine), atol=3e-3)
+        np.testing.assert_allclose(
+            energy_at(tables[alpha], cosine), integrated(alpha, cosine), atol=3e-3
+        )
 
 
 def test_no_lobe_mirrors_more_than_arrives(tables):
@@ -96,10 +107,13 @@ def test_light_and_viewer_may_change_places(alpha):
     ways[..., 2] = np.abs(ways[..., 2]) + 0.05
     ways /= np.linalg.norm(ways, axis=2, keepdims=True)
     for v, l in ways.tolist():
-        there, back = reflected(alpha, tuple(v), tuple(l)) / l[2], reflected(alpha, tuple(l), tuple(v)) / v[2]
+        there = reflected(alpha, tuple(v), tuple(l)) / l[2]
+        back = reflected(alpha, tuple(l), tuple(v)) / v[2]
         assert there == pytest.approx(back, rel=1e-9)
         facing = (0.04, 0.5, 1.0)
-        assert schlick_fresnel(facing, tuple(v), tuple(l)) == pytest.approx(schlick_fresnel(facing, tuple(l), tuple(v)))
+        assert schlick_fresnel(facing, tuple(v), tuple(l)) == pytest.approx(
+            schlick_fresnel(facing, tuple(l), tuple(v))
+        )
 
 
 @pytest.mark.slow
@@ -116,7 +130,9 @@ def test_directions_follow_their_density(alpha, cosine):
         around = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
         return densities(alpha, v, around.reshape(-1, 3)).reshape(z.shape)
 
-    places = np.column_stack([np.clip(ways[:, 2], -1.0, 1.0), np.mod(np.arctan2(ways[:, 1], ways[:, 0]), 2 * np.pi)])
+    places = np.column_stack(
+        [np.clip(ways[:, 2], -1.0, 1.0), np.mod(np.arctan2(ways[:, 1], ways[:, 0]), 2 * np.pi)]
+    )
     cells = few((48, 48), (16, 16))  # so that the density ends where a cell does, at -cosine
     ChiSquare(places, density, ((-1.0, 1.0), (0.0, 2.0 * math.pi)), cells).check(tests=9)
 
@@ -133,5 +149,7 @@ def test_a_coat_leaves_what_it_does_not_mirror(tables):
     lobe = ShineLobe(0.09, facing, 0.8, False, 0.0, tables[0.09])
     for cosine in (MIN_VIEW_COSINE, 0.3, 1.0):
         a, b = energy_at(tables[0.09], cosine)
-        np.testing.assert_allclose(light_below(lobe, cosine), [1.0 - 0.8 * (each * a + b) for each in facing])
+        np.testing.assert_allclose(
+            light_below(lobe, cosine), [1.0 - 0.8 * (each * a + b) for each in facing]
+        )
     assert light_below(lobe._replace(metal=True), 0.3) == pytest.approx((0.2, 0.2, 0.2))

@@ -1,4 +1,6 @@
-"""Random numbers: hashes that mix, points that are stratified, the same bits everywhere, and no stream drawn twice."""
+"""Random numbers: hashes that mix, points that are stratified, the same bits everywhere, and no
+stream drawn twice.
+"""
 
 import ast
 from math import comb
@@ -53,7 +55,9 @@ def mixed(a, b):
 
 def bits(values, count):
     """Bits of unsigned integers, lowest first, (n, count) of 0 and 1."""
-    return (np.asarray(values, np.uint64)[:, None] >> np.arange(count, dtype=np.uint64)) & np.uint64(1)
+    return (
+        np.asarray(values, np.uint64)[:, None] >> np.arange(count, dtype=np.uint64)
+    ) & np.uint64(1)
 
 
 def test_mix_has_no_collision_among_neighbours():
@@ -99,7 +103,9 @@ def test_sobol_matches_scipy():
 
 
 def test_scramble_keeps_the_tree():
-    """Owen: a bit's flip depends on higher bits alone, so words that share k leading bits still do."""
+    """Owen: a bit's flip depends on higher bits alone, so words that share k leading bits still
+    do.
+    """
     for word, seed in zip(WORDS[:100], WORDS[100:], strict=True):
         base = int(rng.nested_uniform_scramble(word, seed))
         for place in range(32):
@@ -108,11 +114,16 @@ def test_scramble_keeps_the_tree():
 
 
 def test_scramble_flips_like_coins():
-    """Over seeds, every bit of a scrambled word is 0 or 1 equally often, and bits are independent."""
+    """Over seeds, every bit of a scrambled word is 0 or 1 equally often, and bits are
+    independent.
+    """
     n = few(20_000, 2_000)
     seeds = mixed(np.arange(n, dtype=np.uint64), np.zeros(n, np.uint64)) >> np.uint64(32)
     for word in (np.uint64(0), np.uint64(0xFFFFFFFF), np.uint64(0x80000000), WORDS[0]):
-        signs = 1.0 - 2.0 * bits([rng.nested_uniform_scramble(word, seed) for seed in seeds], 32)[:, 20:]
+        signs = (
+            1.0
+            - 2.0 * bits([rng.nested_uniform_scramble(word, seed) for seed in seeds], 32)[:, 20:]
+        )
         assert np.abs(signs.mean(axis=0)).max() * np.sqrt(n) < 4.5
         pairs = signs.T @ signs / n - np.eye(12)
         assert np.abs(pairs).max() * np.sqrt(n) < 4.5
@@ -121,7 +132,9 @@ def test_scramble_flips_like_coins():
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("dimension", [0, 1, 7])
 def test_prefixes_are_nets(seed, dimension):
-    """The first 2ᵏ points have one in every elementary interval; so has each later run of as many."""
+    """The first 2ᵏ points have one in every elementary interval; so has each later run of as
+    many.
+    """
     for k in range(0, 11, few(1, 2)):
         for first in (0, 2**k, 5 * 2**k):
             points = prefix(np.uint64(seed), dimension, first, 2**k)
@@ -148,7 +161,8 @@ def test_marginals_are_uniform_over_seeds(axis):
 @pytest.mark.parametrize("axis", [0, 1])
 def test_neighbouring_dimensions_and_seeds_are_independent(axis):
     """One coordinate in two dimensions of a seed, and in two neighbouring seeds."""
-    first, second = over_seeds(MANY, 0, 0)[:, axis], over_seeds(MANY, 0, 1)[:, axis]
+    first = over_seeds(MANY, 0, 0)[:, axis]
+    second = over_seeds(MANY, 0, 1)[:, axis]
     for pair in ((first, second), (first[:-1], first[1:])):
         ChiSquare(np.stack(pair, axis=1), cells=(16, 16)).check(tests=4)
 
@@ -156,8 +170,8 @@ def test_neighbouring_dimensions_and_seeds_are_independent(axis):
 def test_dimensions_of_one_seed_are_uncorrelated():
     """Pearson's r of two independent nets of n points.
 
-    The j-th bits, of weight 4⁻ʲ in the variance, agree or differ alike for runs of 2ʲ points, so the
-    variance of r is (9 Σ 8⁻ʲ)/n = 9/7n, not 1/n.
+    The j-th bits, of weight 4⁻ʲ in the variance, agree or differ alike for runs of 2ʲ points, so
+    the variance of r is (9 Σ 8⁻ʲ)/n = 9/7n, not 1/n.
     """
     n, count = few((4096, 24), (256, 8))
     columns = [prefix(np.uint64(s), d, 0, n) for s in (1, 2) for d in range(count // 2)]
@@ -195,7 +209,9 @@ def test_no_two_purposes_of_a_path_draw_the_same_pair() -> None:
 
 
 def test_streams_lie_apart_by_all_their_replicas() -> None:
-    """A control's halves, a wall's sides and a reference's replicas are numbered from the stream's number on."""
+    """A control's halves, a wall's sides and a reference's replicas are numbered from the stream's
+    number on.
+    """
     gaps = [b - a for a, b in zip(streams.STREAMS, streams.STREAMS[1:], strict=False)]
     assert min(gaps) >= 1 << 16 and max(streams.STREAMS) < WORD
 
@@ -203,10 +219,16 @@ def test_streams_lie_apart_by_all_their_replicas() -> None:
 def test_every_stream_and_purpose_is_in_its_list() -> None:
     """What a new line of the table forgets to list is not checked by the tests above."""
     sizes = {"PAIRS_PER_PURPOSE", "MAX_CROSSINGS", "MAX_STEPS"}
-    given = {name: number for name, number in vars(streams).items() if isinstance(number, int) and name not in sizes}
+    given = {
+        name: number
+        for name, number in vars(streams).items()
+        if isinstance(number, int) and name not in sizes
+    }
     purposes = {first for first, _ in streams.PURPOSES}
     shine = {name for name in given if name.startswith("SHINE_") and name != "SHINE_STREAM"}
-    assert {number for name, number in given.items() if name not in shine} == purposes | {*streams.STREAMS}
+    assert {number for name, number in given.items() if name not in shine} == purposes | {
+        *streams.STREAMS
+    }
 
 
 def test_numbers_that_stored_light_was_drawn_by_never_change() -> None:

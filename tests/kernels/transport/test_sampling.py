@@ -13,13 +13,17 @@ from tests.scale import few
 MANY = few(1_000_000, 20_000)
 FEW = 2_000
 TURN = (0.0, 2.0 * math.pi)
-SPHERE, HEMISPHERE, DISC = ((-1.0, 1.0), TURN), ((0.0, 1.0), TURN), ((0.0, 1.0), TURN)
+SPHERE = ((-1.0, 1.0), TURN)
+HEMISPHERE = ((0.0, 1.0), TURN)
+DISC = ((0.0, 1.0), TURN)
 EDGES = [0.0, 2.0**-32, 0.5, 1.0 - 2.0**-32]
 AXES = [tuple(sign * row) for row in np.eye(3) for sign in (1.0, -1.0)]
 
 
 def over(function, width):
-    """A loop that applies a kernel of (u, v) to the rows of an array (n, 2) and gives (n, width)."""
+    """A loop that applies a kernel of (u, v) to the rows of an array (n, 2) and gives (n,
+    width).
+    """
 
     @njit
     def loop(points):
@@ -55,11 +59,15 @@ def squares(seed, count):
 @pytest.fixture(params=["independent", "scrambled"])
 def uniforms(request):
     """Uniform points from NumPy, and those of the sequence that isogi draws from."""
-    return squares(4, MANY) if request.param == "independent" else scrambled(MANY)
+    if request.param == "independent":
+        return squares(4, MANY)
+    return scrambled(MANY)
 
 
 def test_chi_square_tells_right_from_wrong():
-    """It takes what is right; it rejects 10 % of slope, samples where none may be, and what is no density."""
+    """It takes what is right; it rejects 10 % of slope, samples where none may be, and what is no
+    density.
+    """
     points = squares(20, 1_000_000)
     ChiSquare(points).check()
     assert ChiSquare(points, lambda s, t: 0.95 + 0.1 * s + 0.0 * t).p_value() < 1e-6
@@ -71,9 +79,16 @@ def test_chi_square_tells_right_from_wrong():
 
 
 def test_chi_square_has_its_level():
-    """Of 400 right sets about 1 % fail, though half of the cells expect less than 5 and are pooled."""
+    """Of 400 right sets about 1 % fail, though half of the cells expect less than 5 and are
+    pooled.
+    """
     sets = (squares(1000 + i, 2000) ** [0.5, 1.0] for i in range(400))
-    p = np.array([ChiSquare(points, lambda s, t: 2.0 * s + 0.0 * t, cells=(40, 10)).p_value() for points in sets])
+    p = np.array(
+        [
+            ChiSquare(points, lambda s, t: 2.0 * s + 0.0 * t, cells=(40, 10)).p_value()
+            for points in sets
+        ]
+    )
     assert 0 < np.sum(p < 0.01) <= 12
     assert 0.45 < np.mean(p) < 0.55
 
@@ -82,7 +97,9 @@ def test_disc_follows_its_density(uniforms):
     """In (r², φ), where an area is half the rectangle."""
     x, y = over(sampling.sample_disc, 2)(uniforms).T
     points = np.stack([x * x + y * y, azimuth(x, y)], axis=1)
-    ChiSquare(points, lambda r2, phi: sampling.disc_pdf(0.5, 0.5) / 2 + 0 * r2 * phi, DISC).check(tests=10)
+    ChiSquare(points, lambda r2, phi: sampling.disc_pdf(0.5, 0.5) / 2 + 0 * r2 * phi, DISC).check(
+        tests=10
+    )
 
 
 def test_cosine_hemisphere_follows_its_density(uniforms):
@@ -98,7 +115,9 @@ def test_uniform_sphere_follows_its_density(uniforms):
 
 
 def tables(weights):
-    """Cumulative tables (h + 1,) and (h, w + 1) of pixel weights, as `sample_piecewise_2d` wants them."""
+    """Cumulative tables (h + 1,) and (h, w + 1) of pixel weights, as `sample_piecewise_2d` wants
+    them.
+    """
     rows = weights.sum(axis=1)
     conditional = np.cumsum(weights / np.where(rows > 0.0, rows, 1.0)[:, None], axis=1)
     conditional[:, -1] = 1.0
@@ -109,7 +128,9 @@ def tables(weights):
 
 @pytest.fixture(scope="module")
 def image():
-    """Weights of 8 × 12 pixels: one is 10⁴ times the rest, some are 0, so are one whole row and its end."""
+    """Weights of 8 × 12 pixels: one is 10⁴ times the rest, some are 0, so are one whole row and its
+    end.
+    """
     weights = np.random.default_rng(5).random((8, 12))
     weights[2, 3:7] = weights[5] = weights[:, -1] = weights[0, 0] = weights[-1] = 0.0
     weights[4, 4] = 100.0
@@ -121,7 +142,9 @@ def draw(marginal, conditional, points):
     """sample_piecewise_2d over rows of (u, v)."""
     out = np.empty_like(points)
     for i in range(len(points)):
-        out[i] = np.array(sampling.sample_piecewise_2d(marginal, conditional, points[i, 0], points[i, 1]))
+        out[i] = np.array(
+            sampling.sample_piecewise_2d(marginal, conditional, points[i, 0], points[i, 1])
+        )
     return out
 
 
@@ -227,7 +250,9 @@ def test_latlong_inverts():
         back = sampling.direction_to_latlong(sampling.latlong_to_direction(row, column))
         np.testing.assert_allclose(back, (row, column), atol=1e-12)
     for d in AXES:
-        np.testing.assert_allclose(sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16)
+        np.testing.assert_allclose(
+            sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16
+        )
 
 
 def test_latlong_jacobian_is_the_area_of_a_small_patch():

@@ -1,4 +1,6 @@
-"""Texels projected onto an isosurface: against a search in NumPy, on a ball, and where they cannot be."""
+"""Texels projected onto an isosurface: against a search in NumPy, on a ball, and where they cannot
+be.
+"""
 
 import collections
 
@@ -25,9 +27,13 @@ from tests.kernels.interpolation import search, smoothed, trilinear
 def projected(voxels, level, texels, step=(1.0, 1.0, 1.0), spacing=(1.0, 1.0, 1.0)):
     """`project_texels`: points and normals (m, 3), and verdicts (m,)."""
     m = len(texels)
-    points, normals, verdicts = np.empty((3, m)), np.empty((3, m)), np.empty(m, np.uint8)
+    points = np.empty((3, m))
+    normals = np.empty((3, m))
+    verdicts = np.empty(m, np.uint8)
     texels = np.ascontiguousarray(texels, np.int32)
-    project_texels(field_of(voxels, spacing), np.array(step), level, texels, points, normals, verdicts)
+    project_texels(
+        field_of(voxels, spacing), np.array(step), level, texels, points, normals, verdicts
+    )
     return points.T, normals.T, verdicts
 
 
@@ -38,17 +44,22 @@ def outward(voxels, p, spacing):
 
 
 def expected(voxels, level, p, spacing):
-    """What becomes of a texel at `p`: verdict, and the stride of its way that the level is crossed in."""
+    """What becomes of a texel at `p`: verdict, and the stride of its way that the level is crossed
+    in.
+    """
     if np.abs(smoothed(voxels, p)).max() < 1e-9:
         return NO_SURFACE, None
-    own, n = trilinear(voxels, p[None])[0], outward(voxels, p, spacing)
+    own = trilinear(voxels, p[None])[0]
+    n = outward(voxels, p, spacing)
     down = n * spacing * (1.0 if own > level else -1.0)
     down /= np.linalg.norm(down)
     within = search(voxels, p, down, level)
     if within is None:
         return TOO_FAR, None
     reach = np.linalg.norm(within[1] - p)
-    away = np.abs(trilinear(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level)
+    away = np.abs(
+        trilinear(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level
+    )
     there = within.mean(axis=0)
     m = outward(voxels, there, spacing)
     if (away - np.minimum.accumulate(away)).max() > MAX_BACKTRACK * abs(own - level):
@@ -67,16 +78,24 @@ def test_texels_go_where_a_search_in_numpy_finds_them(step, spacing):
     texels = np.argwhere(np.ones([int(8 / step) + 1] * 3))[:: round(1 / step**3)]
     level = 1.7
     points, normals, verdicts = projected(voxels, level, texels, (step,) * 3, spacing)
-    kinds, unlike = collections.Counter(), 0
+    kinds = collections.Counter()
+    unlike = 0
     for m, p in enumerate(texels[:, ::-1] * step):
         kind, within = expected(voxels, level, p, np.array(spacing))
         kinds[kind] += 1
         if kind != verdicts[m]:  # the middle of a stride stands for the crossing there
             unlike += 1
-            assert {kind, int(verdicts[m])} <= {TEXEL_PROJECTED, NORMAL_TURNED, TEXEL_HEMMED, OTHER_SHEET}
+            assert {kind, int(verdicts[m])} <= {
+                TEXEL_PROJECTED,
+                NORMAL_TURNED,
+                TEXEL_HEMMED,
+                OTHER_SHEET,
+            }
         elif kind == TEXEL_PROJECTED:
             inside = np.clip(within, 0.0, 8.0)
-            assert (points[m] >= inside.min(axis=0) - 1e-9).all() and (points[m] <= inside.max(axis=0) + 1e-9).all()
+            assert (points[m] >= inside.min(axis=0) - 1e-9).all() and (
+                points[m] <= inside.max(axis=0) + 1e-9
+            ).all()
             assert trilinear(voxels, points[None, m])[0] == pytest.approx(level)
             np.testing.assert_allclose(normals[m], outward(voxels, points[m], spacing), atol=1e-9)
         else:
@@ -99,7 +118,9 @@ def test_texels_about_a_ball_go_to_the_isosurface_that_is_shown(level):
     np.testing.assert_allclose(size, 10.0 - level, atol=0.05)
     np.testing.assert_allclose(np.einsum("mi,mi->m", normals, away / size[:, None]), 1.0, atol=1e-3)
     straight = (texels[:, ::-1] - 15.0) / np.linalg.norm(texels - 15.0, axis=1, keepdims=True)
-    assert np.einsum("mi,mi->m", straight, away / size[:, None]).min() > 0.99, "they go straight up or down"
+    assert np.einsum("mi,mi->m", straight, away / size[:, None]).min() > 0.99, (
+        "they go straight up or down"
+    )
 
 
 def test_a_surface_farther_than_texels_go_is_out_of_reach():
@@ -134,7 +155,9 @@ def test_ways_are_estimated_to_first_order():
     voxels = rng.random((8, 8, 8)).astype(np.float32)
     texels = rng.integers(0, 15, (50, 3))
     ways = np.empty(len(texels))
-    measure_distances(field_of(voxels), np.full(3, 0.5), 0.4, np.ascontiguousarray(texels, np.int32), ways)
+    measure_distances(
+        field_of(voxels), np.full(3, 0.5), 0.4, np.ascontiguousarray(texels, np.int32), ways
+    )
     places = texels[:, ::-1] * 0.5
     slopes = np.array([np.linalg.norm(smoothed(voxels, p)) for p in places])
     np.testing.assert_allclose(ways, np.abs(trilinear(voxels, places) - 0.4) / slopes, rtol=1e-9)

@@ -32,15 +32,22 @@ WEIGHTS = np.array([[0.3, 1.0, 0.8, 0.6, 0.5, 0.2]])
 
 @njit
 def one_by_one(world, starts, samples, tree, sums):
-    """``bake_texels`` by paths one by one, to ``sums`` (g, n²); returns how many left after a bounce."""
-    bounced, weight = 0, np.ones(3)
+    """``bake_texels`` by paths one by one, to ``sums`` (g, n²); returns how many left after a
+    bounce.
+    """
+    bounced = 0
+    weight = np.ones(3)
     for i in range(len(starts.isovalues)):
-        p, n, level, seed = column(starts.points, i), column(starts.normals, i), starts.isovalues[i], starts.seeds[i]
+        p = column(starts.points, i)
+        n = column(starts.normals, i)
+        level = starts.isovalues[i]
+        seed = starts.seeds[i]
         for sample in range(samples.first, samples.first + samples.count):
             for branch in range(tree.branches):
                 start = Start(p, n, level, NO_WALL, seed, sample)
                 path = trace(world, (DARK, NO_GLOWS), start, tree, branch, weight, EVERYWHERE)
-                alone, (x, y, z) = path.bounces == 0, path.way
+                alone = path.bounces == 0
+                (x, y, z) = path.way
                 share = WEIGHTS[0, path.bounces + 1] / (1 if alone else tree.branches)
                 accumulate(2, x, y, z, share, sums[i])
                 bounced += path.bounces > 0
@@ -81,11 +88,14 @@ def test_waves_are_the_paths_one_by_one(texels, count, body, survival, branches,
     points = np.clip(16.0 + 9.5 * normals, 0.0, np.array(volume.size)[:, None] - 1.0)
     isovalues = volume.normalise_isovalue(0.0) + rng.uniform(-0.002, 0.002, texels)
     place = rng.integers(0, 2**31, (texels, 3)).astype(np.int32), points, normals, isovalues
-    cells, samples = cells_of(field, isovalues.min(), isovalues.max()), SampleRange(3, count)
+    cells = cells_of(field, isovalues.min(), isovalues.max())
+    samples = SampleRange(3, count)
     one, other = np.zeros((2, texels, 2, 1, 4))
-    starts, tree = halves_of(place), PathTree(BOUNCES, survival, branches)
+    starts = halves_of(place)
+    tree = PathTree(BOUNCES, survival, branches)
     bounced = one_by_one(one_surface(field), starts, samples, tree, one.reshape(2 * texels, 4))
-    rules, rows = TransferRules(WEIGHTS, survival, branches), np.arange(texels)
+    rules = TransferRules(WEIGHTS, survival, branches)
+    rows = np.arange(texels)
     bake_texels(field, cells, place, rows, samples, rules, np.full(1, 2), other)
     assert one.any() and np.array_equal(one, other)
     assert texels * count < 500 or bounced > 0.01 * 2 * texels * count
@@ -93,12 +103,18 @@ def test_waves_are_the_paths_one_by_one(texels, count, body, survival, branches,
 
 @pytest.mark.parametrize("branches", [1, 3])
 def test_strays_are_the_starts_of_paths_that_leave_a_box(branches: int) -> None:
-    field, place = field_of(NOISY), place_at(*on_ball(few(200, 10)))
-    box, tree, samples = np.array([[5.0, 3.0, 9.0], [36.0, 35.0, 31.0]]), PathTree(3, 0.7, branches), SampleRange(2, 2)
-    starts, rows, strays = halves_of(place), np.arange(len(place[3])), np.zeros(len(place[3]), np.bool_)
+    field = field_of(NOISY)
+    place = place_at(*on_ball(few(200, 10)))
+    box = np.array([[5.0, 3.0, 9.0], [36.0, 35.0, 31.0]])
+    tree = PathTree(3, 0.7, branches)
+    samples = SampleRange(2, 2)
+    starts = halves_of(place)
+    rows = np.arange(len(place[3]))
+    strays = np.zeros(len(place[3]), np.bool_)
     confines = Confines(tree.bounces, tree.survival, branches, box)
     find_strays(field, cells_of(field, 0.0), place, rows, samples, confines, strays)
-    world, expected = one_surface(field), np.zeros(2 * len(rows), np.bool_)
+    world = one_surface(field)
+    expected = np.zeros(2 * len(rows), np.bool_)
     for i, sample, branch in np.ndindex(len(expected), samples.count, branches):
         p, n = column(starts.points, i), column(starts.normals, i)
         start = Start(p, n, 0.0, NO_WALL, starts.seeds[i], samples.first + sample)
@@ -111,7 +127,9 @@ def test_strays_are_the_starts_of_paths_that_leave_a_box(branches: int) -> None:
 def test_texels_are_the_same_bits_in_any_company(pieces):
     spec = spec_for(PreparedScene(load_scene("demo:orbital", bounces=3)), "gi")
     rng = np.random.default_rng(2)
-    texels = np.stack([rng.integers(0, n, 60) for n in spec.prepared.shape], axis=-1).astype(np.int32)
+    texels = np.stack([rng.integers(0, n, 60) for n in spec.prepared.shape], axis=-1).astype(
+        np.int32
+    )
     together = Light.dark(spec.plan, len(texels))
     refine(together, texels, spec, 64, 0.0)
     for piece in np.array_split(rng.permutation(len(texels)), pieces):

@@ -1,4 +1,6 @@
-"""Colours of scenes: where their values come from, what they change, and which mistakes are told."""
+"""Colours of scenes: where their values come from, what they change, and which mistakes are
+told.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,16 @@ from isogi_core.plan.variants import cut_open, under
 from isogi_core.storage.store import Store
 from tests.loaded import load_scene
 
-BALL = np.linalg.norm(np.indices((12, 13, 14)).T - np.array([6.0, 6.0, 6.0]), axis=-1).T.astype(np.float32)
+BALL = np.linalg.norm(np.indices((12, 13, 14)).T - np.array([6.0, 6.0, 6.0]), axis=-1).T.astype(
+    np.float32
+)
 OWN = 'use = "colour"\nfile = "c.nrrd"'
 
 
 def save(path: Path, array: np.ndarray, affine: np.ndarray | None = None) -> None:
-    """An array (z, y, x) as NRRD, in a patient's world where an affine (4, 4) says where it lies."""
+    """An array (z, y, x) as NRRD, in a patient's world where an affine (4, 4) says where it
+    lies.
+    """
     header: dict[str, Any] = {}
     if affine is not None:
         rows = {"space directions": affine[:3, :3].T, "space origin": affine[:3, 3]}
@@ -56,21 +62,29 @@ def test_maps_are_those_of_matplotlib(name: str) -> None:
     """Between the places that are kept they err by a few codes of 255."""
     maps = pytest.importorskip("matplotlib").colormaps
     srgb = maps[name](np.linspace(0.0, 1.0, 255))[:, :3]
-    expected = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).clip(0.0, MAX_ALBEDO)
+    expected = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).clip(
+        0.0, MAX_ALBEDO
+    )
     np.testing.assert_allclose(table_of(name), expected, atol=0.03)
 
 
 def test_a_turned_volume_is_read_in_the_world(tmp_path: Path) -> None:
-    """A linear function of the world, sampled on a coarse grid that is turned, comes out as that function."""
+    """A linear function of the world, sampled on a coarse grid that is turned, comes out as that
+    function.
+    """
     c, s = np.cos(0.4), np.sin(0.4)
-    placed = np.array([[2 * c, -1.5 * s, 0, 3.0], [2 * s, 1.5 * c, 0, -4.0], [0, 0, 3.0, -1.0], [0, 0, 0, 1.0]])
+    placed = np.array(
+        [[2 * c, -1.5 * s, 0, 3.0], [2 * s, 1.5 * c, 0, -4.0], [0, 0, 3.0, -1.0], [0, 0, 0, 1.0]]
+    )
     z, y, x = np.indices((8, 16, 12))
     world = np.stack([x, y, z], -1) @ placed[:3, :3].T + placed[:3, 3]
     save(tmp_path / "v.nrrd", BALL, np.diag([1.0, 1.0, 1.0, 1.0]))
     save(tmp_path / "c.nrrd", (world @ [1.0, -2.0, 0.5]).astype(np.float32), placed)
     scene = scene_of(tmp_path, f"{OWN}\nrange = [-40, 40]")
     z, y, x = np.indices(scene.volume.shape)
-    points = scene.volume.orientation.to_world(np.stack([x, y, z], -1) * np.array(scene.volume.spacing))
+    points = scene.volume.orientation.to_world(
+        np.stack([x, y, z], -1) * np.array(scene.volume.spacing)
+    )
     found = values_of(scene)
     known = ~np.isnan(found)
     assert 0.4 < known.mean() < 1.0
@@ -81,7 +95,9 @@ def test_the_gradient_is_in_units_of_the_file(tmp_path: Path) -> None:
     """A distance grows by 1 a unit; times 30, by 30."""
     save(tmp_path / "v.nrrd", BALL * 30.0)
     table = 'use = "colour"\nof = "gradient"\nrange = [0, 60]'
-    (tmp_path / "s.toml").write_text(f'volume = "v.nrrd"\nsolid = "below"\nisovalue = 120\n[[volumes]]\n{table}\n')
+    (tmp_path / "s.toml").write_text(
+        f'volume = "v.nrrd"\nsolid = "below"\nisovalue = 120\n[[volumes]]\n{table}\n'
+    )
     found = values_of(load_scene(tmp_path / "s.toml"))
     near = (BALL > 3.0) & (BALL < 4.5)
     np.testing.assert_allclose(found[near], 30.0, rtol=0.1)
@@ -99,7 +115,9 @@ def test_the_curvature_of_a_ball_is_one_over_its_radius(tmp_path: Path) -> None:
         (tmp_path / "s.toml").write_text(text)
         found = values_of(load_scene(tmp_path / "s.toml"))
         near = (distance > 5.0) & (distance < 8.0) & (z > 1) & (z < 22)
-        np.testing.assert_allclose(found[near], sign / (0.5 * distance[near]), rtol=0.05, atol=1 / 127)
+        np.testing.assert_allclose(
+            found[near], sign / (0.5 * distance[near]), rtol=0.05, atol=1 / 127
+        )
 
 
 def test_curvature_has_its_zero_in_the_middle(tmp_path: Path) -> None:
@@ -121,21 +139,29 @@ def test_holes_have_the_colour_outside(tmp_path: Path) -> None:
     """NaN, infinities and what floats do not hold are no values, and do not spread the range."""
     save(tmp_path / "v.nrrd", BALL)
     marks = np.indices(BALL.shape)[2].astype(np.float64)
-    marks[:, :4, 5], marks[:, :4, 6], marks[:, :4, 7] = np.nan, np.inf, 1e300
+    marks[:, :4, 5] = np.nan
+    marks[:, :4, 6] = np.inf
+    marks[:, :4, 7] = 1e300
     save(tmp_path / "c.nrrd", marks)
     scene = scene_of(tmp_path)
     found = values_of(scene)
     assert np.isnan(found[:, :4, 5:8]).all() and not np.isnan(found[:, 5:]).any()
-    assert colours_of(scene).scale.span[1] < 13.0 and colours_of(scene).table[0] == pytest.approx(0.5)
+    assert colours_of(scene).scale.span[1] < 13.0 and colours_of(scene).table[0] == pytest.approx(
+        0.5
+    )
 
 
 @pytest.mark.parametrize("spacing", [1e-12, 1e12])
 def test_the_gradient_of_a_volume_of_any_size(tmp_path: Path, spacing: float) -> None:
     save(tmp_path / "v.nrrd", BALL)
     plain = scene_of(tmp_path, 'use = "colour"\nof = "gradient"')
-    scene = scene_of(tmp_path, 'use = "colour"\nof = "gradient"', f"spacing = [{spacing}, {spacing}, {spacing}]")
+    scene = scene_of(
+        tmp_path, 'use = "colour"\nof = "gradient"', f"spacing = [{spacing}, {spacing}, {spacing}]"
+    )
     np.testing.assert_array_equal(colours_of(scene).places, colours_of(plain).places)
-    np.testing.assert_allclose(np.array(colours_of(scene).scale.span) * spacing, colours_of(plain).scale.span)
+    np.testing.assert_allclose(
+        np.array(colours_of(scene).scale.span) * spacing, colours_of(plain).scale.span
+    )
 
 
 def test_values_that_are_all_the_same_have_a_range(tmp_path: Path) -> None:
@@ -148,8 +174,10 @@ def test_values_that_are_all_the_same_have_a_range(tmp_path: Path) -> None:
 def test_map_and_range_change_reflected_light_alone(tmp_path: Path) -> None:
     save(tmp_path / "v.nrrd", BALL)
     save(tmp_path / "c.nrrd", BALL)
-    scene, other = scene_of(tmp_path), scene_of(tmp_path, f'{OWN}\nmap = "magma"\nrange = [0, 9]')
-    direct, reflected = scene.plan.layers[0], scene.plan.layers[-1]
+    scene = scene_of(tmp_path)
+    other = scene_of(tmp_path, f'{OWN}\nmap = "magma"\nrange = [0, 9]')
+    direct = scene.plan.layers[0]
+    reflected = scene.plan.layers[-1]
     assert (direct.kind, reflected.kind) == ("direct", "indirect")
     assert scene.layer_digest(direct) == other.layer_digest(direct) and scene.digest != other.digest
     assert scene.layer_digest(reflected) != other.layer_digest(reflected)
@@ -177,27 +205,56 @@ def test_workers_elsewhere_get_the_colours(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     save(tmp_path / "v.nrrd", BALL)
     save(tmp_path / "c.nrrd", BALL)
-    scene, store = scene_of(tmp_path), Store(tmp_path / "store")
+    scene = scene_of(tmp_path)
+    store = Store(tmp_path / "store")
     assets = send_assets(scene, store)
     source, volume = receive_assets(scene.source, assets, store)
     made = build_scene(source, volume=volume, colours=receive_colours(assets, store))
-    assert made.bake_digest == scene.bake_digest and colours_of(made).scale.anchors == colours_of(scene).scale.anchors
+    assert (
+        made.bake_digest == scene.bake_digest
+        and colours_of(made).scale.anchors == colours_of(scene).scale.anchors
+    )
 
 
 MISTAKES = [
     ({}, "", SceneError, "need a file, or of = 'gradient'"),
     ({}, 'file = "c.nrrd"\nof = "gradient"', SceneError, "need a file, or of = 'gradient'"),
     ({}, 'of = "height"', SceneError, "is not one of gradient, curvature"),
-    ({}, 'file = "c.nrrd"\nmap = "jet"', SceneError, "one of viridis, magma, cividis, coolwarm, grey"),
+    (
+        {},
+        'file = "c.nrrd"\nmap = "jet"',
+        SceneError,
+        "one of viridis, magma, cividis, coolwarm, grey",
+    ),
     ({}, 'file = "c.nrrd"\nrange = [9, 3]', SceneError, "two ascending numbers"),
     ({}, 'file = "c.nrrd"\ncolours = [[1, 0, 0]]', SceneError, "is not a list of 2 to 255 albedos"),
-    ({}, 'file = "c.nrrd"\ncolours = [[1, 0, 0], [2, 0, 0]]', SceneError, "is not a list of 2 to 255 albedos"),
-    ({}, 'file = "c.nrrd"\nmap = "grey"\ncolours = [[0, 0, 0], [1, 0, 0]]', SceneError, "leave one out"),
+    (
+        {},
+        'file = "c.nrrd"\ncolours = [[1, 0, 0], [2, 0, 0]]',
+        SceneError,
+        "is not a list of 2 to 255 albedos",
+    ),
+    (
+        {},
+        'file = "c.nrrd"\nmap = "grey"\ncolours = [[0, 0, 0], [1, 0, 0]]',
+        SceneError,
+        "leave one out",
+    ),
     ({}, 'file = "c.nrrd"\ntint = 3', SceneError, "sets tint, unknown here"),
-    ({}, 'file = "c.nrrd"\n[[volumes]]\nuse = "colour"\nof = "gradient"', SceneError, "2 volumes of colour: give one"),
+    (
+        {},
+        'file = "c.nrrd"\n[[volumes]]\nuse = "colour"\nof = "gradient"',
+        SceneError,
+        "2 volumes of colour: give one",
+    ),
     ({}, 'file = "n.nrrd"', VolumeError, "n.nrrd"),
     ({"c": BALL[:5]}, 'file = "c.nrrd"\nrange = [0, 1]', None, ""),
-    ({"v": (BALL, np.eye(4)), "c": BALL[:5]}, 'file = "c.nrrd"', SceneError, "one does not say where it lies"),
+    (
+        {"v": (BALL, np.eye(4)), "c": BALL[:5]},
+        'file = "c.nrrd"',
+        SceneError,
+        "one does not say where it lies",
+    ),
 ]
 
 
@@ -208,7 +265,9 @@ def test_mistakes_with_colours_are_told(
     for name, given in {"v": BALL, "c": BALL, **files}.items():
         save(tmp_path / f"{name}.nrrd", *(given if isinstance(given, tuple) else (given,)))
     if error is None:
-        assert np.isnan(values_of(scene_of(tmp_path, f'use = "colour"\n{table}'))).any(), "it is smaller"
+        assert np.isnan(values_of(scene_of(tmp_path, f'use = "colour"\n{table}'))).any(), (
+            "it is smaller"
+        )
         return
     with pytest.raises(error, match=message):
         scene_of(tmp_path, f'use = "colour"\n{table}')

@@ -1,4 +1,6 @@
-"""Segmentations as volumes: the field of their labels, the colours, what hidden ones change, and mistakes."""
+"""Segmentations as volumes: the field of their labels, the colours, what hidden ones change, and
+mistakes.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -27,10 +29,13 @@ from tests.loaded import load_scene
 Z, Y, X = np.indices((17, 18, 19)).astype(float)
 RADIUS = np.sqrt((X - 9) ** 2 + (Y - 8) ** 2 + (Z - 8) ** 2)
 HALVES = np.where(RADIUS < 6.2, np.where(X < 9, 3, 5), 0).astype(np.int16)
-RED, GREEN = [0.8, 0.1, 0.1], [0.1, 0.6, 0.1]
+RED = [0.8, 0.1, 0.1]
+GREEN = [0.1, 0.6, 0.1]
 
 
-def scene_of(folder: Path, labels: Any = "all", volume: np.ndarray = HALVES, **settings: Any) -> Scene:
+def scene_of(
+    folder: Path, labels: Any = "all", volume: np.ndarray = HALVES, **settings: Any
+) -> Scene:
     """The scene of a segmentation in a folder."""
     header: dict[str, Any] = settings.pop("header", {})
     nrrd.write(str(folder / "seg.nrrd"), np.ascontiguousarray(volume), header, index_order="C")
@@ -67,7 +72,9 @@ def test_the_field_is_that_of_scipy() -> None:
 
 
 def test_a_ball_has_its_radius_without_stairs() -> None:
-    """But for the curvature's share, σ² / r: by the slope of a smoothed edge, each voxel tells where the surface is."""
+    """But for the curvature's share, σ² / r: by the slope of a smoothed edge, each voxel tells
+    where the surface is.
+    """
     z, y, x = np.indices((33, 33, 33)) - 16.0
     far = np.sqrt(x**2 + y**2 + z**2)
     field = np.concatenate(list(smooth(far < 12.3)))
@@ -102,18 +109,30 @@ def test_two_halves_have_two_colours(tmp_path: Path) -> None:
     """Each its own but for half a voxel beside the seam, where both have as much."""
     scene = scene_of(tmp_path, [table(3, colour=RED), table(5, colour=GREEN)])
     y, z = np.meshgrid(np.linspace(5, 11, 13), np.linspace(5, 11, 13))
-    for x, expected in ((8.0, RED), (9.0, GREEN), (8.5, np.mean([RED, GREEN], axis=0)), (4.3, RED), (14.9, GREEN)):
+    for x, expected in (
+        (8.0, RED),
+        (9.0, GREEN),
+        (8.5, np.mean([RED, GREEN], axis=0)),
+        (4.3, RED),
+        (14.9, GREEN),
+    ):
         points = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1)
-        np.testing.assert_allclose(albedos(scene, points), np.tile(expected, (y.size, 1)), atol=0.01)
+        np.testing.assert_allclose(
+            albedos(scene, points), np.tile(expected, (y.size, 1)), atol=0.01
+        )
 
 
 def test_seams_between_labels_have_no_stairs(tmp_path: Path) -> None:
-    """A plane between two labels, oblique to the voxels: the colours change a tenth of a voxel from it."""
+    """A plane between two labels, oblique to the voxels: the colours change a tenth of a voxel from
+    it.
+    """
     slope = np.array([1.0, 0.23, -0.11])
     offset = (X - 9) * slope[0] + (Y - 8) * slope[1] + (Z - 8) * slope[2]
     volume = np.where(RADIUS < 7.5, np.where(offset < 0, 3, 5), 0).astype(np.int16)
     scene = scene_of(tmp_path, [table(3, colour=RED), table(5, colour=GREEN)], volume)
-    x, y, z = np.meshgrid(np.linspace(5, 13, 161), np.linspace(5, 11, 25), np.linspace(5, 11, 25), indexing="ij")
+    x, y, z = np.meshgrid(
+        np.linspace(5, 13, 161), np.linspace(5, 11, 25), np.linspace(5, 11, 25), indexing="ij"
+    )
     found = albedos(scene, np.stack([x, y, z], axis=-1).reshape(-1, 3))[:, 0].reshape(x.shape)
     seam = 5 + 0.05 * (found > np.mean([RED[0], GREEN[0]])).sum(axis=0) - 0.025
     plane = 9 - ((y[0] - 8) * slope[1] + (z[0] - 8) * slope[2]) / slope[0]
@@ -126,14 +145,19 @@ def test_places_have_the_two_labels_that_weigh_most() -> None:
     codes = (rng.integers(1, 5, (7, 8, 9)) * (rng.random((7, 8, 9)) < 0.4)).astype(np.uint8)
     codes[:, :, 5:] = 0
     bell = np.rint(1024 * np.exp(-0.5 * np.arange(-3.0, 4.0) ** 2))
-    box, around = np.einsum("i,j,k->ijk", bell, bell, bell), np.pad(codes, 3, mode="edge")
+    box = np.einsum("i,j,k->ijk", bell, bell, bell)
+    around = np.pad(codes, 3, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(around, box.shape)
-    sums = np.stack([(box * (windows == label)).sum(axis=(3, 4, 5)) for label in range(1, 5)], axis=-1)
+    sums = np.stack(
+        [(box * (windows == label)).sum(axis=(3, 4, 5)) for label in range(1, 5)], axis=-1
+    )
     order = np.sort(sums, axis=-1)
     found = weighed(codes).astype(int)
     there = sums.sum(axis=-1) > 0
     assert (found[~there] == 0).all() and there.sum() > 100
-    first, second = (np.take_along_axis(sums, found[..., n, None] - 1, axis=-1)[..., 0] for n in (0, 1))
+    first, second = (
+        np.take_along_axis(sums, found[..., n, None] - 1, axis=-1)[..., 0] for n in (0, 1)
+    )
     np.testing.assert_array_equal(first[there], order[there, -1])
     np.testing.assert_array_equal(np.where(found[..., 1] > 0, second, 0)[there], order[there, -2])
     share = order[there, -2] / order[there, -2:].sum(axis=-1)
@@ -153,23 +177,34 @@ def test_mirrored_axes_keep_colours_in_place(tmp_path: Path) -> None:
 def test_all_labels_are_shown_where_none_is_listed(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, volume=HALVES.astype(np.float32))
     found = colours_of(scene).scale.labels
-    assert [(label.value, label.name, label.shown) for label in found] == [(3, "label 3", True), (5, "label 5", True)]
+    assert [(label.value, label.name, label.shown) for label in found] == [
+        (3, "label 3", True),
+        (5, "label 5", True),
+    ]
     assert found[0].colour != found[1].colour and (scene.isovalue, scene.presets) == (0.5, ())
 
 
 def test_hex_and_linear_colours_agree(tmp_path: Path) -> None:
     named = scene_of(tmp_path, [table(3, colour="#bc4080", name="liver")])
     linear = scene_of(tmp_path, [table(3, colour=list(colours_of(named).scale.labels[0].colour))])
-    np.testing.assert_allclose(colours_of(named).scale.labels[0].colour, [0.5029, 0.0513, 0.2159], atol=1e-4)
-    assert colours_of(named).digest == colours_of(linear).digest and named.bake_digest == linear.bake_digest
+    np.testing.assert_allclose(
+        colours_of(named).scale.labels[0].colour, [0.5029, 0.0513, 0.2159], atol=1e-4
+    )
+    assert (
+        colours_of(named).digest == colours_of(linear).digest
+        and named.bake_digest == linear.bake_digest
+    )
 
 
 def test_a_hidden_label_is_another_volume(tmp_path: Path) -> None:
-    """It is taken out of the field, so all light has another key; another colour changes reflected light alone."""
+    """It is taken out of the field, so all light has another key; another colour changes reflected
+    light alone.
+    """
     scene = scene_of(tmp_path)
     hidden = scene_of(tmp_path, [table(3, hidden=True)])
     painted = scene_of(tmp_path, [table(3, colour=RED)])
-    direct, reflected = scene.plan.layers[0], scene.plan.layers[-1]
+    direct = scene.plan.layers[0]
+    reflected = scene.plan.layers[-1]
     assert (direct.kind, reflected.kind) == ("direct", "indirect")
     assert hidden.layer_digest(direct) != scene.layer_digest(direct) == painted.layer_digest(direct)
     assert painted.layer_digest(reflected) != scene.layer_digest(reflected)
@@ -194,13 +229,15 @@ def test_a_view_hides_labels_as_a_scene_does(tmp_path: Path) -> None:
 
 
 def test_cuts_keep_the_labels(tmp_path: Path) -> None:
-    scene, written = scene_of(tmp_path), scene_of(tmp_path, cut="z>8")
+    scene = scene_of(tmp_path)
+    written = scene_of(tmp_path, cut="z>8")
     assert cut_open(scene, "z>8", "cut").bake_digest == written.bake_digest != scene.bake_digest
 
 
 def test_workers_elsewhere_get_the_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
-    scene, store = scene_of(tmp_path, [table(5, name="lung")]), Store(tmp_path / "store")
+    scene = scene_of(tmp_path, [table(5, name="lung")])
+    store = Store(tmp_path / "store")
     assets = send_assets(scene, store)
     source, volume = receive_assets(scene.source, assets, store)
     made = build_scene(source, volume=volume, colours=receive_colours(assets, store))
@@ -262,15 +299,22 @@ def test_a_table_of_volumes_may_name_the_labels(tmp_path: Path) -> None:
     named = '[[volumes]]\nfile = "seg.nrrd"\nuse = "labels"\n'
     (tmp_path / "t.toml").write_text(named)
     scene = load_scene(tmp_path / "t.toml", labels=[table(3, name="liver")])
-    assert scene.digest == own.digest and colours_of(scene).scale.labels == colours_of(own).scale.labels
+    assert (
+        scene.digest == own.digest
+        and colours_of(scene).scale.labels == colours_of(own).scale.labels
+    )
     assert colours_of(load_scene(tmp_path / "t.toml")).digest == colours_of(own).digest
     (tmp_path / "t.toml").write_text(f'volume = "seg.nrrd"\n{named}')
     with pytest.raises(SceneError, match="labels are the volume itself"):
         load_scene(tmp_path / "t.toml")
 
 
-def test_a_copy_of_labels_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also of a volume so large that its voxels are mapped; other hidden labels make another copy."""
+def test_a_copy_of_labels_is_that_of_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of a volume so large that its voxels are mapped; other hidden labels make another
+    copy.
+    """
     large = np.repeat(np.repeat(HALVES, 3, axis=0), 3, axis=1)
     own = scene_of(tmp_path, volume=large)
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
@@ -310,13 +354,20 @@ def test_a_segmentation_that_says_so_shows_its_labels(tmp_path: Path) -> None:
 
 def test_labels_of_a_file_are_hidden_and_listed_by_their_values(tmp_path: Path) -> None:
     scene = with_hidden(by_itself(tmp_path), (3,), "hidden")
-    assert [(each.name, each.shown) for each in colours_of(scene).scale.labels] == [("front", False), ("back", True)]
-    listed = by_itself(tmp_path, '[[labels]]\nvalue = 5\ncolour = "#00ff00"\n[[labels]]\nvalue = 3\nname = "bow"\n')
+    assert [(each.name, each.shown) for each in colours_of(scene).scale.labels] == [
+        ("front", False),
+        ("back", True),
+    ]
+    listed = by_itself(
+        tmp_path, '[[labels]]\nvalue = 5\ncolour = "#00ff00"\n[[labels]]\nvalue = 3\nname = "bow"\n'
+    )
     assert [each.name for each in colours_of(listed).scale.labels] == ["bow", "back"]
     assert colours_of(listed).scale.anchors == ["#cc3333", "#00ff00"]
 
 
-@pytest.mark.parametrize("text", ["isovalue = 2\n", "albedo = 0.5\n", 'solid = "below"\n', "missing = 5\n"])
+@pytest.mark.parametrize(
+    "text", ["isovalue = 2\n", "albedo = 0.5\n", 'solid = "below"\n', "missing = 5\n"]
+)
 def test_a_scene_of_values_shows_the_values_of_labels(tmp_path: Path, text: str) -> None:
     scene = by_itself(tmp_path, text)
     assert scene.surfaces.colours is None and not scene.volume.segmented
@@ -330,14 +381,23 @@ def test_a_nifti_file_may_say_that_it_is_a_segmentation(tmp_path: Path) -> None:
     assert load_scene(tmp_path / "v.nii").surfaces.colours is None
     image.header.set_intent("label")
     nib.save(image, tmp_path / "v.nii")
-    assert [each.name for each in colours_of(load_scene(tmp_path / "v.nii")).scale.labels] == ["label 3", "label 5"]
+    assert [each.name for each in colours_of(load_scene(tmp_path / "v.nii")).scale.labels] == [
+        "label 3",
+        "label 5",
+    ]
 
 
-@pytest.mark.parametrize(("kind", "value"), [("u8", 2**53), ("u8", 2**64 - 1), ("i8", -(2**60)), ("f8", 2.0**53)])
-def test_labels_that_cannot_be_told_apart_are_refused(tmp_path: Path, kind: str, value: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "value"), [("u8", 2**53), ("u8", 2**64 - 1), ("i8", -(2**60)), ("f8", 2.0**53)]
+)
+def test_labels_that_cannot_be_told_apart_are_refused(
+    tmp_path: Path, kind: str, value: float
+) -> None:
     large = np.where(HALVES == 3, np.array(value, kind), HALVES.astype(kind))
     np.save(tmp_path / "v.npy", large)
-    with pytest.raises(VolumeError, match=rf"has the label {int(value)}: give its labels numbers below 2\^53"):
+    with pytest.raises(
+        VolumeError, match=rf"has the label {int(value)}: give its labels numbers below 2\^53"
+    ):
         load_scene(tmp_path / "v.npy", labels="all")
 
 
@@ -356,7 +416,9 @@ NESTED = np.where(RADIUS < 7.2, np.where(Y < 8, 7, np.where(Z < 8, 2000, 8)), 0)
 @pytest.mark.parametrize("kind", ["u2", "i4", "u8"])
 def test_values_that_look_like_labels_are_proposed_as_such(tmp_path: Path, kind: str) -> None:
     np.save(tmp_path / "v.npy", NESTED.astype(kind))
-    assert module.PROPOSED.format(count=4) in load_scene(tmp_path / "v.npy").volume.orientation.notes
+    assert (
+        module.PROPOSED.format(count=4) in load_scene(tmp_path / "v.npy").volume.orientation.notes
+    )
     scene = load_scene(f"{tmp_path / 'v.npy'}#labels=all")
     assert [each.value for each in colours_of(scene).scale.labels] == [7, 8, 2000]
     assert not scene.volume.orientation.notes
@@ -383,7 +445,11 @@ def test_no_shared_volume_looks_like_labels(shared_data: Path) -> None:
             assert not load_scene(path).volume.orientation.notes, path.name
 
 
-@pytest.mark.parametrize(("high", "kind"), [(255, "u1"), (1, "?"), (1, "u1"), (1, "f4"), (2000, "i2")])
-def test_a_mask_starts_half_way_between_its_two_values(tmp_path: Path, high: int, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("high", "kind"), [(255, "u1"), (1, "?"), (1, "u1"), (1, "f4"), (2000, "i2")]
+)
+def test_a_mask_starts_half_way_between_its_two_values(
+    tmp_path: Path, high: int, kind: str
+) -> None:
     np.save(tmp_path / "v.npy", (high * (RADIUS < 6.2)).astype(kind))
     assert load_scene(tmp_path / "v.npy").isovalue == high / 2

@@ -18,7 +18,14 @@ from isogi_core.model.volume import Orientation, Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open
-from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, box_left, cut_away, is_one_of, values_beyond, voxels_left
+from isogi_core.plan.volumes.masks import (
+    CUT_AWAY_VALUE,
+    box_left,
+    cut_away,
+    is_one_of,
+    values_beyond,
+    voxels_left,
+)
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from tests.files.formats.phantom import SIZE, WAYS, affine, letter, lying
@@ -30,7 +37,9 @@ FIELD = np.random.default_rng(6).integers(20, 90, (9, 7, 8)).astype(np.uint8)
 
 
 def save(path: Path, array: np.ndarray, placed: np.ndarray | None = None) -> None:
-    """An array (z, y, x) as NRRD, in a patient's world where it is ``placed`` by an affine (4, 4)."""
+    """An array (z, y, x) as NRRD, in a patient's world where it is ``placed`` by an affine (4,
+    4).
+    """
     header: dict[str, Any] = {}
     if placed is not None:
         rows = {"space directions": placed[:3, :3].T, "space origin": placed[:3, 3]}
@@ -51,7 +60,9 @@ def values(volume: Volume) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("solid", "outside"), [("above", 20), ("below", 89)])
-def test_outside_of_a_mask_is_the_value_farthest_outside(tmp_path: Path, solid: str, outside: int) -> None:
+def test_outside_of_a_mask_is_the_value_farthest_outside(
+    tmp_path: Path, solid: str, outside: int
+) -> None:
     save(tmp_path / "v.nrrd", FIELD)
     inside = np.random.default_rng(7).random(FIELD.shape) < 0.4
     save(tmp_path / "m.nrrd", inside.astype(np.uint8) * 3)
@@ -74,10 +85,14 @@ def test_labels_choose_what_is_inside_and_masks_intersect(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("way", WAYS[::5])
 def test_a_mask_lies_in_the_world_and_not_in_the_file(tmp_path: Path, way: Any) -> None:
-    """The volume and its mask are stored along other axes, and the mask has a coarser grid over a part."""
+    """The volume and its mask are stored along other axes, and the mask has a coarser grid over a
+    part.
+    """
     array, placed = lying(*way)
     save(tmp_path / "v.nrrd", array, placed)
-    coarse = affine() @ np.array([[2.0, 0, 0, 2.5], [0, 3.0, 0, 4.0], [0, 0, 2.0, 0.5], [0, 0, 0, 1.0]])
+    coarse = affine() @ np.array(
+        [[2.0, 0, 0, 2.5], [0, 3.0, 0, 4.0], [0, 0, 2.0, 0.5], [0, 0, 0, 1.0]]
+    )
     save(tmp_path / "m.nrrd", np.ones((4, 3, 5), np.uint8), coarse)
     volume = scene_of(tmp_path).volume
     z, y, x = np.indices(volume.shape)
@@ -102,11 +117,16 @@ def test_a_turned_mask_is_met_by_its_nearest_voxels(tmp_path: Path) -> None:
     for x, y, z in np.ndindex(*SIZE):
         i, j, k, _ = np.floor(np.linalg.solve(turn, [x, y, z, 1.0]) + 0.5).astype(int)
         there = 0 <= i < 20 and 0 <= j < 24 and 0 <= k < 12
-        expected[z, y, x] = letter()[z, y, x] if there and marks[k, j, i] else 0
+        if there and marks[k, j, i]:
+            expected[z, y, x] = letter()[z, y, x]
+        else:
+            expected[z, y, x] = 0
     np.testing.assert_array_equal(values(volume), expected)
 
 
-def test_a_copy_of_a_masked_volume_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_of_a_masked_volume_is_that_of_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     field = np.tile(FIELD, (5, 6, 7))
     save(tmp_path / "v.nrrd", field)
     save(tmp_path / "m.nrrd", (field % 3).astype(np.uint8))
@@ -114,16 +134,23 @@ def test_a_copy_of_a_masked_volume_is_that_of_memory(tmp_path: Path, monkeypatch
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     copied = scene_of(tmp_path)
-    assert list((tmp_path / "copies").glob("*.voxels")) and copied.volume.digest == own.volume.digest
+    assert (
+        list((tmp_path / "copies").glob("*.voxels")) and copied.volume.digest == own.volume.digest
+    )
     save(tmp_path / "m.nrrd", (field % 3 == 1).astype(np.int16))
-    assert scene_of(tmp_path).volume.digest != own.volume.digest, "a changed mask makes another copy"
+    assert scene_of(tmp_path).volume.digest != own.volume.digest, (
+        "a changed mask makes another copy"
+    )
 
 
-def test_workers_elsewhere_get_the_masked_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_elsewhere_get_the_masked_volume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     save(tmp_path / "v.nrrd", FIELD)
     save(tmp_path / "m.nrrd", FIELD % 3)
-    scene, store = scene_of(tmp_path), Store(tmp_path / "store")
+    scene = scene_of(tmp_path)
+    store = Store(tmp_path / "store")
     source, volume = receive_assets(scene.source, send_assets(scene, store), store)
     assert build_scene(source, volume=volume).bake_digest == scene.bake_digest
 
@@ -134,14 +161,31 @@ MISTAKES = [
     ({"m": np.zeros_like(FIELD)}, "", "", VolumeError, "No voxel of the volume is inside 'm.nrrd'"),
     ({"m": FIELD}, "", "labels = [200]", VolumeError, "No voxel of the volume is inside"),
     ({"m": FIELD[:1]}, "", "", VolumeError, "The mask 'm.nrrd' cannot be used"),
-    ({"v": (FIELD, np.eye(4)), "m": FIELD[:5]}, "", "", SceneError, "one does not say where it lies"),
-    ({"v": (FIELD, np.eye(4))}, "spacing = [1, 1, 2]", "", SceneError, "moves the volume away from its masks"),
+    (
+        {"v": (FIELD, np.eye(4)), "m": FIELD[:5]},
+        "",
+        "",
+        SceneError,
+        "one does not say where it lies",
+    ),
+    (
+        {"v": (FIELD, np.eye(4))},
+        "spacing = [1, 1, 2]",
+        "",
+        SceneError,
+        "moves the volume away from its masks",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("files", "more", "table", "error", "message"), MISTAKES)
 def test_mistakes_with_masks_are_told(
-    tmp_path: Path, files: dict[str, Any], more: str, table: str, error: type[IsogiError], message: str
+    tmp_path: Path,
+    files: dict[str, Any],
+    more: str,
+    table: str,
+    error: type[IsogiError],
+    message: str,
 ) -> None:
     for name, given in {"v": FIELD, "m": FIELD, **files}.items():
         save(tmp_path / f"{name}.nrrd", *(given if isinstance(given, tuple) else (given,)))
@@ -152,7 +196,9 @@ def test_mistakes_with_masks_are_told(
 
 
 def test_a_demo_has_no_masks(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text('volume = "demo:casting"\n[[volumes]]\nfile = "m.nrrd"\nuse = "mask"\n')
+    (tmp_path / "s.toml").write_text(
+        'volume = "demo:casting"\n[[volumes]]\nfile = "m.nrrd"\nuse = "mask"\n'
+    )
     with pytest.raises(SceneError, match="leave out"):
         load_scene(tmp_path / "s.toml")
 
@@ -169,7 +215,8 @@ def test_masks_find_labels_in_the_type_of_their_values() -> None:
     assert is_one_of(np.array([[[True, False]]]), (1,)).tolist() == [[[True, False]]]
 
 
-# --- cuts -------------------------------------------------------------------------------------------------------------
+# --- cuts
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -192,7 +239,9 @@ def test_planes_leave_the_voxels_before_them(text: str, left: tuple[range, ...])
     assert np.array_equal(cut.voxels, np.where(inside, volume.voxels, np.float32(CUT_AWAY_VALUE)))
 
 
-@pytest.mark.parametrize("text", ["x>20", "x<9;x>25;z>3", "y<4;y>9", "y<16;z<16.5", "x>900", "x>1;y>1;z>1"])
+@pytest.mark.parametrize(
+    "text", ["x>20", "x<9;x>25;z>3", "y<4;y>9", "y<16;z<16.5", "x>900", "x>1;y>1;z>1"]
+)
 def test_values_beyond_are_those_of_all_cells_there(text: str) -> None:
     voxels = np.random.default_rng(1).random((33, 33, 33), np.float32)
     volume = replace(shell(), voxels=voxels)
@@ -200,12 +249,16 @@ def test_values_beyond_are_those_of_all_cells_there(text: str) -> None:
     corners = np.moveaxis(np.indices((32, 32, 32)), 0, -1)[..., ::-1]
     beyond = ~((corners >= box[0]) & (corners + 1 <= box[1])).all(axis=-1)
     cells = np.lib.stride_tricks.sliding_window_view(voxels, (2, 2, 2))[beyond]
-    expected = (cells.min(), cells.max()) if beyond.any() else (np.inf, -np.inf)
+    if beyond.any():
+        expected = (cells.min(), cells.max())
+    else:
+        expected = (np.inf, -np.inf)
     assert values_beyond(volume, box) == expected
 
 
 def test_a_cut_keeps_all_that_is_told_of_values() -> None:
-    volume, cut = shell(), cut_away(shell(), "x>16")
+    volume = shell()
+    cut = cut_away(shell(), "x>16")
     assert cut.digest != volume.digest
     assert cut.digest != cut_away(shell(), "x>17").digest
     assert (cut.value_range, cut.core, cut.offset, cut.scale) == (
@@ -219,15 +272,24 @@ def test_planes_are_in_world_units_and_turned_with_the_volume() -> None:
     turned = replace(
         shell(),
         spacing=(2.0, 1.0, 1.0),
-        orientation=Orientation(((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (5.0, 0.0, 0.0)),
+        orientation=Orientation(
+            ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (5.0, 0.0, 0.0)
+        ),
     )
     assert voxels_left(turned, "x>15")[1] == range(11), "world x is the box's y, moved by 5"
-    assert voxels_left(turned, "y<-20")[0] == range(11), "world y is the box's x backwards, of 2 units a voxel"
+    assert voxels_left(turned, "y<-20")[0] == range(11), (
+        "world y is the box's x backwards, of 2 units a voxel"
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [("1,1,0>3", "across the voxels"), ("x>-5", "leaves nothing"), ("x=3", "cannot be read"), ("", "cannot be read")],
+    [
+        ("1,1,0>3", "across the voxels"),
+        ("x>-5", "leaves nothing"),
+        ("x=3", "cannot be read"),
+        ("", "cannot be read"),
+    ],
 )
 def test_a_cut_that_cannot_be_made_says_why(text: str, reason: str) -> None:
     with pytest.raises(SceneError, match=reason):
@@ -257,7 +319,8 @@ def test_a_scene_file_may_have_a_cut_of_its_own() -> None:
         cut_open(scene, "z<20", "nothing")
 
 
-# --- masks of glows ---------------------------------------------------------------------------------------------------
+# --- masks of glows
+# --------------------------------------------------------------------------------------------------
 
 
 LABELS = np.zeros(FIELD.shape, np.int16)
@@ -270,13 +333,21 @@ def glowing_scene(folder: Path, *glows: dict[str, Any], **settings: Any) -> Scen
     nrrd.write(str(folder / "v.nrrd"), FIELD, index_order="C")
     nrrd.write(str(folder / "m.nrrd"), LABELS, index_order="C")
     mask = str(folder / "m.nrrd")
-    return load_scene(folder / "v.nrrd", glow=[{"mask": mask, **each} for each in glows], isovalue=50.0, **settings)
+    return load_scene(
+        folder / "v.nrrd",
+        glow=[{"mask": mask, **each} for each in glows],
+        isovalue=50.0,
+        **settings,
+    )
 
 
 def test_masks_are_bits_of_voxels_and_their_boxes_regions(tmp_path: Path) -> None:
     glowing = glowing_scene(tmp_path, {}, {"labels": [4], "radiance": [3, 2, 1]}).lighting.glowing
-    np.testing.assert_array_equal(glowing.bits, (LABELS != 0) * np.uint8(1) + (LABELS == 4) * np.uint8(2))
-    lows, highs = glowing.middles - glowing.halves, glowing.middles + glowing.halves
+    np.testing.assert_array_equal(
+        glowing.bits, (LABELS != 0) * np.uint8(1) + (LABELS == 4) * np.uint8(2)
+    )
+    lows = glowing.middles - glowing.halves
+    highs = glowing.middles + glowing.halves
     np.testing.assert_allclose(lows, [[0.0, 0.5, 1.5], [2.5, 0.5, 1.5]])
     np.testing.assert_allclose(highs, [[6.5, 6.0, 8.0], [6.5, 3.5, 4.5]])
     sphere = glowing_scene(tmp_path, {"sphere": [4, 3, 3, 2]}).lighting.glowing
@@ -284,7 +355,10 @@ def test_masks_are_bits_of_voxels_and_their_boxes_regions(tmp_path: Path) -> Non
 
 
 def test_light_depends_on_a_mask_and_not_on_its_file(tmp_path: Path) -> None:
-    one, other = (glowing_scene(tmp_path, {"labels": [label], "box": [[0, 0, 0], [7, 6, 8]]}) for label in (4, 9))
+    one, other = (
+        glowing_scene(tmp_path, {"labels": [label], "box": [[0, 0, 0], [7, 6, 8]]})
+        for label in (4, 9)
+    )
     assert one.lighting.glowing.halves.tolist() == other.lighting.glowing.halves.tolist()
     assert one.bake_digest != other.bake_digest
     nrrd.write(str(tmp_path / "same.nrrd"), (LABELS == 4).astype(np.uint8), index_order="C")
@@ -297,7 +371,8 @@ def test_light_depends_on_a_mask_and_not_on_its_file(tmp_path: Path) -> None:
 
 
 def test_other_machines_are_given_what_masks_take(tmp_path: Path) -> None:
-    scene, store = glowing_scene(tmp_path, {"labels": [4]}), Store(tmp_path / "store")
+    scene = glowing_scene(tmp_path, {"labels": [4]})
+    store = Store(tmp_path / "store")
     assets = send_assets(scene, store)
     (tmp_path / "m.nrrd").unlink()
     source, volume = receive_assets(replace(scene.source, base=Path("/nowhere")), assets, store)
@@ -316,7 +391,9 @@ def test_other_machines_are_given_what_masks_take(tmp_path: Path) -> None:
         ({"mask": "nowhere.nrrd"}, "nowhere.nrrd"),
     ],
 )
-def test_a_bad_mask_is_refused_in_a_sentence(glow: dict[str, Any], sentence: str, tmp_path: Path) -> None:
+def test_a_bad_mask_is_refused_in_a_sentence(
+    glow: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
     with pytest.raises(IsogiError, match=sentence):
         glowing_scene(tmp_path, glow)
 

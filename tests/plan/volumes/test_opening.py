@@ -1,4 +1,6 @@
-"""Large volumes: the copy that is made of them is the volume that memory would hold, made once, and bounded."""
+"""Large volumes: the copy that is made of them is the volume that memory would hold, made once, and
+bounded.
+"""
 
 import json
 import os
@@ -41,7 +43,9 @@ def values(kind: str) -> np.ndarray:
     dtype = np.dtype(kind)
     if dtype.kind == "f":
         field = (FIELD * 100.0).astype(dtype)
-        field[3, 4, 5], field[30, 2, 1], field[10] = 3e4, np.nan, -99.0
+        field[3, 4, 5] = 3e4
+        field[30, 2, 1] = np.nan
+        field[10] = -99.0
         return field
     return (FIELD * (1 if kind == "?" else 100)).round().astype(dtype)
 
@@ -50,7 +54,11 @@ def grid_of(array: np.ndarray, layers: int, stamp: str = "a") -> Grid:
     """An array in slabs of so many layers."""
     parts = range(0, len(array), layers)
     return Grid(
-        array.shape, array.dtype, (1.0, 2.0, 0.5), lambda: (array[z : z + layers] for z in parts), lambda: stamp
+        array.shape,
+        array.dtype,
+        (1.0, 2.0, 0.5),
+        lambda: (array[z : z + layers] for z in parts),
+        lambda: stamp,
     )
 
 
@@ -64,13 +72,25 @@ def same(one: Volume, other: Volume) -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize(("kind", "solid"), [*((kind, "above") for kind in TYPES), ("u1", "below"), (">f4", "below")])
+@pytest.mark.parametrize(
+    ("kind", "solid"), [*((kind, "above") for kind in TYPES), ("u1", "below"), (">f4", "below")]
+)
 def test_a_copy_is_the_volume_that_memory_would_hold(kind: str, solid: str) -> None:
-    array, missing = values(kind), (-99.0,) if np.dtype(kind).kind == "f" else ()
+    array = values(kind)
+    if np.dtype(kind).kind == "f":
+        missing = (-99.0,)
+    else:
+        missing = ()
     mapped = volume_of(grid_of(array, 9), solid, "v", missing, no_progress)
     same(mapped, make_volume(array, (1.0, 2.0, 0.5), solid, "v", missing))
-    assert mapped.span == replace(mapped, span=()).core_span() and len(mapped.counts) == HISTOGRAM_BINS
-    assert mapped.voxels.flags.c_contiguous and mapped.voxels.flags.writeable and mapped.voxels.flags.aligned
+    assert (
+        mapped.span == replace(mapped, span=()).core_span() and len(mapped.counts) == HISTOGRAM_BINS
+    )
+    assert (
+        mapped.voxels.flags.c_contiguous
+        and mapped.voxels.flags.writeable
+        and mapped.voxels.flags.aligned
+    )
     assert type(mapped.voxels) is np.ndarray and not mapped.voxels.flags.owndata
 
 
@@ -78,12 +98,17 @@ def test_a_copy_is_the_volume_that_memory_would_hold(kind: str, solid: str) -> N
 def test_slabs_of_any_height_make_the_same_volume(layers: int) -> None:
     array = values("<u2")
     same(
-        volume_of(grid_of(array, layers), "above", "v", (), no_progress), make_volume(array, (1.0, 2.0, 0.5), name="v")
+        volume_of(grid_of(array, layers), "above", "v", (), no_progress),
+        make_volume(array, (1.0, 2.0, 0.5), name="v"),
     )
 
 
-@pytest.mark.parametrize(("suffix", "encoding"), [("nrrd", "raw"), ("nhdr", "gzip"), ("nrrd", "bzip2")])
-def test_large_files_are_opened_as_copies(tmp_path: Path, suffix: str, encoding: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "encoding"), [("nrrd", "raw"), ("nhdr", "gzip"), ("nrrd", "bzip2")]
+)
+def test_large_files_are_opened_as_copies(
+    tmp_path: Path, suffix: str, encoding: str, folder: Path
+) -> None:
     path = tmp_path / f"v.{suffix}"
     nrrd.write(str(path), values(">u2"), {"encoding": encoding, "endian": "big"}, index_order="C")
     mapped = load_scene(path).volume
@@ -91,11 +116,18 @@ def test_large_files_are_opened_as_copies(tmp_path: Path, suffix: str, encoding:
     same(mapped, make_volume(values(">u2"), name="v"))
 
 
-def test_zarr_volumes_are_opened_with_the_settings_of_the_scene(tmp_path: Path, folder: Path) -> None:
+def test_zarr_volumes_are_opened_with_the_settings_of_the_scene(
+    tmp_path: Path, folder: Path
+) -> None:
     field = np.stack([values("f4"), values("f4")[::-1]])
-    saved = zarr.create_array(tmp_path / "v.zarr", shape=field.shape, dtype="f4", chunks=(1, 16, 32, 33))
+    saved = zarr.create_array(
+        tmp_path / "v.zarr", shape=field.shape, dtype="f4", chunks=(1, 16, 32, 33)
+    )
     saved[:] = field
-    text = 'volume = "v.zarr"\nchannel = 1\nspacing = [1, 2, 3]\nmissing = -99\nsolid = "below"\nisovalues = [10, 20]\n'
+    text = (
+        'volume = "v.zarr"\nchannel = 1\nspacing = [1, 2, 3]\nmissing = -99\nsolid = '
+        '"below"\nisovalues = [10, 20]\n'
+    )
     (tmp_path / "s.toml").write_text(text)
     mapped = load_scene(tmp_path / "s.toml").volume
     same(mapped, make_volume(field[1], (1.0, 2.0, 3.0), "below", "v", (-99.0,)))
@@ -110,9 +142,9 @@ def test_zarr_volumes_are_opened_with_the_settings_of_the_scene(tmp_path: Path, 
 
 def test_an_array_in_a_zarr_folder_is_named_by_its_path(tmp_path: Path) -> None:
     zarr.open_group(tmp_path / "v.zarr", mode="w")
-    zarr.create_array(tmp_path / "v.zarr" / "inner", shape=(4, 4, 4), chunks=(2, 2, 2), dtype="f4")[:] = FIELD[
-        :4, :4, :4
-    ]
+    zarr.create_array(tmp_path / "v.zarr" / "inner", shape=(4, 4, 4), chunks=(2, 2, 2), dtype="f4")[
+        :
+    ] = FIELD[:4, :4, :4]
     scene = load_scene(tmp_path / "v.zarr" / "inner")
     assert (scene.name, scene.volume.name, scene.volume.shape) == ("v-inner", "v-inner", (4, 4, 4))
 
@@ -123,7 +155,10 @@ def test_a_series_opens_at_its_first_step_with_a_note(tmp_path: Path) -> None:
     nib.save(nib.Nifti1Image(field, np.eye(4)), tmp_path / "bold.nii")
     scene = load_scene(tmp_path / "bold.nii")
     assert scene.volume.moment == (0, 3)
-    assert any("holds 3 steps in time: the first is shown" in note for note in scene.volume.orientation.notes)
+    assert any(
+        "holds 3 steps in time: the first is shown" in note
+        for note in scene.volume.orientation.notes
+    )
     assert scene.volume.digest == load_scene(f"{tmp_path / 'bold.nii'}#time=0").volume.digest
     for chosen in (at_time(scene, 1, "later"), load_scene(f"{tmp_path / 'bold.nii'}#time=1")):
         assert chosen.volume.moment == (1, 3)
@@ -133,10 +168,14 @@ def test_a_series_opens_at_its_first_step_with_a_note(tmp_path: Path) -> None:
 def test_a_mask_of_several_steps_has_one_chosen(tmp_path: Path) -> None:
     nib = pytest.importorskip("nibabel")
     nib.save(nib.Nifti1Image(np.ones((6, 7, 8, 2), np.uint8), np.eye(4)), tmp_path / "m.nii")
-    nib.save(nib.Nifti1Image(np.random.default_rng(2).random((6, 7, 8)), np.eye(4)), tmp_path / "v.nii")
+    nib.save(
+        nib.Nifti1Image(np.random.default_rng(2).random((6, 7, 8)), np.eye(4)), tmp_path / "v.nii"
+    )
     text = 'volume = "v.nii"\n[[volumes]]\nfile = "m.nii{}"\nuse = "mask"\n'
     (tmp_path / "s.toml").write_text(text.format(""))
-    with pytest.raises(VolumeError, match=r"'m.nii' has 2 time steps: choose one, such as 'm.nii#time=0'"):
+    with pytest.raises(
+        VolumeError, match=r"'m.nii' has 2 time steps: choose one, such as 'm.nii#time=0'"
+    ):
         load_scene(tmp_path / "s.toml")
     (tmp_path / "s.toml").write_text(text.format("#time=1"))
     load_scene(tmp_path / "s.toml")
@@ -169,13 +208,17 @@ def test_many_that_ask_at_once_have_it_made_once() -> None:
 
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(lambda _: opened(slabs=slabs), range(4)))
-    assert len(made) == 2 and len({volume.digest for volume in found}) == 1  # a copy takes two looks
+    assert (
+        len(made) == 2 and len({volume.digest for volume in found}) == 1
+    )  # a copy takes two looks
 
 
 def test_a_source_that_changes_meanwhile_makes_no_copy(folder: Path) -> None:
     stamps = iter("aabc")
     with pytest.raises(VolumeError, match="changed while it was read"):
-        volume_of(replace(grid_of(FIELD, 9), stamp=lambda: next(stamps)), "above", "v", (), no_progress)
+        volume_of(
+            replace(grid_of(FIELD, 9), stamp=lambda: next(stamps)), "above", "v", (), no_progress
+        )
     assert [path.suffix for path in folder.iterdir()] == [".lock"]
 
 
@@ -198,7 +241,9 @@ def spoil(path: Path) -> None:
         file.write(b"\0")
 
 
-@pytest.mark.parametrize("damage", [cut, spoil, lambda path: path.write_bytes(b""), lambda path: path.unlink()])
+@pytest.mark.parametrize(
+    "damage", [cut, spoil, lambda path: path.write_bytes(b""), lambda path: path.unlink()]
+)
 def test_a_damaged_copy_is_made_again(damage: Any, folder: Path) -> None:
     first = opened().digest
     for path in folder.glob("*.voxels"):
@@ -221,7 +266,9 @@ def test_copies_used_longest_ago_go_first(folder: Path, monkeypatch: pytest.Monk
     for place, digest in enumerate((second.digest, first.digest)):
         os.utime(folder / f"{digest}.voxels", (place, place))
     opened("5", 1 - FIELD)
-    assert (folder / f"{first.digest}.voxels").exists() and not (folder / f"{second.digest}.voxels").exists()
+    assert (folder / f"{first.digest}.voxels").exists() and not (
+        folder / f"{second.digest}.voxels"
+    ).exists()
     same(second, make_volume(FIELD * 2 + 1, (1.0, 2.0, 0.5), name="v"))  # who has it goes on
 
 
@@ -238,8 +285,12 @@ def test_a_folder_that_cannot_be_written_is_an_error(folder: Path) -> None:
         opened()
 
 
-@pytest.mark.parametrize(("name", "told"), [("ISOGI_VOLUME_MB", "-5"), ("ISOGI_VOLUME_CACHE_MB", "lots")])
-def test_settings_that_are_no_numbers_are_errors(name: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "told"), [("ISOGI_VOLUME_MB", "-5"), ("ISOGI_VOLUME_CACHE_MB", "lots")]
+)
+def test_settings_that_are_no_numbers_are_errors(
+    name: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv(name, told)
     with pytest.raises(VolumeError, match=f"{name} is '{told}'"):
         opened()
@@ -248,7 +299,9 @@ def test_settings_that_are_no_numbers_are_errors(name: str, told: str, monkeypat
 def test_progress_goes_from_the_first_to_the_last_layer() -> None:
     told: list[tuple[int, int]] = []
     volume_of(grid_of(FIELD, 9), "above", "v", (), lambda done, total: told.append((done, total)))
-    assert told == [(n + 1, 3 * len(FIELD)) for n in range(2 * len(FIELD))] + [(3 * len(FIELD), 3 * len(FIELD))]
+    assert told == [(n + 1, 3 * len(FIELD)) for n in range(2 * len(FIELD))] + [
+        (3 * len(FIELD), 3 * len(FIELD))
+    ]
 
 
 def test_a_copy_tells_its_facts_in_its_header(folder: Path) -> None:

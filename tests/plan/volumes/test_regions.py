@@ -1,4 +1,6 @@
-"""Regions of volumes and levels of images: what is shown is where it was, and no more is read than it takes."""
+"""Regions of volumes and levels of images: what is shown is where it was, and no more is read than
+it takes.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,13 +27,20 @@ AXES = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
 
 
 def image(path: Path, arrays: list[np.ndarray], names: str = "zyx", chunk: int = 4) -> Path:
-    """An image of these levels, each half as fine as the one before, of voxels of 2 × 3 × 4 µm at the finest."""
-    group, datasets = zarr.open_group(path, mode="w"), []
-    order, steps = ["zyx".index(name) for name in names], np.array([4.0, 3.0, 2.0])
+    """An image of these levels, each half as fine as the one before, of voxels of 2 × 3 × 4 µm at
+    the finest.
+    """
+    group = zarr.open_group(path, mode="w")
+    datasets = []
+    order = ["zyx".index(name) for name in names]
+    steps = np.array([4.0, 3.0, 2.0])
     for level, array in enumerate(arrays):
         turned = array.transpose(order)
-        zarr.create_array(path / str(level), shape=turned.shape, dtype=turned.dtype, chunks=(chunk,) * 3)[:] = turned
-        scale, shift = steps[order] * 2**level, steps[order] * (2**level - 1) / 2
+        zarr.create_array(
+            path / str(level), shape=turned.shape, dtype=turned.dtype, chunks=(chunk,) * 3
+        )[:] = turned
+        scale = steps[order] * 2**level
+        shift = steps[order] * (2**level - 1) / 2
         placed: list[Any] = [{"type": "scale", "scale": scale.tolist()}]
         placed.append({"type": "translation", "translation": shift.tolist()})
         datasets.append({"path": str(level), "coordinateTransformations": placed})
@@ -49,7 +58,11 @@ def xzy(folder: Path) -> Path:
 
 
 def placed_nrrd(folder: Path) -> Path:
-    header = {"space": "RAS", "space directions": np.diag([2.0, 3.0, 4.0]), "space origin": np.zeros(3)}
+    header = {
+        "space": "RAS",
+        "space directions": np.diag([2.0, 3.0, 4.0]),
+        "space origin": np.zeros(3),
+    }
     nrrd.write(str(folder / "v.nrrd"), FIELD, header, index_order="C")
     return folder / "v.nrrd"
 
@@ -69,7 +82,9 @@ WRITERS: list[Callable[[Path], Path]] = [zyx, xzy, placed_nrrd, spaced_nrrd]
 
 @pytest.mark.parametrize("write", WRITERS)
 @pytest.mark.parametrize("axes", ["world", "raw"])
-def test_a_region_is_shown_where_it_lies_in_the_whole(tmp_path: Path, write: Any, axes: str) -> None:
+def test_a_region_is_shown_where_it_lies_in_the_whole(
+    tmp_path: Path, write: Any, axes: str
+) -> None:
     path = write(tmp_path)
     whole, part = (scene_of(path, axes=axes, **more).volume for more in ({}, {"region": REGION}))
     values = part.offset + part.scale * part.voxels
@@ -88,7 +103,11 @@ def test_of_an_image_of_too_many_chunks_a_region_is_shown(tmp_path: Path) -> Non
         open_zarr(tmp_path / "v.zarr")
     with pytest.raises(VolumeError, match="are too many"):
         open_zarr(tmp_path / "v.zarr", region=((0, 200), (0, 200), (0, 200)))
-    assert open_zarr(tmp_path / "v.zarr", region=((5, 9), (5, 8), (5, 7))).whole().shape == (2, 3, 4)
+    assert open_zarr(tmp_path / "v.zarr", region=((5, 9), (5, 8), (5, 7))).whole().shape == (
+        2,
+        3,
+        4,
+    )
 
 
 @pytest.mark.parametrize("write", [zyx, xzy])
@@ -96,11 +115,17 @@ def test_of_a_region_its_own_chunks_alone_are_read(tmp_path: Path, write: Any) -
     """All others are damaged."""
     path = write(tmp_path)
     region = ((4, 12), (5, 16), (8, 15))
-    spans = {name: range(low // 4, (high - 1) // 4 + 1) for name, (low, high) in zip("xyz", region, strict=True)}
-    names, spoiled = ("zyx" if write is zyx else "xzy"), 0
+    spans = {
+        name: range(low // 4, (high - 1) // 4 + 1)
+        for name, (low, high) in zip("xyz", region, strict=True)
+    }
+    names = "zyx" if write is zyx else "xzy"
+    spoiled = 0
     for chunk in (path / "0" / "c").rglob("*"):
         place = chunk.relative_to(path / "0" / "c").parts
-        if chunk.is_file() and not all(int(n) in spans[name] for n, name in zip(place, names, strict=True)):
+        if chunk.is_file() and not all(
+            int(n) in spans[name] for n, name in zip(place, names, strict=True)
+        ):
             chunk.write_bytes(b"no chunk")
             spoiled += 1
     assert spoiled > 60
@@ -109,7 +134,9 @@ def test_of_a_region_its_own_chunks_alone_are_read(tmp_path: Path, write: Any) -
         open_zarr(path).whole()
 
 
-def test_regions_have_light_and_copies_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_regions_have_light_and_copies_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     big = np.random.default_rng(3).random((40, 40, 60)).astype(np.float32)
@@ -117,7 +144,9 @@ def test_regions_have_light_and_copies_of_their_own(tmp_path: Path, monkeypatch:
     found = []
     for low in (0, 5, 0):
         volume = scene_of(tmp_path / "v.npy", region=[[low, low + 50], [0, 40], [0, 40]]).volume
-        np.testing.assert_allclose(volume.offset + volume.scale * volume.voxels, big[..., low : low + 50], rtol=1e-6)
+        np.testing.assert_allclose(
+            volume.offset + volume.scale * volume.voxels, big[..., low : low + 50], rtol=1e-6
+        )
         found.append(volume.digest)
     assert found[0] == found[2] != found[1]
 
@@ -135,7 +164,9 @@ def test_regions_have_light_and_copies_of_their_own(tmp_path: Path, monkeypatch:
     ],
 )
 @pytest.mark.parametrize("write", [zyx, spaced_nrrd])
-def test_regions_that_are_not_there_are_refused(tmp_path: Path, write: Any, region: Any, words: str) -> None:
+def test_regions_that_are_not_there_are_refused(
+    tmp_path: Path, write: Any, region: Any, words: str
+) -> None:
     with pytest.raises((SceneError, VolumeError), match=words):
         scene_of(write(tmp_path), region=region)
 
@@ -145,7 +176,9 @@ def pyramid(folder: Path) -> Path:
     return image(folder / "v.zarr", [FIELD, halves, halves[::2, ::2, ::2]])
 
 
-def test_an_image_opens_at_the_level_that_memory_has_room_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_opens_at_the_level_that_memory_has_room_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = pyramid(tmp_path)
     assert scene_of(path).volume.shape == FIELD.shape
     monkeypatch.setattr(zarr_volume, "budget", lambda: 4 * FIELD.size - 1)
@@ -161,7 +194,9 @@ def test_an_image_opens_at_the_level_that_memory_has_room_for(tmp_path: Path, mo
     assert scene_of(path).volume.shape == (5, 5, 4)
 
 
-def test_what_cannot_be_shown_at_any_level_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_shown_at_any_level_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = pyramid(tmp_path)
     monkeypatch.setattr(zarr_volume, "budget", lambda: 4)
     monkeypatch.setattr(zarr_volume, "MAX_VOXELS", 10)
@@ -170,14 +205,18 @@ def test_what_cannot_be_shown_at_any_level_is_refused(tmp_path: Path, monkeypatc
             scene_of(path, **settings)
 
 
-def test_no_level_is_finer_than_a_picture_of_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_level_is_finer_than_a_picture_of_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = pyramid(tmp_path)
     for most, shape in ((11, FIELD.shape), (10, (10, 9, 8)), (5, (5, 5, 4)), (1, (5, 5, 4))):
         monkeypatch.setattr(zarr_volume, "MAX_PICTURE_VOXELS", most)
         assert open_zarr(path).shape == shape
 
 
-def test_a_level_without_a_translation_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_level_without_a_translation_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = pyramid(tmp_path)
     monkeypatch.setattr(zarr_volume, "budget", lambda: 4 * FIELD.size - 1)
     assert not any("no translation" in note for note in open_zarr(path).notes)
@@ -204,7 +243,8 @@ def by_isogi(field: np.ndarray, path: Path) -> None:
 
 def crossings(volume: Volume, isovalue: float) -> np.ndarray:
     """Where edges between voxels cross an isosurface, in the world, (n, 3)."""
-    values, found = volume.offset + volume.scale * volume.voxels.astype(float) - isovalue, []
+    values = volume.offset + volume.scale * volume.voxels.astype(float) - isovalue
+    found = []
     for axis in range(3):
         low, high = (np.take(values, np.arange(values.shape[axis] - 1) + n, axis) for n in (0, 1))
         places = np.argwhere((low < 0.0) != (high < 0.0)).astype(float)
@@ -216,9 +256,15 @@ def crossings(volume: Volume, isovalue: float) -> np.ndarray:
 
 @pytest.mark.parametrize("write", [by_others, by_isogi])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_levels_have_their_surfaces_at_the_same_places(tmp_path: Path, write: Any, axis: int) -> None:
-    """A plane stands across x, y or z of 272 × 240 × 144 µm: means of voxels keep it, and where it lies shows."""
-    depth, rows, columns = np.indices((36, 80, 136)) * np.array([4.0, 3.0, 2.0])[:, None, None, None]
+def test_levels_have_their_surfaces_at_the_same_places(
+    tmp_path: Path, write: Any, axis: int
+) -> None:
+    """A plane stands across x, y or z of 272 × 240 × 144 µm: means of voxels keep it, and where it
+    lies shows.
+    """
+    depth, rows, columns = (
+        np.indices((36, 80, 136)) * np.array([4.0, 3.0, 2.0])[:, None, None, None]
+    )
     write((columns, rows, depth)[axis].astype(np.float32), tmp_path / "v.zarr")
     for level in (0, 1, 2):
         volume = scene_of(tmp_path / "v.zarr", level=level).volume
@@ -227,8 +273,12 @@ def test_levels_have_their_surfaces_at_the_same_places(tmp_path: Path, write: An
         assert np.abs(points[:, axis] - 71.3).max() < 0.1 * (2.0, 3.0, 4.0)[axis]
 
 
-def test_channels_and_times_do_not_count_as_voxels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_channels_and_times_do_not_count_as_voxels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fields = np.stack([FIELD, FIELD, FIELD])
-    zarr.create_array(tmp_path / "v.zarr", shape=fields.shape, dtype="u1", chunks=(1, 8, 8, 8))[:] = fields
+    zarr.create_array(tmp_path / "v.zarr", shape=fields.shape, dtype="u1", chunks=(1, 8, 8, 8))[
+        :
+    ] = fields
     monkeypatch.setattr(zarr_volume, "MAX_VOXELS", FIELD.size)
     assert open_zarr(tmp_path / "v.zarr", channel=1).shape == FIELD.shape

@@ -12,9 +12,13 @@ from server.render.metrics import Metrics
 from server.settings import Settings
 from tests.server.asking import Ask
 
-LAB, EVIL = "https://lab.example", "https://evil.example"
+LAB = "https://lab.example"
+EVIL = "https://evil.example"
 TOKEN = "correct horse battery"
-PREFLIGHT = {"Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "authorization"}
+PREFLIGHT = {
+    "Access-Control-Request-Method": "GET",
+    "Access-Control-Request-Headers": "authorization",
+}
 
 
 def app_with(**given: Any) -> FastAPI:
@@ -44,11 +48,14 @@ def test_each_setting_arms_its_guard(
 
 
 def test_pages_of_no_other_origin_may_read_unless_one_is_listed(ask: Ask) -> None:
-    closed, open_ = app_with(), app_with(allowed_origins=LAB)
+    closed = app_with()
+    open_ = app_with(allowed_origins=LAB)
     for origin in (LAB, EVIL, "null"):
         assert not cors(ask(closed, "GET", "/data", headers={"Origin": origin}))
     for origin in (EVIL, "null"):
-        assert "access-control-allow-origin" not in cors(ask(open_, "GET", "/data", headers={"Origin": origin}))
+        assert "access-control-allow-origin" not in cors(
+            ask(open_, "GET", "/data", headers={"Origin": origin})
+        )
     said = cors(ask(open_, "GET", "/data", headers={"Origin": LAB, "Sec-Fetch-Site": "cross-site"}))
     assert said["access-control-allow-origin"] == LAB
     assert "Isogi-Coverage" in said["access-control-expose-headers"]
@@ -56,7 +63,9 @@ def test_pages_of_no_other_origin_may_read_unless_one_is_listed(ask: Ask) -> Non
 
 
 def cors(answer: httpx.Response) -> dict[str, str]:
-    return {name: value for name, value in answer.headers.items() if name.startswith("access-control")}
+    return {
+        name: value for name, value in answer.headers.items() if name.startswith("access-control")
+    }
 
 
 def test_a_preflight_shows_no_token_and_what_follows_it_does(ask: Ask) -> None:

@@ -1,4 +1,6 @@
-"""What a server tells beside frames, over a real socket: points, slices, the size of the surface, and its sky."""
+"""What a server tells beside frames, over a real socket: points, slices, the size of the surface,
+and its sky.
+"""
 
 from pathlib import Path
 
@@ -15,7 +17,9 @@ from tests.server.asking import final, numbers, pixels
 VIEW: dict[str, str | int | float] = {"width": 48, "height": 40, "azimuth": 40}
 
 
-def get(client: httpx.Client, what: str, headers: dict[str, str] | None = None, **query: str | float) -> httpx.Response:
+def get(
+    client: httpx.Client, what: str, headers: dict[str, str] | None = None, **query: str | float
+) -> httpx.Response:
     return client.get(f"/v1/scenes/small/{what}", params=query, headers=headers)
 
 
@@ -49,13 +53,20 @@ def test_off_the_surface_nothing_is_hit(client: httpx.Client) -> None:
 
 def test_the_document_says_that_both_are_needed(client: httpx.Client) -> None:
     operation = client.get("/openapi.json").json()["paths"]["/v1/scenes/{scene}/point"]["get"]
-    assert {each["name"] for each in operation["parameters"] if each.get("required")} == {"scene", "x", "y"}
+    assert {each["name"] for each in operation["parameters"] if each.get("required")} == {
+        "scene",
+        "x",
+        "y",
+    }
 
 
 def values() -> np.ndarray:
     """The voxels (z, y, x) of the scene ``small``, by its formula."""
     z, y, x = np.mgrid[:16, :20, :24]
-    return sum(np.exp(-(((x - middle) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2) for middle in (8, 16))
+    return sum(
+        np.exp(-(((x - middle) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2)
+        for middle in (8, 16)
+    )
 
 
 def test_a_slice_shows_the_values_of_its_plane(client: httpx.Client) -> None:
@@ -65,7 +76,9 @@ def test_a_slice_shows_the_values_of_its_plane(client: httpx.Client) -> None:
         answer = get(client, "slice", axis=axis, at=at)
         assert answer.headers["content-type"] == "image/png"
         share = (plane[::-1] - field.min()) / np.ptp(field)
-        assert (picture := pixels(answer)).dtype == np.uint8 and np.abs(picture - 255 * share).max() <= 1.0
+        assert (picture := pixels(answer)).dtype == np.uint8 and np.abs(
+            picture - 255 * share
+        ).max() <= 1.0
     near = pixels(get(client, "slice", axis="z", at=7.25, low=0.4, high=0.6))
     assert np.abs(near - 255 * np.clip((planes["z"][::-1] - 0.4) / 0.2, 0, 1)).max() <= 1.0
 
@@ -73,7 +86,9 @@ def test_a_slice_shows_the_values_of_its_plane(client: httpx.Client) -> None:
 @pytest.mark.parametrize(
     ("axis", "at", "plane"), [("z", 5, np.s_[5]), ("y", 7, np.s_[:, 7]), ("x", 23, np.s_[..., 23])]
 )
-def test_the_values_of_a_slice_are_told_as_they_are(client: httpx.Client, axis: str, at: int, plane: object) -> None:
+def test_the_values_of_a_slice_are_told_as_they_are(
+    client: httpx.Client, axis: str, at: int, plane: object
+) -> None:
     answer = get(client, "slice", axis=axis, at=at, f="npy")
     assert answer.headers["content-type"] == "application/x-npy"
     told = numbers(answer)
@@ -85,7 +100,11 @@ def test_values_are_packed_where_the_client_takes_that(client: httpx.Client) -> 
         get(client, "slice", {"Accept-Encoding": header}, axis="z", at=2, f="npy")
         for header in ("gzip, br", "gzip;q=0", "br")
     )
-    assert [answer.headers.get("content-encoding") for answer in (packed, *plain)] == ["gzip", None, None]
+    assert [answer.headers.get("content-encoding") for answer in (packed, *plain)] == [
+        "gzip",
+        None,
+        None,
+    ]
     assert len({answer.content for answer in (packed, *plain)}) == 1, "unpacked by the client"
     assert packed.headers["etag"] != plain[0].headers["etag"] == plain[1].headers["etag"]
     assert {answer.headers["vary"] for answer in (packed, *plain)} == {"Accept-Encoding"}
@@ -97,7 +116,9 @@ def size(client: httpx.Client, **query: str | float) -> dict[str, float]:
     return found
 
 
-def test_the_size_is_that_of_the_scenes_surface(client: httpx.Client, live_server: str, small_scene: Path) -> None:
+def test_the_size_is_that_of_the_scenes_surface(
+    client: httpx.Client, live_server: str, small_scene: Path
+) -> None:
     volume = load_scene(small_scene).volume
     steps = volume.orientation.affine(volume.spacing)[:, :3]
     wanted = surface_size(volume.voxels, volume.normalise_isovalue(0.4), steps)
@@ -110,18 +131,25 @@ def test_the_size_is_that_of_the_scenes_surface(client: httpx.Client, live_serve
 
 def test_both_parts_of_a_cut_make_the_whole(client: httpx.Client) -> None:
     """They share a layer of voxels, at which faces of cuts lie."""
-    whole, low, high = size(client), size(client, cut="x>11"), size(client, cut="x<11")
+    whole = size(client)
+    low = size(client, cut="x>11")
+    high = size(client, cut="x<11")
     assert low["volume"] + high["volume"] == pytest.approx(whole["volume"], rel=0.03)
     assert whole["area"] < low["area"] + high["area"] < 1.6 * whole["area"], "each has a face more"
 
 
-@pytest.mark.parametrize("settings", [{}, {"environment": "gallery"}], ids=["own light", "named light"])
+@pytest.mark.parametrize(
+    "settings", [{}, {"environment": "gallery"}], ids=["own light", "named light"]
+)
 def test_the_sky_is_the_panorama_of_its_light(
     client: httpx.Client, small_scene: Path, settings: dict[str, str]
 ) -> None:
-    answer, lighting = get(client, "sky", width=64, **settings), load_scene(small_scene, **settings).lighting
+    answer = get(client, "sky", width=64, **settings)
+    lighting = load_scene(small_scene, **settings).lighting
     assert answer.headers["content-type"] == "image/png"
-    assert np.array_equal(pixels(answer)[..., :3], paint_panorama(lighting.environment, lighting.lamps, 64))
+    assert np.array_equal(
+        pixels(answer)[..., :3], paint_panorama(lighting.environment, lighting.lamps, 64)
+    )
 
 
 @pytest.mark.parametrize("form", ["png", "jpeg", "webp"])
@@ -133,7 +161,9 @@ def test_a_sky_comes_in_each_format(client: httpx.Client, form: str) -> None:
 
 def test_a_sky_at_its_version_address_is_immutable(client: httpx.Client) -> None:
     plain = get(client, "sky")
-    kept, other = (get(client, "sky", version=each) for each in (plain.headers["etag"].strip('"'), "0" * 32))
+    kept, other = (
+        get(client, "sky", version=each) for each in (plain.headers["etag"].strip('"'), "0" * 32)
+    )
     assert kept.headers["cache-control"] == "max-age=31536000, immutable"
     assert plain.headers["cache-control"] == other.headers["cache-control"] == "no-cache"
     assert other.status_code == 200
@@ -148,15 +178,21 @@ def test_a_sky_at_its_version_address_is_immutable(client: httpx.Client) -> None
     ],
 )
 def test_what_a_client_has_is_not_sent_again(
-    client: httpx.Client, what: str, query: dict[str, str | float], others: list[dict[str, str | float]]
+    client: httpx.Client,
+    what: str,
+    query: dict[str, str | float],
+    others: list[dict[str, str | float]],
 ) -> None:
     tag = get(client, what, **query).headers["etag"]
     again = get(client, what, {"If-None-Match": tag}, **query)
     assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
-    assert len({tag, *(get(client, what, **query | other).headers["etag"] for other in others)}) == 1 + len(others)
+    assert len(
+        {tag, *(get(client, what, **query | other).headers["etag"] for other in others)}
+    ) == 1 + len(others)
 
 
-POINT, SLICE = "point?width=48&height=40", "slice?axis=z"
+POINT = "point?width=48&height=40"
+SLICE = "slice?axis=z"
 
 
 @pytest.mark.parametrize(
@@ -185,7 +221,9 @@ POINT, SLICE = "point?width=48&height=40", "slice?axis=z"
         ("sky?environment=moon", "environment", "must be one of overcast, studio"),
     ],
 )
-def test_what_has_no_meaning_is_refused(client: httpx.Client, path: str, parameter: str, words: str) -> None:
+def test_what_has_no_meaning_is_refused(
+    client: httpx.Client, path: str, parameter: str, words: str
+) -> None:
     answer = client.get(f"/v1/scenes/small/{path}")
     assert answer.status_code == 422 and answer.json()["parameter"] == parameter
     assert words in answer.json()["detail"]

@@ -1,4 +1,6 @@
-"""What a page draws from by itself, over a real socket: the document, voxels, and light of chunks."""
+"""What a page draws from by itself, over a real socket: the document, voxels, and light of
+chunks.
+"""
 
 import asyncio
 import gzip
@@ -38,7 +40,9 @@ def scene_file(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """The small scene without lobes, so that its frames show nothing but light of texels."""
     folder = tmp_path_factory.mktemp("card")
     (folder / "small.nrrd").write_bytes((small_scene.parent / "small.nrrd").read_bytes())
-    text = small_scene.read_text().replace("bounces = 1", "bounces = 1\nlobes = 0\nprojected = false")
+    text = small_scene.read_text().replace(
+        "bounces = 1", "bounces = 1\nlobes = 0\nprojected = false"
+    )
     (folder / "card.toml").write_text(text)
     return folder / "card.toml"
 
@@ -75,7 +79,9 @@ def document(client: httpx.Client, path: str = CARD, **more: Any) -> dict[str, A
 
 def voxels(client: httpx.Client, facts: dict[str, Any]) -> bytes:
     """The codes of all slabs, by the addresses in the document."""
-    return b"".join(client.get(f"/v1/scenes/card/{slab['href']}").content for slab in facts["volume"]["slabs"])
+    return b"".join(
+        client.get(f"/v1/scenes/card/{slab['href']}").content for slab in facts["volume"]["slabs"]
+    )
 
 
 def chunks(client: httpx.Client, **more: Any) -> list[dict[str, Any]]:
@@ -84,29 +90,47 @@ def chunks(client: httpx.Client, **more: Any) -> list[dict[str, Any]]:
 
 
 def gradient(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The gradient of the tricubic B-spline through voxels at points (m, 3), x first, by its 64 weights."""
+    """The gradient of the tricubic B-spline through voxels at points (m, 3), x first, by its 64
+    weights.
+    """
     last = np.array(values.shape[::-1]) - 1
     base = np.clip(np.floor(points), 0, last - 1).astype(int)
     f = points - base
-    weight = np.array([(1 - f) ** 3, 4 - 6 * f**2 + 3 * f**3, 4 - 6 * (1 - f) ** 2 + 3 * (1 - f) ** 3, f**3]) / 6
-    slope = np.array([-0.5 * (1 - f) ** 2, 1.5 * f**2 - 2 * f, -1.5 * (1 - f) ** 2 + 2 * (1 - f), 0.5 * f**2])
+    weight = (
+        np.array(
+            [(1 - f) ** 3, 4 - 6 * f**2 + 3 * f**3, 4 - 6 * (1 - f) ** 2 + 3 * (1 - f) ** 3, f**3]
+        )
+        / 6
+    )
+    slope = np.array(
+        [-0.5 * (1 - f) ** 2, 1.5 * f**2 - 2 * f, -1.5 * (1 - f) ** 2 + 2 * (1 - f), 0.5 * f**2]
+    )
     found = np.zeros_like(points)
     for k, j, i in np.ndindex(4, 4, 4):
         x, y, z = np.clip(base + np.array([i, j, k]) - 1, 0, last).T
-        w, s = [weight[n][:, a] for a, n in enumerate((i, j, k))], [slope[n][:, a] for a, n in enumerate((i, j, k))]
+        w = [weight[n][:, a] for a, n in enumerate((i, j, k))]
+        s = [slope[n][:, a] for a, n in enumerate((i, j, k))]
         value = values[z, y, x]
-        found += value[:, None] * np.stack([s[0] * w[1] * w[2], w[0] * s[1] * w[2], w[0] * w[1] * s[2]], axis=1)
+        found += value[:, None] * np.stack(
+            [s[0] * w[1] * w[2], w[0] * s[1] * w[2], w[0] * w[1] * s[2]], axis=1
+        )
     return found
 
 
 @pytest.mark.parametrize("what", ["light", "transfer"])
 @pytest.mark.parametrize("turn", [{}, {"yaw": 70, "pitch": -20}], ids=["as it is", "turned"])
-def test_a_twin_draws_the_frame_of_the_answers_alone(client: httpx.Client, what: str, turn: dict[str, int]) -> None:
+def test_a_twin_draws_the_frame_of_the_answers_alone(
+    client: httpx.Client, what: str, turn: dict[str, int]
+) -> None:
     facts = document(client)["scene"]
     query = turn if what == "light" else {}
     named = ",".join(f"{each['at']}-{each['version']}" for each in chunks(client))
     twin = Twin(facts, matrix_of(turn))
-    twin.take(client.get(f"/v1/scenes/card/{facts['links'][what]}{named}", params={**query, "max_error": 0.5}).content)
+    twin.take(
+        client.get(
+            f"/v1/scenes/card/{facts['links'][what]}{named}", params={**query, "max_error": 0.5}
+        ).content
+    )
     planes = numbers(client.get("/v1/scenes/card/frame", params={**VIEW, **turn, "f": "npy"}))
     on = planes[..., 3] > 0
     points = planes[on][:, 6:9].astype(float) / facts["grid"]["spacing"]
@@ -119,15 +143,23 @@ def test_a_twin_draws_the_frame_of_the_answers_alone(client: httpx.Client, what:
 
 def matrix_of(turn: dict[str, int]) -> np.ndarray:
     """The rotation by yaw about z, then pitch about y."""
-    (cy, sy), (cp, sp) = ((np.cos(a), np.sin(a)) for a in np.radians([turn.get("yaw", 0), turn.get("pitch", 0)]))
+    (cy, sy), (cp, sp) = (
+        (np.cos(a), np.sin(a)) for a in np.radians([turn.get("yaw", 0), turn.get("pitch", 0)])
+    )
     yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     return np.asarray(yaw @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]))
 
 
 def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: Scene) -> None:
     found = document(client)
-    assert (found["drawable"], found["because"], found["reason"], found["format"]) == (True, [], "", 1)
-    facts, volume = found["scene"], scene.volume
+    assert (found["drawable"], found["because"], found["reason"], found["format"]) == (
+        True,
+        [],
+        "",
+        1,
+    )
+    facts = found["scene"]
+    volume = scene.volume
     assert facts["grid"] | {"size": [24, 20, 16], "spacing": list(volume.spacing)} == facts["grid"]
     lattice = {"size": list(scene.lattice_shape[::-1]), "chunk": scene.settings.chunk}
     assert facts["lattice"] | lattice == facts["lattice"]
@@ -135,13 +167,16 @@ def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: 
     assert facts["isovalues"] == list(scene.isovalues)
     level = np.float32((0.5 - facts["values"]["offset"]) / facts["values"]["scale"])
     assert level == np.float32(float(volume.normalise_isovalue(0.5)))
-    assert [layer["kind"] for layer in facts["plan"]["layers"]] == [layer.kind for layer in scene.plan.layers]
+    assert [layer["kind"] for layer in facts["plan"]["layers"]] == [
+        layer.kind for layer in scene.plan.layers
+    ]
     assert facts["plan"]["columns"] == sum(term["order"] ** 2 for term in facts["light"]["terms"])
     assert facts["light"]["lobes"] == [] and len(facts["light"]["sky"][0]) == 9
 
 
 def test_the_light_of_the_document_does_not_turn(client: httpx.Client) -> None:
-    one, other = document(client), document(client, yaw=90, azimuth=10, isovalue=0.6)
+    one = document(client)
+    other = document(client, yaw=90, azimuth=10, isovalue=0.6)
     assert one["scene"]["light"] == other["scene"]["light"]
     assert one["scene"]["lambert"] != other["scene"]["lambert"]
     assert one["version"] != other["version"]
@@ -151,7 +186,9 @@ def test_the_light_of_the_document_does_not_turn(client: httpx.Client) -> None:
 def test_the_document_is_not_sent_again(client: httpx.Client) -> None:
     answer = client.get(CARD)
     tag = answer.headers["etag"]
-    assert tag.strip('"') == answer.json()["version"] and answer.headers["cache-control"] == "no-cache"
+    assert (
+        tag.strip('"') == answer.json()["version"] and answer.headers["cache-control"] == "no-cache"
+    )
     assert client.get(CARD, headers={"If-None-Match": tag}).status_code == 304
     assert client.get(CARD, params={"yaw": 90}, headers={"If-None-Match": tag}).status_code == 200
 
@@ -166,7 +203,8 @@ def test_voxels_are_those_of_the_kernels(client: httpx.Client, scene: Scene) -> 
 
 
 def test_voxels_of_a_cut_are_its_own(client: httpx.Client) -> None:
-    whole, cut = document(client)["scene"], document(client, cut="x>12")["scene"]
+    whole = document(client)["scene"]
+    cut = document(client, cut="x>12")["scene"]
     assert cut["volume"]["slabs"][0]["href"] != whole["volume"]["slabs"][0]["href"]
     assert voxels(client, cut) != voxels(client, whole)
 
@@ -178,9 +216,13 @@ def test_bytes_at_a_versions_address_are_kept_for_ever(client: httpx.Client, wha
     facts = document(client)["scene"]
     first = chunks(client)[0]
     if what == "volume":
-        named, other = facts["volume"]["slabs"][0]["href"], f"card/volume/0-4?version={'0' * 32}"
+        named = facts["volume"]["slabs"][0]["href"]
+        other = f"card/volume/0-4?version={'0' * 32}"
     else:
-        named, other = (f"card/{what}/{first['at']}-{version}?max_error=0.5" for version in (first["version"], ZERO))
+        named, other = (
+            f"card/{what}/{first['at']}-{version}?max_error=0.5"
+            for version in (first["version"], ZERO)
+        )
     assert client.get(f"/v1/scenes/card/{named}").headers["cache-control"] == FOR_EVER
     assert client.get(f"/v1/scenes/card/{other}").headers["cache-control"] == "no-cache"
     plain = other.partition("-0" if what != "volume" else "?")[0]
@@ -193,8 +235,14 @@ def test_bytes_are_compressed_and_not_sent_again(client: httpx.Client, what: str
     plain = client.get(f"{CARD}/{what}", headers={"Accept-Encoding": "gzip;q=0"})
     assert packed.headers["content-encoding"] == "gzip" and "content-encoding" not in plain.headers
     assert int(packed.headers["content-length"]) < len(plain.content)
-    assert packed.content == plain.content and gzip.decompress(gzip.compress(plain.content)) == plain.content
-    assert packed.headers["etag"] != plain.headers["etag"] and plain.headers["vary"] == "Accept-Encoding"
+    assert (
+        packed.content == plain.content
+        and gzip.decompress(gzip.compress(plain.content)) == plain.content
+    )
+    assert (
+        packed.headers["etag"] != plain.headers["etag"]
+        and plain.headers["vary"] == "Accept-Encoding"
+    )
     for answer, encoding in ((packed, "gzip"), (plain, "identity")):
         headers = {"Accept-Encoding": encoding, "If-None-Match": answer.headers["etag"]}
         again = client.get(f"{CARD}/{what}", headers=headers)
@@ -209,9 +257,11 @@ def test_several_chunks_come_in_the_order_asked_for(client: httpx.Client) -> Non
 
 
 def test_records_and_transfer_have_the_same_order(client: httpx.Client) -> None:
-    facts, first = document(client)["scene"], chunks(client)[0]["at"]
+    facts = document(client)["scene"]
+    first = chunks(client)[0]["at"]
     folded, raw = (client.get(f"{CARD}/{what}/{first}").content for what in ("light", "transfer"))
-    (one,), (other,) = blocks_in(folded), blocks_in(raw, facts["plan"]["channels"] * facts["plan"]["columns"] + 2)
+    (one,) = blocks_in(folded)
+    (other,) = blocks_in(raw, facts["plan"]["channels"] * facts["plan"]["columns"] + 2)
     assert (one.masks, one.version, one.at) == (other.masks, other.version, other.at)
     assert np.array_equal(one.words, other.words) and (one.kind, other.kind) == (0, 1)
     assert len(one.words) > 10
@@ -246,19 +296,33 @@ def test_a_view_that_was_not_baked_has_its_light_requested(client: httpx.Client)
         ("chunks?wait_ms=7", 422, "a list comes at once"),
     ],
 )
-def test_what_is_not_there_is_refused_in_a_sentence(client: httpx.Client, path: str, status: int, words: str) -> None:
+def test_what_is_not_there_is_refused_in_a_sentence(
+    client: httpx.Client, path: str, status: int, words: str
+) -> None:
     answer = client.get(f"{CARD}/{path}")
     assert answer.status_code == status, answer.text
-    assert answer.headers["content-type"] == "application/problem+json" and words in answer.json()["detail"]
+    assert (
+        answer.headers["content-type"] == "application/problem+json"
+        and words in answer.json()["detail"]
+    )
 
 
 def test_an_unknown_scene_has_no_card(client: httpx.Client) -> None:
-    for path in ("card", "card/chunks", "card/volume/0-1", "card/light/0.0.0", "card/transfer/0.0.0"):
+    for path in (
+        "card",
+        "card/chunks",
+        "card/volume/0-1",
+        "card/light/0.0.0",
+        "card/transfer/0.0.0",
+    ):
         assert client.get(f"/v1/scenes/none/{path}").status_code == 404
 
 
 def stream_of(client: httpx.Client) -> connect:
-    return connect(str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream", max_size=None)
+    return connect(
+        str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream",
+        max_size=None,
+    )
 
 
 async def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client) -> None:
@@ -276,7 +340,9 @@ async def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client
     async with stream_of(client) as socket:
         for number in (1, 2, 3):
             view = {**VIEW, "azimuth": 40 + number}
-            await socket.send(json.dumps({"id": number, "view": view, "moving": True, "pictures": False}))
+            await socket.send(
+                json.dumps({"id": number, "view": view, "moving": True, "pictures": False})
+            )
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(socket.recv(), 0.3)
         await socket.send(json.dumps({"id": 4, "view": VIEW}))
@@ -287,7 +353,9 @@ def test_the_addresses_are_documented(client: httpx.Client) -> None:
     paths = client.get("/openapi.json").json()["paths"]
     for name in ("", "/chunks", "/volume/{layers}", "/light/{chunks}", "/transfer/{chunks}"):
         operation = paths[f"/v1/scenes/{{scene}}/card{name}"]["get"]
-        assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(operation["responses"])
+        assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(
+            operation["responses"]
+        )
 
 
 TOKEN = {"token": "correct horse battery"}
@@ -295,14 +363,24 @@ TOKEN = {"token": "correct horse battery"}
 
 @pytest.mark.parametrize(
     ("given", "handed"),
-    [(TOKEN, False), ({**TOKEN, "hand_out_voxels": True}, True), ({"hand_out_voxels": False}, False)],
+    [
+        (TOKEN, False),
+        ({**TOKEN, "hand_out_voxels": True}, True),
+        ({"hand_out_voxels": False}, False),
+    ],
 )
-def test_a_server_may_keep_its_voxels(scene_file: Path, tmp_path: Path, given: dict[str, Any], handed: bool) -> None:
-    app = create_app(EngineWithoutWorkers([load_scene(scene_file)], str(tmp_path)), Settings(**given))
+def test_a_server_may_keep_its_voxels(
+    scene_file: Path, tmp_path: Path, given: dict[str, Any], handed: bool
+) -> None:
+    app = create_app(
+        EngineWithoutWorkers([load_scene(scene_file)], str(tmp_path)), Settings(**given)
+    )
     headers = {"Authorization": f"Bearer {TOKEN['token']}"}
     with live(app) as url, httpx.Client(base_url=url, headers=headers, timeout=300) as found:
         facts = found.get(CARD).json()
-        assert (facts["drawable"], facts["because"]) == ((True, []) if handed else (False, ["voxels kept"]))
+        assert (facts["drawable"], facts["because"]) == (
+            (True, []) if handed else (False, ["voxels kept"])
+        )
         assert (facts["scene"] is not None) == handed
         for path in ("volume/0-1", "light/0.0.0", "transfer/0.0.0"):
             answer = found.get(f"{CARD}/{path}")

@@ -78,7 +78,9 @@ def test_a_cut_takes_away_and_lets_light_in(client: httpx.Client, small_scene: P
         ({"window": ";".join(["x>3"] * 13)}, "at most 12 planes"),
     ],
 )
-def test_planes_without_meaning_are_422(client: httpx.Client, route: str, query: dict[str, str], reason: str) -> None:
+def test_planes_without_meaning_are_422(
+    client: httpx.Client, route: str, query: dict[str, str], reason: str
+) -> None:
     answer = client.get(f"{SCENE}{route}", params=query)
     assert answer.status_code == 422 and answer.json()["parameter"] == next(iter(query))
     assert reason in answer.json()["detail"]
@@ -86,31 +88,47 @@ def test_planes_without_meaning_are_422(client: httpx.Client, route: str, query:
 
 @pytest.fixture
 def crowded(request: pytest.FixtureRequest, small_scene: Path, tmp_path: Path) -> Iterator[str]:
-    """The URL of a server that has room for one cut, which clients wait for as long as a parameter says."""
+    """The URL of a server that has room for one cut, which clients wait for as long as a parameter
+    says.
+    """
     with idle_server(small_scene, tmp_path) as idle:
         idle.service.variants = Variants(
-            idle.engine, lambda name: None, most_cuts=1, room=0, patience=getattr(request, "param", math.inf)
+            idle.engine,
+            lambda name: None,
+            most_cuts=1,
+            room=0,
+            patience=getattr(request, "param", math.inf),
         )
         yield idle.url
 
 
 async def test_eight_people_each_see_the_cut_of_their_own(crowded: str, small_scene: Path) -> None:
     """Each cut makes way for the next while it is drawn, or its light is requested."""
-    x, views = middle(small_scene), 3
+    x = middle(small_scene)
+    views = 3
 
     async def person(number: int) -> list[httpx.Response]:
         view = {"cut": f"x>{x + number / 2}", "width": 24, "height": 24, "f": "npy"}
-        return [await client.get(f"{SCENE}/frame", params=view | {"azimuth": 10 * n}) for n in range(views)]
+        return [
+            await client.get(f"{SCENE}/frame", params=view | {"azimuth": 10 * n})
+            for n in range(views)
+        ]
 
     async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
-        answers = [answer for each in await asyncio.gather(*map(person, range(8))) for answer in each]
+        answers = [
+            answer for each in await asyncio.gather(*map(person, range(8))) for answer in each
+        ]
     assert {answer.status_code for answer in answers} == {200}
     edges = [numbers(answer)[..., 6].max() for answer in answers[::views]]
-    assert edges == sorted(edges) and edges[0] < edges[-1] - 2, "everybody has the cut that was asked for"
+    assert edges == sorted(edges) and edges[0] < edges[-1] - 2, (
+        "everybody has the cut that was asked for"
+    )
 
 
 @pytest.mark.parametrize("crowded", [1.2], indirect=True)
-async def test_a_cut_that_waits_too_long_for_others_is_429(crowded: str, small_scene: Path, monkeypatch: Any) -> None:
+async def test_a_cut_that_waits_too_long_for_others_is_429(
+    crowded: str, small_scene: Path, monkeypatch: Any
+) -> None:
     make = Variants.make
 
     def slowly(*given: Any) -> Scene:
@@ -121,7 +139,9 @@ async def test_a_cut_that_waits_too_long_for_others_is_429(crowded: str, small_s
     async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
         cuts = [f"x>{middle(small_scene) + number / 7}" for number in range(6)]
         views = [{"cut": cut, "width": 16, "height": 16, "shading": "lambert"} for cut in cuts]
-        answers = await asyncio.gather(*(client.get(f"{SCENE}/frame", params=view) for view in views))
+        answers = await asyncio.gather(
+            *(client.get(f"{SCENE}/frame", params=view) for view in views)
+        )
     assert {answer.status_code for answer in answers} == {200, 429}
     assert all("Retry-After" in answer.headers for answer in answers if answer.status_code == 429)
 
@@ -141,7 +161,8 @@ async def test_a_cut_that_is_gone_with_its_scene_has_no_inner_name(engine: Rende
 
 
 async def test_many_small_cuts_are_kept(engine: RenderEngine) -> None:
-    own, variants = engine.scenes["small"], Variants(engine, lambda name: None)
+    own = engine.scenes["small"]
+    variants = Variants(engine, lambda name: None)
     for number in range(20):
         await variants.of(own, Change(cut=f"x>{5 + number / 2}"))
     assert len(engine.scenes) == 21
@@ -152,13 +173,18 @@ def test_cuts_whose_48_bits_were_alike_have_names_of_their_own(small_scene: Path
     for one, other in ((16426130, 20828990), (25665836, 28872787)):
         names = [SceneVariant.of(scene, Change(cut=f"x>{x}")).id for x in (one, other)]
         assert names[0] != names[1]
-        ends = [hashlib.blake2b(repr(read_window(f"x>{x}")).encode(), digest_size=6).digest() for x in (one, other)]
+        ends = [
+            hashlib.blake2b(repr(read_window(f"x>{x}")).encode(), digest_size=6).digest()
+            for x in (one, other)
+        ]
         assert ends[0] == ends[1], "else this test shows nothing"
 
 
 async def test_few_cuts_are_kept_and_share_their_voxels(engine: RenderEngine) -> None:
-    own, place = engine.scenes["small"], {name: name for name in ENVIRONMENTS}.get
-    variants, x = Variants(engine, place, most=3, most_cuts=2, room=0), own.volume.world_centre[0]
+    own = engine.scenes["small"]
+    place = {name: name for name in ENVIRONMENTS}.get
+    variants = Variants(engine, place, most=3, most_cuts=2, room=0)
+    x = own.volume.world_centre[0]
     one = await variants.of(own, Change(cut=f"x>{x}"))
     lit = await variants.of(own, Change("noon", f"x> {x}"))
     assert lit.volume is one.volume and lit.lighting.environment is not one.lighting.environment

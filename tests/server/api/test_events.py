@@ -14,7 +14,14 @@ from server.api.routes.events import answers
 from tests.live import serving
 
 PATH = "/v1/scenes/small/events"
-VIEW: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 133, "elevation": -31, "isovalue": 0.74, "max_error": 0.2}
+VIEW: dict[str, Any] = {
+    "width": 40,
+    "height": 40,
+    "azimuth": 133,
+    "elevation": -31,
+    "isovalue": 0.74,
+    "max_error": 0.2,
+}
 Event = dict[str, str]
 
 
@@ -36,7 +43,10 @@ def events(client: httpx.Client, seen: str = "", **more: Any) -> list[Event]:
         assert answer.headers["content-type"].startswith("text/event-stream")
         assert answer.headers["cache-control"] == "no-store"
         text = "".join(answer.iter_text())
-    return [dict(line.split(": ", 1) for line in block.splitlines()) for block in text.strip().split("\n\n")]
+    return [
+        dict(line.split(": ", 1) for line in block.splitlines())
+        for block in text.strip().split("\n\n")
+    ]
 
 
 def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client) -> None:
@@ -45,7 +55,11 @@ def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client
     assert kinds[-1] == "final"
     assert set(kinds[:-1]) <= {"refined", "progress"}
     assert "refined" in kinds
-    shares = [json.loads(event["data"])["coverage"]["final"] for event in told if event["event"] != "progress"]
+    shares = [
+        json.loads(event["data"])["coverage"]["final"]
+        for event in told
+        if event["event"] != "progress"
+    ]
     assert shares == sorted(shares) and shares[-1] == 1.0
     last = told[-1]
     assert json.loads(last["data"]) == client.get("/v1/scenes/small/coverage", params=VIEW).json()
@@ -55,9 +69,15 @@ def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client
     assert (known.status_code, known.content) == (204, b"")
 
 
-def test_progress_tells_the_time_left(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_tells_the_time_left(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("server.api.routes.events.TIME_LEFT_SECONDS", 0.01)
-    told = [json.loads(each["data"]) for each in events(client, azimuth=190) if each["event"] == "progress"]
+    told = [
+        json.loads(each["data"])
+        for each in events(client, azimuth=190)
+        if each["event"] == "progress"
+    ]
     assert told
     assert all(each["waiting"] >= 0 for each in told)
     left = [each["time_left"] for each in told if each["time_left"]]

@@ -18,15 +18,24 @@ VIEW: dict[str, str | int | float] = {"width": 48, "height": 40, "azimuth": 40}
 TIMING = re.compile(r"(\w+);dur=([\d.]+)")
 STRICT = {"max_error": 0.001}
 """A target that no view of these tests has time to come to, whatever was baked before."""
-ACCEPTED = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
+ACCEPTED = {
+    "png": "image/png",
+    "jpeg": "image/jpeg",
+    "webp": "image/webp",
+    "npy": "application/x-npy",
+}
 
 
-def frame(client: httpx.Client, headers: dict[str, str] | None = None, **more: str | float) -> httpx.Response:
+def frame(
+    client: httpx.Client, headers: dict[str, str] | None = None, **more: str | float
+) -> httpx.Response:
     return client.get("/v1/scenes/small/frame", params={**VIEW, **more}, headers=headers)
 
 
 def final_frame(client: httpx.Client, **more: str | float) -> httpx.Response:
-    """The view's final picture, when no work for this or another view is left that could still better its light."""
+    """The view's final picture, when no work for this or another view is left that could still
+    better its light.
+    """
     assert wait_for(lambda: idle(client), 120)
     return final(client, **{**VIEW, **more})
 
@@ -47,7 +56,9 @@ def chunks(store: Path) -> dict[str, bytes]:
     return {path.relative_to(store).as_posix(): path.read_bytes() for path in files}
 
 
-def test_a_frame_becomes_final_and_the_store_holds_its_chunks(client: httpx.Client, live_store: Path) -> None:
+def test_a_frame_becomes_final_and_the_store_holds_its_chunks(
+    client: httpx.Client, live_store: Path
+) -> None:
     headers = final_frame(client).headers
     needed, final = pairs(headers["isogi-chunks"]).values()
     assert needed == final > 0
@@ -56,10 +67,13 @@ def test_a_frame_becomes_final_and_the_store_holds_its_chunks(client: httpx.Clie
     assert len(chunks(live_store)) >= final
 
 
-def test_a_final_frame_writes_nothing_more_and_stays_the_same(client: httpx.Client, live_store: Path) -> None:
+def test_a_final_frame_writes_nothing_more_and_stays_the_same(
+    client: httpx.Client, live_store: Path
+) -> None:
     final_frame(client)
     stored = chunks(live_store)
-    first, second = frame(client), frame(client)
+    first = frame(client)
+    second = frame(client)
     assert first.content == second.content
     assert first.headers["etag"] == second.headers["etag"]
     assert chunks(live_store) == stored
@@ -95,7 +109,9 @@ def test_pictures_hold_the_frame(client: httpx.Client, form: str) -> None:
     assert answer.headers["content-type"] == ACCEPTED[form]
     picture = Image.open(io.BytesIO(answer.content))
     assert (picture.format, picture.size) == (form.upper(), (48, 40))
-    apart = np.asarray(picture.convert("RGB"), float) - pixels(final_frame(client, f="png"))[..., :3]
+    apart = (
+        np.asarray(picture.convert("RGB"), float) - pixels(final_frame(client, f="png"))[..., :3]
+    )
     assert np.abs(apart).mean() < (1 if form == "png" else 4)
 
 
@@ -118,7 +134,14 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
     tag = full.headers["etag"]
     answer = frame(client, {"If-None-Match": f'"other", {tag}'})
     assert (answer.status_code, answer.content) == (304, b"")
-    for name in ("etag", "vary", "cache-control", "isogi-provisional", "isogi-coverage", "isogi-chunks"):
+    for name in (
+        "etag",
+        "vary",
+        "cache-control",
+        "isogi-provisional",
+        "isogi-coverage",
+        "isogi-chunks",
+    ):
         assert answer.headers[name] == full.headers[name]
     assert "encode" not in answer.headers["server-timing"]
     assert "encode;dur=" in full.headers["server-timing"]
@@ -126,7 +149,8 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
 
 def test_a_final_frame_at_its_version_address_is_immutable(client: httpx.Client) -> None:
     final = final_frame(client)
-    version, kept = final.headers["etag"].strip('"'), "max-age=31536000, immutable"
+    version = final.headers["etag"].strip('"')
+    kept = "max-age=31536000, immutable"
     assert final.headers["cache-control"] == "no-cache"
     assert final.headers["cache-status"] == "isogi-light; hit"
     named = frame(client, version=version)
@@ -151,7 +175,9 @@ def test_a_frame_that_is_not_final_tells_the_time_left(client: httpx.Client) -> 
 def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:
     view = {"isovalue": 0.55, "azimuth": 300, "max_error": 0.011}
     answer = frame(client, **view, wait_ms=10_000)
-    seconds = {name: float(spent) for name, spent in TIMING.findall(answer.headers["server-timing"])}
+    seconds = {
+        name: float(spent) for name, spent in TIMING.findall(answer.headers["server-timing"])
+    }
     total = seconds.pop("total")
     drawing = {"primary", "texels", "load", "read", "light", "shade", "normals", "edges"}
     stages = {"queue", "demand", "bake", "encode"} | drawing
@@ -160,7 +186,10 @@ def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:
 
 
 def test_the_etag_tells_views_apart(client: httpx.Client) -> None:
-    tags = [frame(client, **more).headers["etag"] for more in ({}, {"isovalue": 0.51}, {"yaw": 20}, {"azimuth": 41})]
+    tags = [
+        frame(client, **more).headers["etag"]
+        for more in ({}, {"isovalue": 0.51}, {"yaw": 20}, {"azimuth": 41})
+    ]
     assert len(set(tags)) == 4
 
 
@@ -181,7 +210,9 @@ def test_two_spellings_of_one_view_are_one_frame(client: httpx.Client) -> None:
 def test_the_picture_from_points_is_that_of_the_orbit(client: httpx.Client) -> None:
     radius = np.linalg.norm([23, 19, 15]) / 2
     orbit = final_frame(client, f="npy", elevation=0, azimuth=0, distance=4)
-    points = frame(client, f="npy", eye=f"{11.5 + 4 * radius},9.5,7.5", target="11.5,9.5,7.5", up="0,0,1")
+    points = frame(
+        client, f="npy", eye=f"{11.5 + 4 * radius},9.5,7.5", target="11.5,9.5,7.5", up="0,0,1"
+    )
     assert points.status_code == 422, "azimuth is among the view's parameters"
     query = {"f": "npy", "width": 48, "height": 40, "eye": f"{11.5 + 4 * radius},9.5,7.5"}
     points = client.get("/v1/scenes/small/frame", params=query)
@@ -195,12 +226,23 @@ def test_coverage_tells_what_the_frame_told(client: httpx.Client) -> None:
     assert answer["chunks"] == pairs(headers["isogi-chunks"])
     assert answer["coverage"] == pairs(headers["isogi-coverage"])
     surface = int((state > 0).sum())
-    assert answer["pixels"] == {"surface": surface, "final": surface, "converging": 0, "provisional": 0}
-    assert answer["error"] == pytest.approx(float(headers["isogi-error"].partition(";")[0]), abs=1e-5)
+    assert answer["pixels"] == {
+        "surface": surface,
+        "final": surface,
+        "converging": 0,
+        "provisional": 0,
+    }
+    assert answer["error"] == pytest.approx(
+        float(headers["isogi-error"].partition(";")[0]), abs=1e-5
+    )
     assert answer["provisional"] is False
-    tail = dict(part.split("=") for part in headers["isogi-error"].split("; ") if part.startswith("p99"))
+    tail = dict(
+        part.split("=") for part in headers["isogi-error"].split("; ") if part.startswith("p99")
+    )
     stated = [answer["p99"], *answer["p99_interval"]]
-    assert stated == pytest.approx([float(tail[name]) for name in ("p99", "p99-low", "p99-high")], abs=1e-5)
+    assert stated == pytest.approx(
+        [float(tail[name]) for name in ("p99", "p99-low", "p99-high")], abs=1e-5
+    )
     assert stated[1] <= stated[0] <= stated[2]
     assert answer["time_left"] == {"low": 0.0, "likely": 0.0, "high": 0.0}
 
@@ -222,30 +264,63 @@ def test_an_empty_picture_is_final(client: httpx.Client) -> None:
 
 def test_a_background_is_in_the_picture_and_its_tag(client: httpx.Client) -> None:
     afar = {"distance": 100, "f": "png", "shading": "lambert"}
-    answers = [frame(client, background=each, **afar) for each in ("dark", "light", "transparent", "#ff0000")]
+    answers = [
+        frame(client, background=each, **afar)
+        for each in ("dark", "light", "transparent", "#ff0000")
+    ]
     corners = [Image.open(io.BytesIO(answer.content)).getpixel((0, 0)) for answer in answers]
     assert corners[1:] == [(226, 228, 230), (26, 29, 34, 0), (255, 0, 0)]
     assert len({answer.headers["etag"] for answer in answers}) == 4
-    assert "jpeg" in frame(client, **{**afar, "f": "jpeg", "background": "transparent"}).json()["detail"]
+    assert (
+        "jpeg"
+        in frame(client, **{**afar, "f": "jpeg", "background": "transparent"}).json()["detail"]
+    )
 
 
 def test_pictures_are_smooth_and_npy_tells_coverage_if_asked(client: httpx.Client) -> None:
     view = {"f": "png", "shading": "lambert", "overlay": "none", "background": "dark"}
-    answers = [frame(client, **view, **asked) for asked in ({"antialias": "off"}, {"antialias": "on"}, {})]
+    answers = [
+        frame(client, **view, **asked) for asked in ({"antialias": "off"}, {"antialias": "on"}, {})
+    ]
     plain, smooth, usual = map(pixels, answers)
-    assert np.array_equal(smooth, usual) and answers[1].headers["etag"] == answers[2].headers["etag"]
+    assert (
+        np.array_equal(smooth, usual) and answers[1].headers["etag"] == answers[2].headers["etag"]
+    )
     assert smooth.mean() == pytest.approx(plain.mean(), rel=0.05)
     assert len(np.unique(smooth)) > len(np.unique(plain))
     hits, shares = (
-        numbers(frame(client, f="npy", shading="lambert", **asked))[..., 3] for asked in ({}, {"antialias": "on"})
+        numbers(frame(client, f="npy", shading="lambert", **asked))[..., 3]
+        for asked in ({}, {"antialias": "on"})
     )
     assert set(np.unique(hits)) == {0, 1} and ((shares > 0) & (shares < 1)).any()
 
 
 REFUSED = [
-    *("isovalue=0.81", "height=-3", "width=16384", "fov=180", "elevation=91", "light=0,0,0,0", "light=1,0,0"),
-    *("shading=radiosity", "f=gif", "overlay=yes", "background=grey", "background=%2312345", "wait_ms=10001"),
-    *("max_error=0", "exposure=-1", "samples=4", "colour=red", "eye=0,0,0", "isovalue=0.5&isovalue=0.5"),
+    *(
+        "isovalue=0.81",
+        "height=-3",
+        "width=16384",
+        "fov=180",
+        "elevation=91",
+        "light=0,0,0,0",
+        "light=1,0,0",
+    ),
+    *(
+        "shading=radiosity",
+        "f=gif",
+        "overlay=yes",
+        "background=grey",
+        "background=%2312345",
+        "wait_ms=10001",
+    ),
+    *(
+        "max_error=0",
+        "exposure=-1",
+        "samples=4",
+        "colour=red",
+        "eye=0,0,0",
+        "isovalue=0.5&isovalue=0.5",
+    ),
 ]
 
 
@@ -254,7 +329,11 @@ def test_bad_input_is_422_in_one_sentence(client: httpx.Client, query: str) -> N
     answer = client.get(f"/v1/scenes/small/frame?azimuth=40&{query}")
     assert answer.headers["content-type"] == "application/problem+json"
     body = answer.json()
-    assert (answer.status_code, body["status"], body["instance"]) == (422, 422, "/v1/scenes/small/frame")
+    assert (answer.status_code, body["status"], body["instance"]) == (
+        422,
+        422,
+        "/v1/scenes/small/frame",
+    )
     assert query.partition("=")[0] in body["detail"]
     assert body["detail"].endswith(".") and "\n" not in body["detail"]
 
@@ -266,12 +345,16 @@ def test_bad_input_is_422_in_one_sentence(client: httpx.Client, query: str) -> N
         ({"width": 2048, "height": 2048, "shading": "path_traced", "samples": 4096}, "paths"),
     ],
 )
-def test_a_picture_that_takes_too_much_is_422(client: httpx.Client, view: dict[str, str | int], words: str) -> None:
+def test_a_picture_that_takes_too_much_is_422(
+    client: httpx.Client, view: dict[str, str | int], words: str
+) -> None:
     answer = frame(client, **view)
     assert answer.status_code == 422 and words in answer.json()["detail"]
 
 
-@pytest.mark.parametrize("name", ["other", "..", "%2e%2e%2fsmall", "SMALL", "small%00", "http:%2f%2fexample.org"])
+@pytest.mark.parametrize(
+    "name", ["other", "..", "%2e%2e%2fsmall", "SMALL", "small%00", "http:%2f%2fexample.org"]
+)
 def test_an_unknown_scene_is_404(client: httpx.Client, name: str) -> None:
     answer = client.get(f"/v1/scenes/{name}/frame")
     assert answer.status_code == 404

@@ -1,4 +1,6 @@
-"""What clients prefer, what a frame's response says about itself, and binary answers, compressed part by part."""
+"""What clients prefer, what a frame's response says about itself, and binary answers, compressed
+part by part.
+"""
 
 import re
 import time
@@ -46,7 +48,9 @@ def test_if_none_match(header: str | None, matched: bool) -> None:
         (0.25, 0.75, "final=0.250, converging=0.000, provisional=0.750"),
     ],
 )
-def test_coverage_never_says_all_where_some_is_missing(final: float, provisional: float, text: str) -> None:
+def test_coverage_never_says_all_where_some_is_missing(
+    final: float, provisional: float, text: str
+) -> None:
     assert coverage_header({"provisional": provisional, "final": final, "converging": 0.0}) == text
 
 
@@ -60,7 +64,11 @@ def test_server_timing_is_in_milliseconds() -> None:
 
 def test_every_stage_that_is_timed_is_explained() -> None:
     sources = [path for room in ("isogi_core", "server") for path in (ROOT / room).rglob("*.py")]
-    timed = {name for path in sources for name in re.findall(r'stage\("(\w+)"', path.read_text(encoding="utf-8"))}
+    timed = {
+        name
+        for path in sources
+        for name in re.findall(r'stage\("(\w+)"', path.read_text(encoding="utf-8"))
+    }
     assert {"primary", "lobes", "encode"} <= timed <= STAGES.keys()
 
 
@@ -70,7 +78,8 @@ def test_time_left_is_in_seconds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("needed", "final", "said"), [(0, 0, "hit"), (3, 3, "hit"), (3, 1, "fwd=partial"), (3, 0, "fwd=miss")]
+    ("needed", "final", "said"),
+    [(0, 0, "hit"), (3, 3, "hit"), (3, 1, "fwd=partial"), (3, 0, "fwd=miss")],
 )
 def test_cache_status_tells_what_the_store_had(needed: int, final: int, said: str) -> None:
     assert cache_status(needed, final) == f"isogi-light; {said}"
@@ -80,20 +89,31 @@ def test_cache_status_tells_what_the_store_had(needed: int, final: int, said: st
     ("headers", "wanted"),
     [
         *[([header], Preferences(5)) for header in ("wait=5", "Wait = 5", 'wait="5"')],
-        *[(headers, Preferences(5, True)) for headers in (["respond-async, wait=5"], ["respond-async", "wait=5"])],
+        *[
+            (headers, Preferences(5, True))
+            for headers in (["respond-async, wait=5"], ["respond-async", "wait=5"])
+        ],
         *[(headers, Preferences(3)) for headers in (["wait=3, wait=5"], ["wait=3", "wait=5"])],
         *[([header], Preferences(10)) for header in ("wait=11", "wait=" + "9" * 5000)],
-        *[([header], Preferences(None, True)) for header in ("respond-async; hurry=1", "wait=nan, respond-async")],
+        *[
+            ([header], Preferences(None, True))
+            for header in ("respond-async; hurry=1", "wait=nan, respond-async")
+        ],
         (["wait=0"], Preferences(0)),
         (["return=minimal; foo, handling=strict, wait=2"], Preferences(2)),
         (['lang="a \\", wait=4", wait=2'], Preferences(2)),
         *[(headers, Preferences()) for headers in ([], ["", "  "])],
-        *[([header], Preferences()) for header in ('lang="a, respond-async, b"', 'lang="no end, respond-async')],
+        *[
+            ([header], Preferences())
+            for header in ('lang="a, respond-async, b"', 'lang="no end, respond-async')
+        ],
         *[([f"wait{value}"], Preferences()) for value in ("", "=", "=-1", "=1.5", "=1e3", "=٣")],
         ([',,;=,"\\'], Preferences()),
     ],
 )
-def test_preferences_are_read_by_the_rfc_and_nonsense_ignored(headers: list[str], wanted: Preferences) -> None:
+def test_preferences_are_read_by_the_rfc_and_nonsense_ignored(
+    headers: list[str], wanted: Preferences
+) -> None:
     assert preferences(headers) == wanted
 
 
@@ -105,7 +125,8 @@ def test_no_header_takes_long_to_read(text: str) -> None:
 
 
 def test_a_wait_is_that_of_the_parameter_where_there_is_one() -> None:
-    plain, given = FrameParams(), FrameParams(wait_ms=70)
+    plain = FrameParams()
+    given = FrameParams(wait_ms=70)
     filled, applied = Preferences(5).fill(plain)
     assert (filled.wait_ms, applied) == (5000, {"Preference-Applied": "wait=5"})
     assert Preferences(5).fill(given) == (given, {})
@@ -120,7 +141,9 @@ def noise(size: int) -> bytes:
     return RNG.integers(0, 256, size, np.uint8).tobytes()
 
 
-@pytest.mark.parametrize("data", [[], [b""], [b"light"], [noise(70_000), b"", bytes(70_000), noise(3)]])
+@pytest.mark.parametrize(
+    "data", [[], [b""], [b"light"], [noise(70_000), b"", bytes(70_000), noise(3)]]
+)
 def test_parts_are_one_member_of_gzip(data: list[bytes]) -> None:
     """Browsers read no second member; a reader checks the sum and the size at the end."""
     packed = gzipped([Part(each) for each in data])
@@ -138,6 +161,7 @@ def test_a_part_is_compressed_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return pack(*options)
 
     monkeypatch.setattr(zlib, "compressobj", counting)
-    part, other = Part(bytes(1000)), Part(noise(1000))
+    part = Part(bytes(1000))
+    other = Part(noise(1000))
     assert len(gzipped([part, other])) > len(gzipped([part, part])) and len(made) == 2
     assert part.digest == Part(bytes(1000)).digest != other.digest

@@ -59,9 +59,14 @@ async def test_a_job_runs_from_accepted_to_successful() -> None:
 
 @pytest.mark.parametrize(
     ("error", "message"),
-    [(StoreError("The store is full."), "The store is full."), (KeyError("secret"), "its log says why")],
+    [
+        (StoreError("The store is full."), "The store is full."),
+        (KeyError("secret"), "its log says why"),
+    ],
 )
-async def test_a_job_that_fails_says_why_and_no_more_than_that(error: Exception, message: str) -> None:
+async def test_a_job_that_fails_says_why_and_no_more_than_that(
+    error: Exception, message: str
+) -> None:
     async def fail(job: Job) -> list[Result]:
         job.report(0.5, "Half of it.")
         raise error
@@ -140,7 +145,9 @@ async def test_ended_jobs_are_forgotten_by_age_and_number(monkeypatch: pytest.Mo
     await jobs.close()
 
 
-def test_a_provisional_frame_is_answered_with_a_job_for_it(small_scene: Path, tmp_path: Path) -> None:
+def test_a_provisional_frame_is_answered_with_a_job_for_it(
+    small_scene: Path, tmp_path: Path
+) -> None:
     """From a store of its own: what other tests have asked for may have baked this view."""
     with serving(small_scene, tmp_path) as url, httpx.Client(base_url=url, timeout=60) as client:
         begun = client.get(FRAME, params=VIEW | {"f": "jpeg"}, headers=ASYNC)
@@ -178,11 +185,15 @@ def test_a_wait_that_is_preferred_is_waited_and_said(live_server: str) -> None:
         given = client.get("/frame", params=view | {"wait_ms": 5}, headers={"Prefer": "wait=10"})
         assert "preference-applied" not in given.headers
         tag = client.get("/frame", params=view).headers["etag"]
-        known = client.get("/frame", params=view, headers={"Prefer": "wait=1", "If-None-Match": tag})
+        known = client.get(
+            "/frame", params=view, headers={"Prefer": "wait=1", "If-None-Match": tag}
+        )
         assert (known.status_code, known.headers["etag"]) == (304, tag)
 
 
-@pytest.mark.parametrize("job", ["none", "..%2f..", "%00", "a" * 4000, "00000000-0000-0000-0000-000000000000"])
+@pytest.mark.parametrize(
+    "job", ["none", "..%2f..", "%00", "a" * 4000, "00000000-0000-0000-0000-000000000000"]
+)
 @pytest.mark.parametrize("method", ["GET", "DELETE"])
 def test_a_job_that_is_not_there_is_404(live_server: str, method: str, job: str) -> None:
     answer = httpx.request(method, f"{live_server}/v1/jobs/{job}")
@@ -223,7 +234,10 @@ def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path
     engine = RenderEngine([load_scene(small_scene)], str(tmp_path), baker=baker)
     engine.hire = lambda: None  # type: ignore[method-assign]
     path = "/v1/scenes/small/coverage?width=8&height=8&shading=lambert"
-    with live(create_app(engine, Settings()), path) as url, httpx.Client(base_url=url, timeout=60) as client:
+    with (
+        live(create_app(engine, Settings()), path) as url,
+        httpx.Client(base_url=url, timeout=60) as client,
+    ):
         begun = client.get(FRAME, params=VIEW, headers=ASYNC)
         baker.employ(cast(WorkerPool, Broken()))
         over = until_over(client, begun.headers["location"])

@@ -1,4 +1,6 @@
-"""Who leaves stops costing: what nobody waits for any more is gone from the queue, whichever way it was asked for."""
+"""Who leaves stops costing: what nobody waits for any more is gone from the queue, whichever way it
+was asked for.
+"""
 
 import asyncio
 import json
@@ -15,7 +17,9 @@ from tests.server.asking import UPGRADE
 from tests.server.idle import Idle, idle_server
 
 SOON = 20.0
-"""Seconds within which wants are gone also on a slow machine; what is not asked for again is forgotten much later."""
+"""Seconds within which wants are gone also on a slow machine; what is not asked for again is
+forgotten much later.
+"""
 
 VIEW: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 77}
 PATH = "/v1/scenes/small"
@@ -102,7 +106,9 @@ async def test_hundred_clients_that_abort_leave_nothing(idle: Idle) -> None:
         query = VIEW | {"azimuth": 3 * number, "wait_ms": 5000}
         async with httpx.AsyncClient() as client:
             with suppress(httpx.ReadTimeout):
-                await client.get(f"{idle.url}{PATH}/frame", params=query, timeout=httpx.Timeout(30, read=0.3))
+                await client.get(
+                    f"{idle.url}{PATH}/frame", params=query, timeout=httpx.Timeout(30, read=0.3)
+                )
 
     await asyncio.gather(*map(abort, range(100)))
     await idle.until(lambda: not idle.wanted, SOON)
@@ -110,6 +116,10 @@ async def test_hundred_clients_that_abort_leave_nothing(idle: Idle) -> None:
 
 
 async def test_more_streams_than_are_allowed_are_told_to_come_back(idle: Idle) -> None:
-    async with stream_of(idle), stream_of(idle), httpx.AsyncClient(base_url=idle.url + PATH, timeout=60) as client:
+    async with (
+        stream_of(idle),
+        stream_of(idle),
+        httpx.AsyncClient(base_url=idle.url + PATH, timeout=60) as client,
+    ):
         assert (await client.get("/events", params=VIEW)).status_code == 429
         assert (await client.get("/stream", headers=UPGRADE)).status_code == 429

@@ -22,7 +22,14 @@ from worker.baker import Baker
 FIND = RenderEngine._find
 SIZE = "width=24&height=24&shading=lambert"
 PATHS = (
-    *("", "/fit?azimuth=10", "/size?isovalue=0.5", f"/frame?{SIZE}", f"/coverage?{SIZE}", f"/point?{SIZE}&x=12&y=12"),
+    *(
+        "",
+        "/fit?azimuth=10",
+        "/size?isovalue=0.5",
+        f"/frame?{SIZE}",
+        f"/coverage?{SIZE}",
+        f"/point?{SIZE}&x=12&y=12",
+    ),
     *(f"/frame?{SIZE}&cut=x>12", "/slice?axis=z&at=3", "/sky", f"/card?{SIZE}", "/card/volume/0-1"),
     *("/card/chunks?width=24&height=24", "/fit?azimuth=20&environment=studio"),
 )
@@ -31,8 +38,11 @@ PATHS = (
 def test_workers_make_way_off_the_event_loop(
     small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To start the thread that lowers their priority takes until it runs, which is long where cores are busy."""
-    made, on_loop = threading.Event(), list[bool]()
+    """To start the thread that lowers their priority takes until it runs, which is long where cores
+    are busy.
+    """
+    made = threading.Event()
+    on_loop = list[bool]()
 
     def watched(baker: Baker) -> None:
         with suppress(RuntimeError):
@@ -52,7 +62,8 @@ def test_workers_make_way_off_the_event_loop(
 
 async def test_checks_of_jobs_leave_threads_to_others() -> None:
     """However many jobs have their pictures checked, and however long a step takes."""
-    release, begun = threading.Event(), list[object]()
+    release = threading.Event()
+    begun = list[object]()
 
     def check(*what: object) -> bool:
         begun.append(what)

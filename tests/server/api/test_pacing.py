@@ -1,4 +1,6 @@
-"""The parts of a stream, each alone: how large drafts are, how many pictures are under way, what breaks a limit."""
+"""The parts of a stream, each alone: how large drafts are, how many pictures are under way, what
+breaks a limit.
+"""
 
 import asyncio
 from collections.abc import Callable
@@ -26,9 +28,14 @@ from server.settings import Settings
 from tests.server.loops import IN_NO_TIME
 
 
-def settle(cost: Callable[[float], float], drafts: Drafts | None = None, shown: float = 0.0) -> list[float]:
-    """The scales of 40 drafts whose seconds follow from their scale, and which are ``shown`` for so long in full."""
-    drafts, scales = drafts or Drafts(), []
+def settle(
+    cost: Callable[[float], float], drafts: Drafts | None = None, shown: float = 0.0
+) -> list[float]:
+    """The scales of 40 drafts whose seconds follow from their scale, and which are ``shown`` for so
+    long in full.
+    """
+    drafts = drafts or Drafts()
+    scales = []
     for _ in range(40):
         scales.append(drafts.scale)
         drafts.shown(shown * drafts.scale**2)
@@ -39,9 +46,12 @@ def settle(cost: Callable[[float], float], drafts: Drafts | None = None, shown: 
 @pytest.mark.parametrize("crowded", [False, True])
 @pytest.mark.parametrize("shown", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize("full", [0.001, 0.03, 0.1, 0.17, 0.5])
-def test_drafts_are_as_large_as_they_can_come_in_time(full: float, shown: float, crowded: bool) -> None:
+def test_drafts_are_as_large_as_they_can_come_in_time(
+    full: float, shown: float, crowded: bool
+) -> None:
     scales = settle(lambda scale: full * scale**2, Drafts(crowded), shown)
-    last, half = scales[-1], (full + shown) * HALF**2
+    last = scales[-1]
+    half = (full + shown) * HALF**2
     assert len(set(scales[-20:])) == 1, "it does not swing"
     if not PACE_MARGIN * MAX_DRAFT_SECONDS < half < MAX_DRAFT_SECONDS:
         assert last == (HALF if half <= MAX_DRAFT_SECONDS else QUARTER)
@@ -65,7 +75,8 @@ def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
 
 @IN_NO_TIME
 async def test_a_third_picture_waits_until_the_first_is_shown() -> None:
-    window, full = Window(), []
+    window = Window()
+    full = []
     for wish in range(MAX_PICTURES_AHEAD):
         await asyncio.wait_for(window.room(), 0.1)
         window.sent(wish)
@@ -94,7 +105,8 @@ async def test_a_receipt_counts_for_all_pictures_before_it() -> None:
 
 @IN_NO_TIME
 async def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
-    window, loop = Window(), asyncio.get_running_loop()
+    window = Window()
+    loop = asyncio.get_running_loop()
     begun = loop.time()
     for wish in range(MAX_PICTURES_AHEAD + 1):
         await window.room()
@@ -130,7 +142,11 @@ async def read(*messages: dict[str, Any]) -> list[str | None]:
 
 @IN_NO_TIME
 async def test_messages_are_read_until_the_client_leaves() -> None:
-    assert await read(text("a"), text("é" * 128), {"type": "websocket.disconnect"}) == ["a", "é" * 128, None]
+    assert await read(text("a"), text("é" * 128), {"type": "websocket.disconnect"}) == [
+        "a",
+        "é" * 128,
+        None,
+    ]
 
 
 @IN_NO_TIME
@@ -143,7 +159,9 @@ async def test_messages_are_read_until_the_client_leaves() -> None:
         ([text("a")], CLOSE_IDLE),
     ],
 )
-async def test_what_breaks_a_limit_ends_the_stream(messages: list[dict[str, Any]], code: int) -> None:
+async def test_what_breaks_a_limit_ends_the_stream(
+    messages: list[dict[str, Any]], code: int
+) -> None:
     with pytest.raises(StreamError) as broken:
         await read(*messages)
     assert broken.value.code == code

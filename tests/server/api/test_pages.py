@@ -32,13 +32,18 @@ def test_the_viewer_and_its_files(live_server: str) -> None:
 
 def test_the_viewer_names_its_modules_at_once(live_server: str) -> None:
     """A browser would find them one import after the other."""
-    named = re.findall(r"<(web/[^>]+)>; rel=modulepreload", httpx.get(f"{live_server}/").headers["link"])
-    found, coming = {"web/main.js"}, ["web/main.js"]
+    named = re.findall(
+        r"<(web/[^>]+)>; rel=modulepreload", httpx.get(f"{live_server}/").headers["link"]
+    )
+    found = {"web/main.js"}
+    coming = ["web/main.js"]
     while coming:
         module = coming.pop()
         text = httpx.get(f"{live_server}/{module}").raise_for_status().text
         imports = re.findall(r'^(?:import|export|\}).* from "(\.[^"]+)"', text, re.MULTILINE)
-        new = {posixpath.normpath(posixpath.join(posixpath.dirname(module), each)) for each in imports} - found
+        new = {
+            posixpath.normpath(posixpath.join(posixpath.dirname(module), each)) for each in imports
+        } - found
         found |= new
         coming += new
     assert len(found) > 20 and sorted(found) == named
@@ -51,19 +56,32 @@ def test_the_documentation_needs_nothing_from_elsewhere(live_server: str) -> Non
 
 
 def test_every_route_and_parameter_is_documented(live_server: str) -> None:
-    page, api = httpx.get(f"{live_server}/docs").text, httpx.get(f"{live_server}/openapi.json").json()
+    page = httpx.get(f"{live_server}/docs").text
+    api = httpx.get(f"{live_server}/openapi.json").json()
     assert {"/v1/scenes", "/v1/scenes/{scene}/frame", "/readyz"} <= api["paths"].keys()
     for path, methods in api["paths"].items():
         for method, facts in methods.items():
             assert f"{method.upper()} {path}<" in page
             assert facts["description"]
-            assert all(f"<code>{each['name']}</code>" in page for each in facts.get("parameters", []))
+            assert all(
+                f"<code>{each['name']}</code>" in page for each in facts.get("parameters", [])
+            )
 
 
 def test_head_is_where_get_is(live_server: str) -> None:
-    paths = ("/", "/docs", "/openapi.json", "/web/style.css", "/v1/scenes", "/v1/scenes/small", "/livez", "/readyz")
+    paths = (
+        "/",
+        "/docs",
+        "/openapi.json",
+        "/web/style.css",
+        "/v1/scenes",
+        "/v1/scenes/small",
+        "/livez",
+        "/readyz",
+    )
     for path in paths:
-        head, get = httpx.head(f"{live_server}{path}"), httpx.get(f"{live_server}{path}")
+        head = httpx.head(f"{live_server}{path}")
+        get = httpx.get(f"{live_server}{path}")
         assert (head.status_code, head.content) == (200, b""), path
         assert head.headers["content-length"] == get.headers["content-length"], path
 
@@ -93,21 +111,34 @@ def app_of(
     app.include_router(health.health_router)
     engine = SimpleNamespace(notes=notes, kernels=SimpleNamespace(progress=progress))
     uploads = SimpleNamespace(notes=list)
-    app.state.service = SimpleNamespace(startup=SimpleNamespace(reasons=reasons), engine=engine, uploads=uploads)
-    app.state.closing, app.state.probe = Closing(), SimpleNamespace(reasons=of_store)
+    app.state.service = SimpleNamespace(
+        startup=SimpleNamespace(reasons=reasons), engine=engine, uploads=uploads
+    )
+    app.state.closing = Closing()
+    app.state.probe = SimpleNamespace(reasons=of_store)
     return app
 
 
 @pytest.mark.parametrize("progress", [KernelProgress(7, 24, None), KernelProgress(18, 24, 9.5)])
 def test_it_says_how_far_kernels_are_compiled(ask: Ask, progress: KernelProgress) -> None:
-    reasons = ["Compiling"] if progress.seconds is None else []
+    if progress.seconds is None:
+        reasons = ["Compiling"]
+    else:
+        reasons = []
     answer = ask(app_of(lambda: reasons, lambda: ["Compiling"], progress), "GET", "/readyz")
-    known = {} if progress.seconds is None else {"seconds": progress.seconds}
+    if progress.seconds is None:
+        known = {}
+    else:
+        known = {"seconds": progress.seconds}
     assert answer.json()["compiling"] == {"done": progress.done, "total": progress.total, **known}
-    assert (answer.status_code, answer.json()["reasons"]) == (503 if reasons else 200, ["Compiling"])
+    assert (answer.status_code, answer.json()["reasons"]) == (
+        503 if reasons else 200,
+        ["Compiling"],
+    )
 
 
-AWAY, FULL = ["No worker is alive."], ["The store is full."]
+AWAY = ["No worker is alive."]
+FULL = ["The store is full."]
 
 
 @pytest.mark.parametrize(
@@ -120,20 +151,33 @@ def test_why_it_is_not_ready(
     app = app_of(lambda: of_service, of_store=lambda: of_store)
     app.state.closing.begun = stopping
     answer = ask(app, "GET", "/readyz")
-    assert (answer.status_code, answer.json()["reasons"], answer.headers["retry-after"]) == (503, said, "1")
+    assert (answer.status_code, answer.json()["reasons"], answer.headers["retry-after"]) == (
+        503,
+        said,
+        "1",
+    )
 
 
 SECRET = "The store at /home/anna/light can only be read, key c/0/1."
 
 
-@pytest.mark.parametrize(("reasons", "notes", "status"), [([SECRET], [], 503), ([], [SECRET], 200), ([], [], 200)])
-def test_reasons_are_for_who_shows_a_token(ask: Ask, reasons: list[str], notes: list[str], status: int) -> None:
-    app = app_of(lambda: reasons, lambda: notes, guards=[Middleware(TokenBearers, bearers=[Bearer(TOKEN)])])
+@pytest.mark.parametrize(
+    ("reasons", "notes", "status"), [([SECRET], [], 503), ([], [SECRET], 200), ([], [], 200)]
+)
+def test_reasons_are_for_who_shows_a_token(
+    ask: Ask, reasons: list[str], notes: list[str], status: int
+) -> None:
+    app = app_of(
+        lambda: reasons, lambda: notes, guards=[Middleware(TokenBearers, bearers=[Bearer(TOKEN)])]
+    )
     shown = ask(app, "GET", "/readyz", headers={"Authorization": f"Bearer {TOKEN}"})
     assert (shown.status_code, shown.json()["reasons"]) == (status, reasons or notes)
     for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": "isogi=1"}):
         hidden = ask(app, "GET", "/readyz", headers=headers)
-        assert (hidden.status_code, len(hidden.json()["reasons"])) == (status, len(reasons or notes))
+        assert (hidden.status_code, len(hidden.json()["reasons"])) == (
+            status,
+            len(reasons or notes),
+        )
         assert hidden.json()["ready"] is (status == 200)
         assert "anna" not in hidden.text and "c/0/1" not in hidden.text
 
@@ -143,5 +187,7 @@ def test_a_store_that_became_read_only_is_no_reason(ask: Ask) -> None:
     read_only = list[bool]()
     reasons = lambda: [] if read_only else ["Baking waits for the store."]  # noqa: E731
     probed = lambda: read_only.append(True) or []  # type: ignore[func-returns-value]  # noqa: E731
-    answer = ask(app_of(reasons, lambda: ["The store can only be read."], of_store=probed), "GET", "/readyz")
+    answer = ask(
+        app_of(reasons, lambda: ["The store can only be read."], of_store=probed), "GET", "/readyz"
+    )
     assert (answer.status_code, answer.json()["reasons"]) == (200, ["The store can only be read."])

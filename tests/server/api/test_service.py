@@ -52,11 +52,15 @@ class FakeKernels:
 
     @property
     def progress(self) -> KernelProgress | None:
-        return None if self.compiled.is_set() else KernelProgress(7, 24, 40.0)
+        if self.compiled.is_set():
+            return None
+        return KernelProgress(7, 24, 40.0)
 
     @property
     def compiling(self) -> str:
-        return "" if self.compiled.is_set() else "Compiling, once on this machine: 7 of 24, about 40 s left."
+        if self.compiled.is_set():
+            return ""
+        return "Compiling, once on this machine: 7 of 24, about 40 s left."
 
     def others(self) -> None:
         assert self.compiled.wait(10)
@@ -74,7 +78,8 @@ class FakeEngine:
         self.wants: list[Viewer] = []
         self.left: list[Viewer] = []
         self.coming: frozenset[Index] = frozenset()
-        self.version, self.state = "v1", PROVISIONAL
+        self.version = "v1"
+        self.state = PROVISIONAL
         self.took: dict[str, float] = {}
         self.publish: Listener = lambda *_: None
         self.startable: Exception | None = None
@@ -107,15 +112,21 @@ class FakeEngine:
         self.closed = True
 
     def notes(self) -> list[str]:
-        return [self.kernels.compiling] if self.kernels.compiling else []
+        if self.kernels.compiling:
+            return [self.kernels.compiling]
+        return []
 
     def unready(self) -> list[str]:
         return ["No worker is alive."]
 
-    def unlit_frame(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+    def unlit_frame(
+        self, scene: str, view: View, target: float, cancelled: threading.Event
+    ) -> Frame | None:
         return None
 
-    def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
+    def survey(
+        self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch
+    ) -> Frame:
         self.views.append((view, target))
         self.doing(cancelled)
         return self.picture(view, watch)
@@ -123,10 +134,14 @@ class FakeEngine:
     def picture(self, view: View, watch: Stopwatch) -> Frame:
         watch.seconds |= self.took
         shape = (view.height, view.width)
-        colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
+        colour = np.full((*shape, 3), 0.5, np.float32)
+        ones = np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
-        surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        state, quality = np.full(shape, self.state, np.uint8), Quality(chunks=(3, 1))
+        surface = GBuffer(
+            shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3)
+        )
+        state = np.full(shape, self.state, np.uint8)
+        quality = Quality(chunks=(3, 1))
         return Frame(view, colour, state, ones, surface, self.version, watch.seconds, quality)
 
     def grow(self, _: threading.Event) -> None:
@@ -184,7 +199,9 @@ async def asking(app: FastAPI) -> AsyncIterator[httpx.AsyncClient]:
 async def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
     """Answers to frame requests sent at the same time."""
     async with asking(app) as client:
-        answers = await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+        answers = await asyncio.gather(
+            *(client.get(FRAME, params={"width": 4, **q}) for q in queries)
+        )
     app.state.service.engine.kernels.compiled.set()  # or the loop waits at its end for who compiles
     return answers
 
@@ -201,7 +218,9 @@ def test_until_the_engine_is_up_frames_are_503_and_scenes_listed(
     assert ask(app, "GET", "/v1/scenes").json()["scenes"][0]["id"] == "orbital"
 
 
-async def test_a_engine_that_does_not_start_is_told_and_never_asked(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_engine_that_does_not_start_is_told_and_never_asked(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     engine.startable = StoreError("The store is full.")
     (answer,) = await started(app, {})
     assert answer.status_code == 503
@@ -216,7 +235,9 @@ def test_what_the_engine_misses_is_told(ask: Callable[..., httpx.Response], app:
 
 
 async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
-    (answer,) = await started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
+    (answer,) = await started(
+        app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"}
+    )
     assert answer.status_code == 200, answer.text
     view, target = engine.views[0]
     assert (view.width, view.height, view.isovalue, target) == (4, 3, 0.3, 0.1)
@@ -229,16 +250,27 @@ async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: Fas
 
 
 async def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
-    plain, *marked = answers = await started(app, {}, {"overlay": "provisional"}, {"overlay": "error"})
+    plain, *marked = answers = await started(
+        app, {}, {"overlay": "provisional"}, {"overlay": "error"}
+    )
     assert all(answer.content != plain.content for answer in marked)
     assert len({answer.headers["etag"] for answer in answers}) == 3
 
 
 @pytest.mark.parametrize(
     "query",
-    [{"isovalue": "nan"}, {"width": 0}, {"colour": 1}, {"yaw": 5}, {"light": "0,1,0,0"}, {"up": "0,0,0"}],
+    [
+        {"isovalue": "nan"},
+        {"width": 0},
+        {"colour": 1},
+        {"yaw": 5},
+        {"light": "0,1,0,0"},
+        {"up": "0,0,0"},
+    ],
 )
-async def test_a_refused_view_never_reaches_the_engine(engine: FakeEngine, app: FastAPI, query: dict[str, Any]) -> None:
+async def test_a_refused_view_never_reaches_the_engine(
+    engine: FakeEngine, app: FastAPI, query: dict[str, Any]
+) -> None:
     (answer,) = await started(app, query)
     assert answer.status_code == 422, answer.text
     assert not engine.views
@@ -259,7 +291,9 @@ async def test_errors_at_work_are_problems(engine: FakeEngine, app: FastAPI) -> 
     assert (answer.status_code, answer.json()["detail"]) == (503, "The store does not answer.")
 
 
-async def test_beyond_the_queue_is_429_and_the_rest_is_served(engine: FakeEngine, app: FastAPI) -> None:
+async def test_beyond_the_queue_is_429_and_the_rest_is_served(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     release = threading.Event()
     engine.doing = lambda _: None if release.wait(10) else pytest.fail("nobody was refused")
     answers = await crowd(app, 14, release)
@@ -271,7 +305,9 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
     """Answers to so many clients at once, in the order they came; frames are held until the 6th."""
     async with asking(app) as client:
         answers: list[httpx.Response] = []
-        for answer in asyncio.as_completed([client.get(FRAME, params={"width": 4}) for _ in range(clients)]):
+        for answer in asyncio.as_completed(
+            [client.get(FRAME, params={"width": 4}) for _ in range(clients)]
+        ):
             answers.append(await answer)
             if len(answers) == 6:
                 release.set()
@@ -279,7 +315,8 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
 
 
 def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
-    begun, seen = threading.Event(), threading.Event()
+    begun = threading.Event()
+    seen = threading.Event()
 
     def work(cancelled: threading.Event) -> None:
         begun.set()
@@ -303,13 +340,17 @@ def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, ap
     assert len(engine.wants) == 1
 
 
-async def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEngine, app: FastAPI) -> None:
+async def test_requests_for_the_same_at_the_same_time_share_one_render(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     renders = app.state.service.threads.pictures
     together = threading.Event()
 
     def work(_: threading.Event) -> None:
         """Takes until all have asked."""
-        if not together.is_set() and wait_for(lambda: sum(each.waiting for each in [*renders._flights.values()]) == 4):
+        if not together.is_set() and wait_for(
+            lambda: sum(each.waiting for each in [*renders._flights.values()]) == 4
+        ):
             together.set()
 
     engine.doing = work
@@ -320,8 +361,11 @@ async def test_requests_for_the_same_at_the_same_time_share_one_render(engine: F
     assert answers[0].content == answers[3].content
 
 
-def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
-    begun, release = threading.Event(), threading.Event()
+def test_leaving_a_shared_render_does_not_end_it_for_others(
+    engine: FakeEngine, app: FastAPI
+) -> None:
+    begun = threading.Event()
+    release = threading.Event()
 
     def work(cancelled: threading.Event) -> None:
         begun.set()
@@ -343,7 +387,9 @@ def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, 
 
 
 @pytest.mark.slow
-async def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_frame_is_drawn_again_once_all_its_light_is_there(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
 
     def bake(_: threading.Event) -> None:
@@ -353,7 +399,8 @@ async def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEn
             threading.Timer(0.2, finish).start()
 
     def finish() -> None:
-        engine.coming, engine.version = frozenset(), "v2"
+        engine.coming = frozenset()
+        engine.version = "v2"
         engine.publish("orbital", (0, 0, 2), False)
 
     engine.doing = bake
@@ -364,7 +411,9 @@ async def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEn
     assert 100.0 < bake_ms < 5000.0
 
 
-async def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine, app: FastAPI) -> None:
+async def test_pictures_are_drawn_while_asking_for_light_takes_long(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     """The queue of bakes may be busy for as many requests as there are threads that render."""
     drawn = threading.Event()
 
@@ -376,7 +425,8 @@ async def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: Fake
         if len(engine.views) == 8:
             drawn.set()
 
-    engine.want, engine.doing = want, work  # type: ignore[method-assign]
+    engine.want = want
+    engine.doing = work  # type: ignore[method-assign]
     answers = await started(app, *({"azimuth": azimuth} for azimuth in range(8)))
     assert [answer.status_code for answer in answers] == [200] * 8
 
@@ -386,7 +436,8 @@ async def test_large_pictures_are_drawn_one_at_a_time(
 ) -> None:
     """Each takes memory besides what is kept."""
     monkeypatch.setattr(service_module, "LARGE_PICTURE_PIXELS", 100)
-    drawing, most = set[int](), [0]
+    drawing = set[int]()
+    most = [0]
 
     def work(_: threading.Event) -> None:
         drawing.add(threading.get_ident())
@@ -401,7 +452,9 @@ async def test_large_pictures_are_drawn_one_at_a_time(
 
 
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
-    """Ask for a frame and disconnect once its work has begun; it has been left when the loop has ended."""
+    """Ask for a frame and disconnect once its work has begun; it has been left when the loop has
+    ended.
+    """
     await app.state.service.start()
 
     async def receive() -> dict[str, Any]:
@@ -414,8 +467,19 @@ async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
 
     query = f"width=4&wait_ms={wait_ms}".encode()
     scope = {
-        **{"type": "http", "http_version": "1.1", "method": "GET", "path": FRAME, "raw_path": FRAME.encode()},
-        **{"query_string": query, "headers": [(b"host", b"localhost")], "scheme": "http", "root_path": ""},
+        **{
+            "type": "http",
+            "http_version": "1.1",
+            "method": "GET",
+            "path": FRAME,
+            "raw_path": FRAME.encode(),
+        },
+        **{
+            "query_string": query,
+            "headers": [(b"host", b"localhost")],
+            "scheme": "http",
+            "root_path": "",
+        },
         **{"server": ("localhost", 80), "client": ("localhost", 1)},
     }
     await app(scope, receive, send)  # type: ignore[arg-type]
@@ -432,7 +496,8 @@ async def watching(service: Service, viewer: Viewer) -> AsyncIterator[Any]:
 
 
 async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) -> float:
-    """Seconds from when the first picture of a view was looked at for ``rest`` seconds until a better one comes.
+    """Seconds from when the first picture of a view was looked at for ``rest`` seconds until a
+    better one comes.
 
     A chunk has new light a tenth of a second after that.
     """
@@ -449,8 +514,12 @@ async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) 
 async def test_first_light_is_shown_as_soon_as_it_comes(
     engine: FakeEngine, app: FastAPI, state: int, at_once: bool
 ) -> None:
-    """A picture of a quarter of a second is drawn again after three; without any light in it, at once."""
-    engine.coming, engine.doing, engine.state = frozenset({(0, 0, 1), (0, 0, 2)}), engine.grow, state
+    """A picture of a quarter of a second is drawn again after three; without any light in it, at
+    once.
+    """
+    engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
+    engine.doing = engine.grow
+    engine.state = state
     engine.took = {"shade": 0.25, "primary": 60.0}  # the latter is kept
     took = await second_after(engine, app.state.service)
     assert took < 0.7 if at_once else 0.7 < took < 30.0
@@ -460,8 +529,12 @@ async def test_first_light_is_shown_as_soon_as_it_comes(
 async def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
     younger: float, engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A light takes as long to become visibly better as it has been baked for, times a share; not longer, though."""
-    engine.coming, engine.doing, engine.state = frozenset({(0, 0, 1), (0, 0, 2)}), engine.grow, CONVERGING
+    """A light takes as long to become visibly better as it has been baked for, times a share; not
+    longer, though.
+    """
+    engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
+    engine.doing = engine.grow
+    engine.state = CONVERGING
     engine.took = {"shade": 1e-3}
     monkeypatch.setattr(service_module, "YOUNGER", younger)
     monkeypatch.setattr(service_module, "LONGEST_PAUSE", 0.9)
@@ -472,7 +545,9 @@ async def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
 async def test_light_of_a_new_view_is_requested_before_it_is_drawn(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For a viewer that may have light baked, and for no other; nor where others wait for their turn."""
+    """For a viewer that may have light baked, and for no other; nor where others wait for their
+    turn.
+    """
     drawn = list[int]()
 
     async def first(viewer: Viewer) -> None:
@@ -480,7 +555,9 @@ async def test_light_of_a_new_view_is_requested_before_it_is_drawn(
             pass
 
     engine.doing = lambda _: drawn.append(len(engine.wants))
-    monkeypatch.setattr(engine, "unlit_frame", lambda _scene, view, *_: engine.picture(view, Stopwatch()))
+    monkeypatch.setattr(
+        engine, "unlit_frame", lambda _scene, view, *_: engine.picture(view, Stopwatch())
+    )
     await first(Viewer("a"))
     assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
     await first(Viewer("b", bakes=False))
@@ -497,12 +574,17 @@ async def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app
     assert engine.closed
 
 
-async def test_while_kernels_are_compiled_pictures_have_no_light(engine: FakeEngine, app: FastAPI) -> None:
+async def test_while_kernels_are_compiled_pictures_have_no_light(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     engine.kernels.compiled.clear()
     lit, plain = await started(app, {"f": "png"}, {"shading": "phong"})
     assert [answer.status_code for answer in (lit, plain)] == [200, 200]
     assert lit.headers["isogi-provisional"] == "?1"
-    assert [(view.shading, view.smooth) for view, _ in engine.views] == [("lambert", False), ("phong", False)]
+    assert [(view.shading, view.smooth) for view, _ in engine.views] == [
+        ("lambert", False),
+        ("phong", False),
+    ]
 
 
 def test_while_kernels_are_compiled_the_server_says_how_far(
@@ -515,13 +597,17 @@ def test_while_kernels_are_compiled_the_server_says_how_far(
     assert ask(app, "GET", "/readyz").json()["reasons"] == [starting.json()["detail"]]
 
 
-def test_a_store_is_not_read_only_while_kernels_are_compiled(engine: FakeEngine, app: FastAPI, scene: Scene) -> None:
+def test_a_store_is_not_read_only_while_kernels_are_compiled(
+    engine: FakeEngine, app: FastAPI, scene: Scene
+) -> None:
     engine.kernels.compiled.clear()
     facts = scene_facts(scene, scene, None, app.state.service)
     assert facts.plan.notes[-1] == engine.kernels.compiling and not facts.read_only
 
 
-async def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_view_at_rest_is_lit_once_kernels_are_there(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     engine.kernels.compiled.clear()
     async with watching(app.state.service, Viewer("a")) as refinements:
         engine.kernels.compiled.set()
@@ -536,7 +622,9 @@ async def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEn
         await service.frame(picture, Rank(0.0), Stopwatch())
 
 
-async def test_a_view_whose_light_does_not_fit_is_shown_without(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_view_whose_light_does_not_fit_is_shown_without(
+    engine: FakeEngine, app: FastAPI
+) -> None:
     def refuse(_: threading.Event) -> None:
         if engine.views[-1][0].shading == "gi":
             raise NoRoomError("The light of this view does not fit the memory.")
@@ -559,12 +647,18 @@ def startup(did: list[str]) -> Startup:
     kernels = SimpleNamespace(progress=None, others=lambda: did.append("others"))
     engine: Any = SimpleNamespace(
         **{name: lambda name=name: did.append(name) for name in ("open", "light")},
-        **{"kernels": kernels, "stop": lambda: None, "scenes": {"one": "a scene", "other": "another"}},
+        **{
+            "kernels": kernels,
+            "stop": lambda: None,
+            "scenes": {"one": "a scene", "other": "another"},
+        },
     )
     return Startup(engine)
 
 
-async def test_what_visitors_ask_for_is_surveyed_once_there_is_light(startup: Startup, did: list[str]) -> None:
+async def test_what_visitors_ask_for_is_surveyed_once_there_is_light(
+    startup: Startup, did: list[str]
+) -> None:
     await startup.run(lambda: did.append("prepare"), did.append)  # type: ignore[arg-type]
     assert startup.lit.is_set() and not startup.failure
     await startup.others("phong", 5.0)
@@ -574,7 +668,8 @@ async def test_what_visitors_ask_for_is_surveyed_once_there_is_light(startup: St
 
 async def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
     """A server of many scenes would stop late."""
-    surveyed, loop = asyncio.Event(), asyncio.get_running_loop()
+    surveyed = asyncio.Event()
+    loop = asyncio.get_running_loop()
 
     def survey(scene: str) -> None:
         did.append(scene)

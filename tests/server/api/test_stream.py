@@ -1,4 +1,6 @@
-"""The stream over a real socket: what a client sends, what it is sent, and what of it the baker still wants."""
+"""The stream over a real socket: what a client sends, what it is sent, and what of it the baker
+still wants.
+"""
 
 import asyncio
 import json
@@ -54,7 +56,9 @@ class Client:
 @pytest.fixture
 async def client(live_server: str) -> AsyncIterator[Client]:
     """A client that is connected."""
-    async with connect(live_server.replace("http", "ws") + "/v1/scenes/small/stream", max_size=None) as socket:
+    async with connect(
+        live_server.replace("http", "ws") + "/v1/scenes/small/stream", max_size=None
+    ) as socket:
         yield Client(socket)
 
 
@@ -66,15 +70,25 @@ async def test_drafts_come_first_then_full_pictures_until_final(client: Client) 
     view = {**VIEW, "isovalue": 0.41, "azimuth": 217, "max_error": 0.3}
     await client.say(id=1, view=view, moving=True)
     draft, picture = await client.hear()
-    assert (draft["id"], draft["draft"], draft["final"], draft["media_type"]) == (1, True, False, "image/jpeg")
+    assert (draft["id"], draft["draft"], draft["final"], draft["media_type"]) == (
+        1,
+        True,
+        False,
+        "image/jpeg",
+    )
     assert (draft["width"], draft["height"]) == (24, 20)
     assert picture[:3] == b"\xff\xd8\xff"
     await client.say(shown=1)
     await client.say(id=2, view=view)
     heard = await client.final(2)
     facts = [each for each, _ in heard]
-    assert all((each["id"], each["draft"], each["width"], each["height"]) == (2, False, 48, 40) for each in facts)
-    assert facts[0]["facts"]["provisional"], "the full picture comes at once, with the light that there is"
+    assert all(
+        (each["id"], each["draft"], each["width"], each["height"]) == (2, False, 48, 40)
+        for each in facts
+    )
+    assert facts[0]["facts"]["provisional"], (
+        "the full picture comes at once, with the light that there is"
+    )
     assert len(facts) > 1, "and again when there is more"
     shares = [each["facts"]["coverage"]["final"] for each in facts]
     assert shares == sorted(shares)
@@ -84,16 +98,22 @@ async def test_drafts_come_first_then_full_pictures_until_final(client: Client) 
 
 
 @pytest.mark.parametrize("form", ["png", "npy"])
-async def test_the_picture_at_rest_is_that_of_the_frame(client: Client, live_server: str, form: str) -> None:
+async def test_the_picture_at_rest_is_that_of_the_frame(
+    client: Client, live_server: str, form: str
+) -> None:
     await client.say(id=3, view={**VIEW, "f": form, "yaw": 30})
     assert (await client.final(3))[-1][1] == frame(live_server, f=form, yaw=30).content
 
 
-async def test_numbers_may_be_numbers_and_rows_may_be_lists(client: Client, live_server: str) -> None:
+async def test_numbers_may_be_numbers_and_rows_may_be_lists(
+    client: Client, live_server: str
+) -> None:
     view = {"width": 32, "height": 32, "eye": [60.0, 9.5, 7.5], "target": [11.5, 9.5, 7.5]}
     query = {**view, "eye": "60,9.5,7.5", "target": "11.5,9.5,7.5"}
     await client.say(id=0, view=view)
-    assert (await client.final(0))[-1][1] == httpx.get(f"{live_server}/v1/scenes/small/frame", params=query).content
+    assert (await client.final(0))[-1][1] == httpx.get(
+        f"{live_server}/v1/scenes/small/frame", params=query
+    ).content
 
 
 async def test_the_newest_view_wins(client: Client) -> None:
@@ -105,7 +125,9 @@ async def test_the_newest_view_wins(client: Client) -> None:
 
 
 async def test_work_on_an_older_view_ends(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, ended, survey = threading.Event(), threading.Event(), RenderEngine.survey
+    begun = threading.Event()
+    ended = threading.Event()
+    survey = RenderEngine.survey
 
     def watched(engine: RenderEngine, scene: str, view: View, *more: Any) -> Frame:
         if view.width != 1024:
@@ -118,7 +140,9 @@ async def test_work_on_an_older_view_ends(client: Client, monkeypatch: pytest.Mo
             raise
 
     monkeypatch.setattr(RenderEngine, "survey", watched)
-    await client.say(id=1, view={"width": 1024, "height": 1024, "shading": "path_traced", "samples": 64})
+    await client.say(
+        id=1, view={"width": 1024, "height": 1024, "shading": "path_traced", "samples": 64}
+    )
     assert await asyncio.to_thread(begun.wait, PATIENCE)
     await client.say(id=2, view=VIEW)
     facts, _ = await client.hear()
@@ -129,7 +153,10 @@ async def test_work_on_an_older_view_ends(client: Client, monkeypatch: pytest.Mo
 BAD = [
     *[(f'{{"id": 5, "view": {view}}}', "view") for view in ("[]", "7")],
     *[(f'{{"id": 5, "view": {{"width": {width}}}}}', "width") for width in ("0", "true")],
-    *[(f'{{"id": 5, "view": {{"isovalue": {value}}}}}', "isovalue") for value in ('"nan"', '"\\ud800"')],
+    *[
+        (f'{{"id": 5, "view": {{"isovalue": {value}}}}}', "isovalue")
+        for value in ('"nan"', '"\\ud800"')
+    ],
     *[(f'{{"id": 5, "view": {{"{name}": 5}}}}', name) for name in ("colour", "wait_ms")],
     *[(f'{{"id": 5, "{name}": 1}}', name) for name in ("moving", "speed")],
     *[(text, "id") for text in ('{"id": -1}', '{"id": 0.5}', '{"view": {}}')],
@@ -152,7 +179,9 @@ async def test_a_bad_message_is_a_problem_and_the_stream_stays_open(client: Clie
     assert (await client.hear())[0]["id"] == 6
 
 
-async def test_no_more_than_two_pictures_are_under_way(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_no_more_than_two_pictures_are_under_way(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(window, "RECEIPT_SECONDS", PATIENCE)
     for wish in range(2):
         await client.say(id=wish, view=VIEW, moving=True)
@@ -166,7 +195,9 @@ async def test_no_more_than_two_pictures_are_under_way(client: Client, monkeypat
 
 
 @pytest.mark.parametrize("message", ["x" * 20_000, b"binary"])
-async def test_a_message_that_breaks_a_limit_ends_the_stream(client: Client, message: str | bytes) -> None:
+async def test_a_message_that_breaks_a_limit_ends_the_stream(
+    client: Client, message: str | bytes
+) -> None:
     await client.socket.send(message)
     with pytest.raises(ConnectionClosed):
         await client.hear()

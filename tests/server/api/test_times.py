@@ -1,4 +1,6 @@
-"""A series in time over HTTP: its steps are views of one scene, and the light of one stands in for that of the next."""
+"""A series in time over HTTP: its steps are views of one scene, and the light of one stands in for
+that of the next.
+"""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -28,7 +30,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def client(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    with serving(scene, tmp_path_factory.mktemp("light")) as url, httpx.Client(base_url=url) as client:
+    with (
+        serving(scene, tmp_path_factory.mktemp("light")) as url,
+        httpx.Client(base_url=url) as client,
+    ):
         yield client
 
 
@@ -37,7 +42,9 @@ def frame(client: httpx.Client, scene: str = "series", **query: int) -> np.ndarr
     return numbers(final(client, scene, **SMALL, azimuth=10, **query))
 
 
-def test_a_step_is_the_scene_of_that_step(client: httpx.Client, scene: Path, tmp_path: Path) -> None:
+def test_a_step_is_the_scene_of_that_step(
+    client: httpx.Client, scene: Path, tmp_path: Path
+) -> None:
     alone = scene.with_name("alone.toml")
     alone.write_text(SCENE.replace("time=0", "time=2"))
     with serving(alone, tmp_path) as url, httpx.Client(base_url=url) as other:
@@ -51,7 +58,11 @@ def test_a_step_is_the_scene_of_that_step(client: httpx.Client, scene: Path, tmp
 
 def test_the_document_tells_the_steps(client: httpx.Client) -> None:
     facts = client.get("/v1/scenes/series").json()
-    assert (facts["volume"]["time"], facts["volume"]["times"], facts["defaults"]["time"]) == (0, STEPS, 0)
+    assert (facts["volume"]["time"], facts["volume"]["times"], facts["defaults"]["time"]) == (
+        0,
+        STEPS,
+        0,
+    )
     assert facts["ranges"]["time"] == {"min": 0, "max": STEPS - 1}
     other = client.get("/v1/scenes/series", params={"time": 3}).json()
     assert (other["id"], other["name"], other["volume"]["time"]) == ("series", facts["name"], 3)
@@ -59,9 +70,15 @@ def test_the_document_tells_the_steps(client: httpx.Client) -> None:
 
 
 @pytest.mark.parametrize(("asked", "time"), [({}, 0), ({"time": 2}, 2)])
-def test_a_slice_is_of_its_step(client: httpx.Client, scene: Path, asked: dict[str, int], time: int) -> None:
-    told = numbers(client.get("/v1/scenes/series/slice", params={"axis": "z", "at": 7, "f": "npy", **asked}))
-    np.testing.assert_allclose(told, np.load(scene.with_name("series.npy"))[time, 7, ::-1], atol=1e-6)
+def test_a_slice_is_of_its_step(
+    client: httpx.Client, scene: Path, asked: dict[str, int], time: int
+) -> None:
+    told = numbers(
+        client.get("/v1/scenes/series/slice", params={"axis": "z", "at": 7, "f": "npy", **asked})
+    )
+    np.testing.assert_allclose(
+        told, np.load(scene.with_name("series.npy"))[time, 7, ::-1], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("time", ["4", "-1", "1.5"])
@@ -92,12 +109,16 @@ def view_of(engine: RenderEngine) -> View:
 def error_of(found: Frame, wanted: Frame) -> float:
     """RMSE of the surface's radiance over its mean."""
     on = wanted.state > 0
-    return float(np.sqrt(((found.radiance - wanted.radiance)[on] ** 2).mean()) / wanted.radiance[on].mean())
+    return float(
+        np.sqrt(((found.radiance - wanted.radiance)[on] ** 2).mean()) / wanted.radiance[on].mean()
+    )
 
 
 async def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inline: None) -> None:
     series.start()
-    variants, own, view = Variants(series, lambda name: None), series.scenes["series"], view_of(series)
+    variants = Variants(series, lambda name: None)
+    own = series.scenes["series"]
+    view = view_of(series)
     bare = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
     assert not series.frame("series", view, wait=LONG).provisional
     series.dismiss("series@+1")
@@ -110,7 +131,8 @@ async def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inli
 
 
 async def test_few_steps_are_in_memory(series: RenderEngine) -> None:
-    variants, own = Variants(series, lambda name: name, room=0), series.scenes["series"]
+    variants = Variants(series, lambda name: name, room=0)
+    own = series.scenes["series"]
     for time in (1, 2, 3):
         await variants.of(own, Change(time=time))
     assert set(series.scenes) == {"series", "series@+2", "series@+3"}

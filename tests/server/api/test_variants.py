@@ -1,4 +1,6 @@
-"""Light and materials that a view names, over a real socket: frames, documents, skies, streams, and what is refused."""
+"""Light and materials that a view names, over a real socket: frames, documents, skies, streams, and
+what is refused.
+"""
 
 from contextlib import closing
 from pathlib import Path
@@ -27,7 +29,9 @@ def frame(client: httpx.Client, **more: str | float) -> np.ndarray:
 
 
 def traced(scene: Path, place: Path, **settings: object) -> np.ndarray:
-    """The path-traced radiance of the same view of a scene that has these settings by itself; (h, w, 3)."""
+    """The path-traced radiance of the same view of a scene that has these settings by itself; (h,
+    w, 3).
+    """
     loaded = load_scene(scene, **settings)
     with closing(RenderEngine([loaded], place, workers=1)) as engine:
         engine.start(hire=False)
@@ -40,7 +44,11 @@ def traced(scene: Path, place: Path, **settings: object) -> np.ndarray:
     [
         ({"environment": "overcast"}, {"environment": "overcast"}, 0.05),
         ({"material": "glass,index=1.3"}, {"material": "glass", "index": 1.3}, 0.03),
-        ({"material": "subsurface,mean_free_path=1"}, {"material": "subsurface", "mean_free_path": 1}, 0.06),
+        (
+            {"material": "subsurface,mean_free_path=1"},
+            {"material": "subsurface", "mean_free_path": 1},
+            0.06,
+        ),
     ],
     ids=["light", "glass", "wax"],
 )
@@ -61,7 +69,11 @@ def test_a_view_has_the_light_and_material_that_it_names(
 
 def test_going_back_to_a_light_bakes_nothing(client: httpx.Client) -> None:
     def paths() -> list[str]:
-        return [line for line in client.get("/metrics").text.splitlines() if line.startswith("isogi_paths_total")]
+        return [
+            line
+            for line in client.get("/metrics").text.splitlines()
+            if line.startswith("isogi_paths_total")
+        ]
 
     for name in ("studio", "overcast", "studio"):
         frame(client, environment=name)
@@ -83,7 +95,9 @@ def test_the_document_is_of_the_light_that_is_named(client: httpx.Client) -> Non
     own, lit = documents(client, environment="evening")
     assert (own["environment"], lit["environment"]) == (None, "evening")
     assert [each["id"] for each in own["environments"]] == list(ENVIRONMENTS)  # type: ignore[attr-defined]
-    assert lit["lights"] == [{"type": "environment", "name": ENVIRONMENTS["evening"]}] != own["lights"]
+    assert (
+        lit["lights"] == [{"type": "environment", "name": ENVIRONMENTS["evening"]}] != own["lights"]
+    )
     assert lit["defaults"]["exposure"] != own["defaults"]["exposure"]  # type: ignore[index]
     assert client.get("/v1/scenes/small@evening").status_code == 404
 
@@ -92,7 +106,9 @@ def test_the_document_tells_materials_and_is_of_the_one_named(client: httpx.Clie
     own, wax = documents(client, material="subsurface,mean_free_path=3")
     assert (own["material"], wax["material"]) == ("diffuse", "subsurface,mean_free_path=3.0")
     told = {each["kind"]: each for each in own["materials"]}  # type: ignore[attr-defined]
-    assert list(told) == ["diffuse", "glass", "subsurface"] and not any(each["refused"] for each in told.values())
+    assert list(told) == ["diffuse", "glass", "subsurface"] and not any(
+        each["refused"] for each in told.values()
+    )
     assert told["glass"]["numbers"] == {"index": 1.5, "absorption": 0.0}
     assert told["subsurface"]["numbers"]["mean_free_path"] > 0 and told["diffuse"]["numbers"] == {}
     assert own["turns"] and not wax["turns"]
@@ -104,7 +120,9 @@ def test_the_document_of_a_cut_has_the_scenes_own_name(client: httpx.Client) -> 
 
 
 @pytest.mark.parametrize("route", ["", "/frame", "/coverage", "/events"])
-@pytest.mark.parametrize("query", ["environment=moon", "environment=", "material=jelly", "material=glass,index=9"])
+@pytest.mark.parametrize(
+    "query", ["environment=moon", "environment=", "material=jelly", "material=glass,index=9"]
+)
 def test_what_is_no_light_or_material_is_422(client: httpx.Client, route: str, query: str) -> None:
     answer = client.get(f"{SCENE}{route}?{query}")
     assert answer.status_code == 422 and answer.json()["parameter"] == query.partition("=")[0]
@@ -123,7 +141,11 @@ def test_a_job_for_a_variant_leads_to_its_picture(client: httpx.Client) -> None:
         assert "small@" not in answer.json()["links"][0]["title"]
         while (job := client.get(answer.headers["location"]).json())["status"] != "successful":
             assert job["status"] in ("accepted", "running")
-        (href,) = (link["href"] for link in job["links"] if link["rel"] != "self" and "/frame?" in link["href"])
+        (href,) = (
+            link["href"]
+            for link in job["links"]
+            if link["rel"] != "self" and "/frame?" in link["href"]
+        )
         assert href.startswith(f"{SCENE}/frame?") and "environment=noon" in href
         assert client.get(href).headers["isogi-provisional"] == "?0"
 

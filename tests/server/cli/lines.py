@@ -8,7 +8,9 @@ from server.cli.command import cli
 
 
 def parsed(line: str) -> click.Context:
-    """What a line such as ``isogi render a.toml -o a.png  # comment`` gives its command. Raises ClickException."""
+    """What a line such as ``isogi render a.toml -o a.png  # comment`` gives its command. Raises
+    ClickException.
+    """
     program, *words = shlex.split(line, comments=True)
     assert program == "isogi"
     command: click.Command | None = cli

@@ -44,10 +44,15 @@ def test_options_are_those_of_http_and_of_the_settings() -> None:
 
 
 @pytest.mark.parametrize("target", ["none.nhdr", "demo:none", "small.zarr#time=3"])
-def test_a_file_in_place_of_a_command_is_served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, target: str) -> None:
+def test_a_file_in_place_of_a_command_is_served(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, target: str
+) -> None:
     served: list[str] = []
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("server.cli.serve.serve", lambda target, settings: served.append(f"{target} {settings.port}"))
+    monkeypatch.setattr(
+        "server.cli.serve.serve",
+        lambda target, settings: served.append(f"{target} {settings.port}"),
+    )
     monkeypatch.setattr("server.cli.command.start_fork_server", lambda: None)
     assert run([target, "--port", "8123"]) == 0
     assert served == [f"{target} 8123"]
@@ -55,16 +60,25 @@ def test_a_file_in_place_of_a_command_is_served(monkeypatch: pytest.MonkeyPatch,
 
 def test_inspect_tells_facts_the_plan_and_what_it_saves(told: Told, small_scene: Path) -> None:
     lines = told("inspect", small_scene, "--plan").splitlines()
-    for fact in ("24 × 20 × 16 voxels of float32", "0.5, from 0.2 to 0.8", "constant, sky", "left out", "█"):
+    for fact in (
+        "24 × 20 × 16 voxels of float32",
+        "0.5, from 0.2 to 0.8",
+        "constant, sky",
+        "left out",
+        "█",
+    ):
         assert any(fact in line for line in lines), fact
     scene = load_scene(small_scene)
-    plan, texels = scene.plan, scene.texels
+    plan = scene.plan
+    texels = scene.texels
     assert f"texel         {plan.bytes_per_texel} bytes, beside 300 for any scene in S1" in lines
     assert sum(line.startswith("layer ") for line in lines) == len(plan.layers)
     shown = f"{texels.shown:,} of {texels.total:,} can be shown"
     assert any(line.startswith("texels ") and shown in line for line in lines)
     for each in scene.left_out:
-        line = next(number for number, line in enumerate(lines) if line.startswith(f"  {each.what} "))
+        line = next(
+            number for number, line in enumerate(lines) if line.startswith(f"  {each.what} ")
+        )
         assert all(saved.unit in lines[line] for saved in each.saves)
         assert lines[line + 1].strip() == each.why
 
@@ -96,10 +110,13 @@ def python(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.usefixtures("inline")
-def test_another_albedo_is_rendered_of_the_same_light(told: Told, small_scene: Path, tmp_path: Path) -> None:
+def test_another_albedo_is_rendered_of_the_same_light(
+    told: Told, small_scene: Path, tmp_path: Path
+) -> None:
     scene = small_scene.with_name("dyed.toml")
     scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
-    work, pictures = ("--workers", 1, "--store", tmp_path / "store", "--json"), []
+    work = ("--workers", 1, "--store", tmp_path / "store", "--json")
+    pictures = []
     for name, albedo in (("own.npy", ()), ("red.npy", ("--albedo", "0.9,0.3,0"))):
         facts = json.loads(told("render", scene, "-o", tmp_path / name, *SIZE, *albedo, *work))
         assert (facts["paths"] > 0) == (name == "own.npy"), "no path is taken for it"
@@ -107,17 +124,35 @@ def test_another_albedo_is_rendered_of_the_same_light(told: Told, small_scene: P
     np.testing.assert_allclose(pictures[1] / pictures[0], [3.0, 1.0, 0.0], rtol=0.05)
 
 
-def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Path, tmp_path: Path) -> None:
+def test_render_writes_a_final_picture_and_tells_so(
+    small_scene: Path, store: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "a.npy"
     done = python(
-        "-m", "server", "render", small_scene, "-o", output, *SIZE, "--workers", 1, "--store", store, "--json"
+        "-m",
+        "server",
+        "render",
+        small_scene,
+        "-o",
+        output,
+        *SIZE,
+        "--workers",
+        1,
+        "--store",
+        store,
+        "--json",
     )
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)
     planes = np.load(output)
     assert planes.shape == (20, 24, 9)
     surface = int((planes[..., 4] > 0).sum())
-    assert facts["pixels"] == {"surface": surface, "final": surface, "converging": 0, "provisional": 0}
+    assert facts["pixels"] == {
+        "surface": surface,
+        "final": surface,
+        "converging": 0,
+        "provisional": 0,
+    }
     assert (facts["target_error"], facts["final"], facts["stopped"]) == (0.5, 1.0, "target")
     assert facts["paths"] >= 64 and 0.0 < facts["error"] <= 0.5
     assert (facts["provisional"], facts["format"], facts["file"]) == (False, "npy", str(output))
@@ -130,24 +165,45 @@ def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Pa
 def test_path_traced_is_answered_with_its_samples_and_error(
     told: Told, small_scene: Path, store: Path, tmp_path: Path
 ) -> None:
-    output, traced = tmp_path / "a.png", ("--shading", "path_traced", "--samples", "16", "--target-error", "0.0001")
-    line = told("render", small_scene, "-o", output, *SIZE, *traced, "--workers", 1, "--store", store, "--json")
+    output = tmp_path / "a.png"
+    traced = ("--shading", "path_traced", "--samples", "16", "--target-error", "0.0001")
+    line = told(
+        "render",
+        small_scene,
+        "-o",
+        output,
+        *SIZE,
+        *traced,
+        "--workers",
+        1,
+        "--store",
+        store,
+        "--json",
+    )
     facts = json.loads(line)
     assert (facts["stopped"], facts["provisional"]) == ("samples", True)
     assert 0.0001 < facts["error"] < 1.0
-    assert rendered(facts).startswith(f"{output}: 24 × 20, all samples taken, error {facts['error']:.4f}")
+    assert rendered(facts).startswith(
+        f"{output}: 24 × 20, all samples taken, error {facts['error']:.4f}"
+    )
 
 
 @pytest.mark.usefixtures("inline")
-def test_render_in_no_time_says_how_far_it_came(told: Told, small_scene: Path, store: Path, tmp_path: Path) -> None:
+def test_render_in_no_time_says_how_far_it_came(
+    told: Told, small_scene: Path, store: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "a.jpg"
-    line = told("render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store)
+    line = told(
+        "render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store
+    )
     assert line.startswith(f"{output}: 24 × 20, ")
     assert "of the surface at 0.5" in line
     assert Image.open(io.BytesIO(output.read_bytes())).format == "JPEG"
 
 
-def test_a_write_that_fails_leaves_the_old_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_write_that_fails_leaves_the_old_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "a.png").write_bytes(b"old")
 
     def full(*_: object) -> None:
@@ -164,14 +220,18 @@ def serving(small_scene: Path, store: Path) -> Iterator[tuple[subprocess.Popen[s
     """A ``serve`` process and the address that it printed."""
     command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
     command += ["--workers", "1", "--store", str(store)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout
         line = process.stdout.readline()
         yield process, line.removeprefix("isogi is ready at ").strip()
         process.kill()
 
 
-def test_serve_is_ready_when_it_says_so_and_stops_cleanly(serving: tuple[subprocess.Popen[str], str]) -> None:
+def test_serve_is_ready_when_it_says_so_and_stops_cleanly(
+    serving: tuple[subprocess.Popen[str], str],
+) -> None:
     """By Ctrl-C; SIGTERM comes to a server at work in ``tests/server/api/guards/test_stop.py``."""
     process, url = serving
     assert httpx.get(f"{url}readyz").status_code == 200
@@ -226,7 +286,9 @@ for name in PRELOADED_MODULES:
 
 def test_a_server_that_is_stopped_early_says_one_line(small_scene: Path, tmp_path: Path) -> None:
     done = python("-c", STOPPED_WHILE_IT_STARTS, str(small_scene), str(tmp_path))
-    said = [line for line in done.stderr.splitlines() if line and "compiling" not in line]  # a bar may be there
+    said = [
+        line for line in done.stderr.splitlines() if line and "compiling" not in line
+    ]  # a bar may be there
     assert (done.returncode, done.stdout, said) == (0, "", ["isogi: stopped before it was ready"])
 
 

@@ -35,14 +35,21 @@ def test_a_sweep_begins_and_ends_at_rest() -> None:
     isovalues = np.array(values(path, "isovalue"))
     t = np.linspace(0, 1, 101)
     np.testing.assert_allclose(isovalues, 60 + 60 * (3 * t**2 - 2 * t**3), rtol=1e-12)
-    np.testing.assert_allclose((np.array(values(path, "yaw")) + 90) / 180, (isovalues - 60) / 60, atol=1e-12)
+    np.testing.assert_allclose(
+        (np.array(values(path, "yaw")) + 90) / 180, (isovalues - 60) / 60, atol=1e-12
+    )
     assert "azimuth" not in path[0]
 
 
 def test_a_way_along_views_meets_each_and_passes_none() -> None:
-    views = [{"azimuth": "350", "distance": "3"}, {"azimuth": "20"}, {"azimuth": "20", "distance": "5"}]
+    views = [
+        {"azimuth": "350", "distance": "3"},
+        {"azimuth": "20"},
+        {"azimuth": "20", "distance": "5"},
+    ]
     path = film_path({}, views, {"distance": "4"}, 21)
-    azimuths, distances = np.array(values(path, "azimuth")), np.array(values(path, "distance"))
+    azimuths = np.array(values(path, "azimuth"))
+    distances = np.array(values(path, "distance"))
     assert azimuths[[0, 10, 20]] % 360 == pytest.approx([350, 20, 20])
     assert distances[[0, 10, 20]] == pytest.approx([3, 4, 5])
     steps = np.diff(np.unwrap(azimuths, period=360))
@@ -65,7 +72,10 @@ def test_links_and_files_are_views() -> None:
     link += "&rulers=off&measure=1,2,3;4,5,6&measure=1,2,3;4,5,6;7,8,9"
     wanted = {"isovalue": "70", "azimuth": "-40.5", "target": "1,2,3", "shading": "gi"}
     assert view_in(link) == wanted
-    assert views_in([link, {"isovalue": 70, "target": [1, 2, 3]}])[1] == {"isovalue": "70", "target": "1,2,3"}
+    assert views_in([link, {"isovalue": 70, "target": [1, 2, 3]}])[1] == {
+        "isovalue": "70",
+        "target": "1,2,3",
+    }
     for wrong in ({}, [], [7]):
         with pytest.raises(ParameterError):
             views_in(wrong)
@@ -83,19 +93,31 @@ def test_links_and_files_are_views() -> None:
         ({}, [{"eye": "1,2,3"}, {"azimuth": "2"}], "eye is given by some"),
     ],
 )
-def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, str]], sentence: str) -> None:
+def test_paths_that_make_no_sense(
+    given: dict[str, str], views: list[dict[str, str]], sentence: str
+) -> None:
     with pytest.raises(ParameterError, match=sentence):
         film_path(given, views, {}, 3)
 
 
-def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_path: Path, told: Told) -> None:
-    views = [{"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"} for azimuth in (10, 50)]
+def test_views_of_the_page_are_filmed_as_it_shows_them(
+    small_scene: Path, tmp_path: Path, told: Told
+) -> None:
+    views = [
+        {"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"}
+        for azimuth in (10, 50)
+    ]
     shown = {"environment": "studio", "cut": "x>16", "material": "glass,index=1.3"}
     (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, **shown} for view in views]}))
     (tmp_path / "own.json").write_text(json.dumps({"views": views}))
-    options, given = ["--store", tmp_path / "store", "--length", "1", "--fps", "2", *SIZE], shown.items()
+    options = ["--store", tmp_path / "store", "--length", "1", "--fps", "2", *SIZE]
+    given = shown.items()
     pictures = []
-    for name, keys, more in (("a", "lit", []), ("b", "own", []), ("c", "own", [f"--{x}={text}" for x, text in given])):
+    for name, keys, more in (
+        ("a", "lit", []),
+        ("b", "own", []),
+        ("c", "own", [f"--{x}={text}" for x, text in given]),
+    ):
         keys_file = tmp_path / f"{keys}.json"
         told("film", small_scene, "-o", tmp_path / name, "--views-file", keys_file, *options, *more)
         pictures.append([path.read_bytes() for path in sorted((tmp_path / name).glob("*.png"))])
@@ -105,11 +127,16 @@ def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_pa
 
 def test_the_tint_of_a_link_colours_the_albedo() -> None:
     """As the page does it: shares of the albedo, linear in the light."""
-    links = ["http://here/?scene=s&albedo=0.5&tint=%23ff0080", "http://here/?scene=s&tint=%23ff0080"]
+    links = [
+        "http://here/?scene=s&albedo=0.5&tint=%23ff0080",
+        "http://here/?scene=s&tint=%23ff0080",
+    ]
     path = film_path({}, [view_in(link) for link in links], {"albedo": "0.8,0.4,0.1"}, 2)
     assert "tint" not in path[0]
     found = [[float(share) for share in view["albedo"].split(",")] for view in path]
-    np.testing.assert_allclose(found, [[0.5, 0.0, 0.5 * 0.21586], [0.8, 0.0, 0.8 * 0.21586]], rtol=1e-4)
+    np.testing.assert_allclose(
+        found, [[0.5, 0.0, 0.5 * 0.21586], [0.8, 0.0, 0.8 * 0.21586]], rtol=1e-4
+    )
     with pytest.raises(ParameterError, match="tint must be a colour such as #ff8800, not 'red'"):
         film_path({}, [view_in("?tint=red")], {"albedo": "0.7,0.7,0.7"}, 2)
 
@@ -137,7 +164,9 @@ def test_a_film_goes_on_and_becomes_a_movie(small_scene: Path, tmp_path: Path, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store", "turn.gif"]
 
 
-def test_a_film_and_a_grid_show_what_render_shows(small_scene: Path, tmp_path: Path, told: Told) -> None:
+def test_a_film_and_a_grid_show_what_render_shows(
+    small_scene: Path, tmp_path: Path, told: Told
+) -> None:
     """The same camera, ground and exposure, to the byte, where one view of each is the same."""
     level = float(load_scene(small_scene).isovalue)
     options = ["--store", tmp_path / "store", "--elevation", "40", *SIZE]
@@ -145,22 +174,45 @@ def test_a_film_and_a_grid_show_what_render_shows(small_scene: Path, tmp_path: P
         told("render", small_scene, "-o", tmp_path / name, *options)
     sweep = ["--isovalue", f"{level}:{level}", "--length", "1", "--fps", "1"]
     told("film", small_scene, "-o", tmp_path / "film", *sweep, *options)
-    told("publish", small_scene, "-o", tmp_path / "grid", "--isovalue", f"{level}:{level}:1", *options)
+    told(
+        "publish",
+        small_scene,
+        "-o",
+        tmp_path / "grid",
+        "--isovalue",
+        f"{level}:{level}:1",
+        *options,
+    )
     assert (tmp_path / "film" / "frame-00001.png").read_bytes() == (tmp_path / "a.png").read_bytes()
-    assert (tmp_path / "grid" / "pictures" / "0.webp").read_bytes() == (tmp_path / "a.webp").read_bytes()
+    assert (tmp_path / "grid" / "pictures" / "0.webp").read_bytes() == (
+        tmp_path / "a.webp"
+    ).read_bytes()
 
 
 def covered(picture: Path) -> np.ndarray:
-    """The rows and the columns of a picture without its ground that show something: the first and the last, (2, 2)."""
+    """The rows and the columns of a picture without its ground that show something: the first and
+    the last, (2, 2).
+    """
     with Image.open(picture) as opened:
         cover = np.asarray(opened)[..., 3] > 0
     places = (np.flatnonzero(cover.any(axis=axis)) for axis in (1, 0))
     return np.array([[place[0], place[-1]] for place in places])
 
 
-def test_a_film_sees_all_of_what_it_goes_round(small_scene: Path, tmp_path: Path, told: Told) -> None:
+def test_a_film_sees_all_of_what_it_goes_round(
+    small_scene: Path, tmp_path: Path, told: Told
+) -> None:
     """Unless the camera is placed: then it is as far away as it was told."""
-    options = ["--store", tmp_path / "store", "--length", "1", "--fps", "4", "--background", "transparent"]
+    options = [
+        "--store",
+        tmp_path / "store",
+        "--length",
+        "1",
+        "--fps",
+        "4",
+        "--background",
+        "transparent",
+    ]
     options += ["--time", "1", "--width", "60", "--height", "60"]
     for name, more in (("whole", []), ("near", ["--distance", "2"]), ("far", ["--distance", "9"])):
         told("film", small_scene, "-o", tmp_path / name, *options, *more)
@@ -183,7 +235,18 @@ def test_mp4_is_what_players_read(small_scene: Path, tmp_path: Path, told: Told)
     more = ["--length", "1", "--fps", "4", "--store", str(tmp_path / "store"), *SIZE]
     for name in ("a.mp4", "a.webm"):
         told("film", small_scene, "-o", tmp_path / name, *more)
-        reading = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        reading = [
+            ffmpeg.get_ffmpeg_exe(),
+            "-i",
+            tmp_path / name,
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-",
+        ]
         pixels = subprocess.run(reading, capture_output=True, check=True).stdout
         frames = np.frombuffer(pixels, np.uint8).reshape(4, 20, 24, 3)
-        assert frames.max() > 200 and frames.min() < 150  # the light ground, and shades of the surface
+        assert (
+            frames.max() > 200 and frames.min() < 150
+        )  # the light ground, and shades of the surface

@@ -1,4 +1,6 @@
-"""Help: one list of settings, options and documentation; each command shows examples, which it takes."""
+"""Help: one list of settings, options and documentation; each command shows examples, which it
+takes.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +33,9 @@ def test_only_where_to_listen_is_in_no_group() -> None:
 
 
 def test_the_document_has_a_row_for_each_setting() -> None:
-    """Where it fails: the rows of docs/settings.md are those that ``server.cli.setting_options.rows`` gives."""
+    """Where it fails: the rows of docs/settings.md are those that
+    ``server.cli.setting_options.rows`` gives.
+    """
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if "`ISOGI_" in line and line.startswith("| ")] == rows()
 
@@ -62,7 +66,9 @@ def test_an_example_that_is_misspelt_would_be_seen() -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES)
-def test_the_help_of_a_command_ends_with_its_examples(capsys: pytest.CaptureFixture[str], path: str) -> None:
+def test_the_help_of_a_command_ends_with_its_examples(
+    capsys: pytest.CaptureFixture[str], path: str
+) -> None:
     assert run([*path.split(), "--help"]) == 0
     shown = capsys.readouterr().out.partition("\nExamples:\n")[2]
     assert [line in shown for line, _ in EXAMPLES[path]] == [True] * len(EXAMPLES[path])

@@ -16,7 +16,9 @@ from tests.server.asking import Told
 pytestmark = pytest.mark.usefixtures("inline")
 
 
-def test_a_grid_is_published_and_gone_on_with(small_scene: Path, tmp_path: Path, told: Told) -> None:
+def test_a_grid_is_published_and_gone_on_with(
+    small_scene: Path, tmp_path: Path, told: Told
+) -> None:
     size = ["--width", "24", "--height", "20", "--store", tmp_path / "store"]
     grid = ["--azimuth", "0:270:90", "--isovalue", "0.4:0.6:0.1", "--json"]
     folder = tmp_path / "out"
@@ -46,7 +48,8 @@ def test_the_page_begins_at_the_first_view() -> None:
 
 
 @pytest.mark.parametrize(
-    ("background", "colour"), [("light", "#e2e4e6"), ("#102030", "#102030"), ("dark", "#1a1d22"), ("transparent", "")]
+    ("background", "colour"),
+    [("light", "#e2e4e6"), ("#102030", "#102030"), ("dark", "#1a1d22"), ("transparent", "")],
 )
 def test_the_pages_ground_is_the_pictures(background: str, colour: str) -> None:
     assert ground_colour(background) == colour

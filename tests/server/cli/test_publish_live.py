@@ -31,20 +31,39 @@ Publish = Callable[..., dict[str, Any]]
 def publish(told: Told, store: Path) -> Publish:
     """Publishes a page of isovalues 0.4 to 0.6, and returns its facts."""
     given = ["--interactive", "--store", store, "--isovalue", "0.4:0.6", "--json"]
-    return lambda scene, folder, *words: json.loads(told("publish", scene, "-o", folder, *given, *words))
+    return lambda scene, folder, *words: json.loads(
+        told("publish", scene, "-o", folder, *given, *words)
+    )
 
 
-def test_a_range_of_isovalues_is_published(publish: Publish, small_scene: Path, tmp_path: Path) -> None:
+def test_a_range_of_isovalues_is_published(
+    publish: Publish, small_scene: Path, tmp_path: Path
+) -> None:
     facts = publish(small_scene, tmp_path / "page", "--target-error", "0.3", "--azimuth", "20")
-    assert facts["isovalues"] == [0.4, 0.6] and facts["error"]["low"] <= facts["error"]["likely"] <= 0.3
-    files = {path.relative_to(tmp_path / "page").as_posix(): path for path in (tmp_path / "page").rglob("*.*")}
+    assert (
+        facts["isovalues"] == [0.4, 0.6]
+        and facts["error"]["low"] <= facts["error"]["likely"] <= 0.3
+    )
+    files = {
+        path.relative_to(tmp_path / "page").as_posix(): path
+        for path in (tmp_path / "page").rglob("*.*")
+    }
     assert facts["bytes"] == sum(path.stat().st_size for path in files.values())
     document = json.loads(files["scene.json"].read_text())
     assert document["scene"]["ranges"]["isovalue"] == {"min": 0.4, "max": 0.6}
-    assert document["scene"]["start"]["azimuth"] == 20 and document["scene"]["start"]["isovalue"] == 0.5
-    named = {*document["light"]["files"], *(slab["href"] for slab in document["card"]["volume"]["slabs"])}
+    assert (
+        document["scene"]["start"]["azimuth"] == 20
+        and document["scene"]["start"]["isovalue"] == 0.5
+    )
+    named = {
+        *document["light"]["files"],
+        *(slab["href"] for slab in document["card"]["volume"]["slabs"]),
+    }
     assert named == {name for name in files if name.endswith(".bin")}
-    slabs = [gzip.decompress(files[slab["href"]].read_bytes()) for slab in document["card"]["volume"]["slabs"]]
+    slabs = [
+        gzip.decompress(files[slab["href"]].read_bytes())
+        for slab in document["card"]["volume"]["slabs"]
+    ]
     assert sum(map(len, slabs)) == 4 * 24 * 20 * 16 and document["light"]["error"] == facts["error"]
 
 
@@ -52,22 +71,30 @@ def test_the_page_brings_all_that_it_imports() -> None:
     files = page_files()
     for name, content in files.items():
         for path in MODULE_IMPORT.findall(content.decode()) if name.endswith(".js") else []:
-            assert (Path("/") / Path(name).parent / path).resolve().relative_to("/").as_posix() in files, (name, path)
+            assert (Path("/") / Path(name).parent / path).resolve().relative_to(
+                "/"
+            ).as_posix() in files, (name, path)
     assert "web/card/shaders/view.glsl" in files and not any("main.js" in name for name in files)
-    assert not re.search(r"https?://(?!localhost)", files["index.html"].decode()), "nothing is loaded from elsewhere"
+    assert not re.search(r"https?://(?!localhost)", files["index.html"].decode()), (
+        "nothing is loaded from elsewhere"
+    )
 
 
 def texels_in(page: Path) -> int:
     """The records of all light files, whose numbers are whole steps."""
-    document, records = json.loads((page / "scene.json").read_text()), 0
+    document = json.loads((page / "scene.json").read_text())
+    records = 0
     coding = Coding(np.array(document["light"]["steps"], np.float32))
     for name in document["light"]["files"]:
         data = gzip.decompress((page / name).read_bytes())
         while data:
             size, bricks, count = (int.from_bytes(data[a : a + 4], "little") for a in (4, 16, 20))
-            numbers, _ = read_coded(data[32 + 16 * bricks : size], count, coding.steps.astype(float))
+            numbers, _ = read_coded(
+                data[32 + 16 * bricks : size], count, coding.steps.astype(float)
+            )
             assert np.isfinite(numbers).all()
-            records, data = records + count, data[size:]
+            records = records + count
+            data = data[size:]
     return records
 
 
@@ -75,13 +102,20 @@ def texels_in(page: Path) -> int:
 def test_a_limit_takes_bits_from_the_light(
     publish: Publish, told: Told, small_scene: Path, store: Path, tmp_path: Path
 ) -> None:
-    scene, words = small_scene.with_name("fine.toml"), ("--target-error", "0.08")
+    scene = small_scene.with_name("fine.toml")
+    words = ("--target-error", "0.08")
     scene.write_text(small_scene.read_text().replace("lattice = 0.5", "lattice = 2.0"))
     whole = publish(scene, tmp_path / "page", *words)
-    records, limit = texels_in(tmp_path / "page"), (whole["bytes"] - 0.05 * whole["light_bytes"]) / 1e6
+    records = texels_in(tmp_path / "page")
+    limit = (whole["bytes"] - 0.05 * whole["light_bytes"]) / 1e6
     less = publish(scene, tmp_path / "page", *words, "--megabytes", f"{limit}")
     assert less["bytes"] <= 1e6 * limit and less["light_bytes"] < 0.95 * whole["light_bytes"]
-    assert whole["error"]["likely"] < less["error"]["likely"] <= 0.08 and texels_in(tmp_path / "page") == records
+    assert (
+        whole["error"]["likely"] < less["error"]["likely"] <= 0.08
+        and texels_in(tmp_path / "page") == records
+    )
     page = ("publish", scene, "-o", tmp_path / "no", "--interactive", "--store", store)
     said = told(*page, "--isovalue", "0.4:0.6", *words, "--megabytes", "0.25", status=2)
-    assert "allow --megabytes" in said and ("--target-error" in said or "of these isovalues" in said)
+    assert "allow --megabytes" in said and (
+        "--target-error" in said or "of these isovalues" in said
+    )

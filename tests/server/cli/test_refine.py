@@ -26,7 +26,10 @@ class Script:
 
     def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
         self.asked.append(more)
-        version = self.versions.pop(0) if len(self.versions) > 1 else self.versions[0]
+        if len(self.versions) > 1:
+            version = self.versions.pop(0)
+        else:
+            version = self.versions[0]
         known = {"final": version == "final", "checkable": version == "to be checked"}
         return SimpleNamespace(version=version, **known, chunks_needed=2, chunks_final=1)
 
@@ -34,7 +37,9 @@ class Script:
         return scene, SimpleNamespace(demands=self.demands)
 
     def trouble(self) -> str:
-        return self.failing if len(self.versions) == 1 else ""
+        if len(self.versions) == 1:
+            return self.failing
+        return ""
 
     def time_left(self, scene: str, frame: Any, max_error: float | None) -> TimeLeft:
         return TimeLeft(61.0, 200.0, 7300.0)
@@ -76,7 +81,9 @@ def test_it_asks_once_where_there_is_no_time() -> None:
 
 
 def test_it_gives_up_where_nothing_changes() -> None:
-    with pytest.raises(WorkersError, match=r"^No light came for 120 seconds. No worker is alive\.$"):
+    with pytest.raises(
+        WorkersError, match=r"^No light came for 120 seconds. No worker is alive\.$"
+    ):
         refine(Script("a", "b"))
 
 

@@ -11,24 +11,39 @@ from tests.server.asking import Told
 PAGE = "publish SCENE -o page --interactive --store ../store"
 PREWARM = "prewarm SCENE --store light"
 LINES = [
-    *[(line, "isogi: ") for line in ("paint", "render", "render demo:orbital", "inspect", "serve a b")],
+    *[
+        (line, "isogi: ")
+        for line in ("paint", "render", "render demo:orbital", "inspect", "serve a b")
+    ],
     ("exprot demo:casting", "There is no command 'exprot': did you mean 'export'?"),
-    ("render demo:casting --isovlaue 3", "There is no option '--isovlaue': did you mean '--isovalue'?"),
+    (
+        "render demo:casting --isovlaue 3",
+        "There is no option '--isovlaue': did you mean '--isovalue'?",
+    ),
     ("serve --prot 3", "There is no option '--prot': did you mean '--port'?"),
     ("serve --qqqqqqqq", "There is no option '--qqqqqqqq': --help lists all."),
     *[(f"serve demo:orbital --host {host}", "ISOGI_TOKEN") for host in ("0.0.0.0", "::")],
     ("serve --sharp-mb 5", "sharp_mb is called projected_mb now"),
     ("inspect SCENE --environment moon", "no environment 'moon'"),
-    *[(f"render SCENE -o a.png --isovalue '{text}'", "isovalue") for text in ("nan", "inf", "0.9", "x", "0_5", "")],
+    *[
+        (f"render SCENE -o a.png --isovalue '{text}'", "isovalue")
+        for text in ("nan", "inf", "0.9", "x", "0_5", "")
+    ],
     *[(f"render SCENE -o a.png --width={text}", "width") for text in ("0", "-1", "1.5", "99999")],
-    *[(f"render SCENE -o a.png --target-error {text}", "target-error") for text in ("0", "nan", "2")],
+    *[
+        (f"render SCENE -o a.png --target-error {text}", "target-error")
+        for text in ("0", "nan", "2")
+    ],
     *[(f"render SCENE -o a.png --time={text}", "time") for text in ("-1", "nan", "soon")],
     ("render SCENE -o a.png --shading oil", "shading"),
     ("render SCENE -o a.png --samples 4", "samples"),
     ("render SCENE -o a.png --fov 180", "fov"),
     ("render SCENE -o a.png --eye 1,2", "eye"),
     ("render SCENE -o a.png --workers 0", "workers"),
-    *[(f"render SCENE -o {name}", name.rpartition("/")[2]) for name in ("a.gif", "a", "none/a.png")],
+    *[
+        (f"render SCENE -o {name}", name.rpartition("/")[2])
+        for name in ("a.gif", "a", "none/a.png")
+    ],
     ("reference SCENE -o a.png", "end it in .npz"),
     ("reference SCENE -o gone/a.npz", "gone"),
     ("reference SCENE -o a.npz --samples 8 --target-error 0.1", "keep one"),
@@ -53,7 +68,10 @@ LINES = [
     (f"{PAGE} --background '#102030'", "light or dark"),
     (f"{PAGE} --isovalue 0.4:0.6 --target-error 0.3 --megabytes 0.1", "modules alone"),
     (f"{PAGE.replace('SCENE', 'demo:orbital#material=subsurface')}", "Publish pictures"),
-    *[(f"store prune . {words}", "isogi: ") for words in ("", "--older-than soon", "--keep-gb=-1", "--older-than=-1d")],
+    *[
+        (f"store prune . {words}", "isogi: ")
+        for words in ("", "--older-than soon", "--keep-gb=-1", "--older-than=-1d")
+    ],
     *[(f"{PREWARM} --continue {words}", "--continue") for words in ("--views 3", "--dry-run")],
     (f"{PREWARM} --detach", "--detach"),
     ("prewarm SCENE --server http://127.0.0.1:1 --workers 2", "--workers"),
@@ -66,12 +84,20 @@ LINES = [
 
 @pytest.mark.parametrize(("line", "words"), LINES, ids=[line for line, _ in LINES])
 def test_what_cannot_be_done_is_told_and_writes_nothing(
-    told: Told, inline: None, small_scene: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, line: str, words: str
+    told: Told,
+    inline: None,
+    small_scene: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    line: str,
+    words: str,
 ) -> None:
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.delenv("ISOGI_TOKEN", raising=False)
-    *bars, said = told(*(word.replace("SCENE", str(small_scene)) for word in shlex.split(line)), status=2).splitlines()
+    *bars, said = told(
+        *(word.replace("SCENE", str(small_scene)) for word in shlex.split(line)), status=2
+    ).splitlines()
     assert said.startswith("isogi: ") and words in said
     assert not [bar for bar in bars if not re.search(r", \d\d:\d\d", bar)], "one line, but for bars"
     assert not any(Path().iterdir())
@@ -79,11 +105,19 @@ def test_what_cannot_be_done_is_told_and_writes_nothing(
 
 @pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve", "reference"])
 @pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
-def test_a_target_that_is_missing_is_told(told: Told, tmp_path: Path, command: str, target: str) -> None:
+def test_a_target_that_is_missing_is_told(
+    told: Told, tmp_path: Path, command: str, target: str
+) -> None:
     (tmp_path / "folder").mkdir()
-    path = target if target.startswith("demo:") else str(tmp_path / target)
+    if target.startswith("demo:"):
+        path = target
+    else:
+        path = str(tmp_path / target)
     output = {"render": "a.png", "reference": "a.npz"}.get(command)
-    more = ["-o", str(tmp_path / output)] if output else []
+    if output:
+        more = ["-o", str(tmp_path / output)]
+    else:
+        more = []
     assert Path(path).name in told(command, path, *more, status=2)
     assert [each.name for each in tmp_path.iterdir()] == ["folder"]
 
@@ -95,7 +129,9 @@ HEADER = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {sizes}\nencoding: raw\n\n
     ("sizes", "held"),
     [("8 8 8", 100), ("8 8 8", 0), ("100000 100000 100000", 512), ("0 8 8", 0), ("-8 8 8", 512)],
 )
-def test_a_volume_that_is_cut_short_or_lies_is_told(told: Told, tmp_path: Path, sizes: str, held: int) -> None:
+def test_a_volume_that_is_cut_short_or_lies_is_told(
+    told: Told, tmp_path: Path, sizes: str, held: int
+) -> None:
     volume = tmp_path / "lie.nrrd"
     volume.write_bytes(HEADER.format(sizes=sizes).encode() + b"\x07" * held)
     assert "lie.nrrd" in told("inspect", volume, status=2)
@@ -113,7 +149,9 @@ def test_a_volume_that_is_cut_short_or_lies_is_told(told: Told, tmp_path: Path, 
         (None, "isogi-server.toml"),
     ],
 )
-def test_a_file_of_settings_that_is_wrong_is_told(told: Told, tmp_path: Path, text: str | None, words: str) -> None:
+def test_a_file_of_settings_that_is_wrong_is_told(
+    told: Told, tmp_path: Path, text: str | None, words: str
+) -> None:
     if text is not None:
         (tmp_path / "isogi-server.toml").write_text(text)
     assert words in told("serve", "--config", tmp_path / "isogi-server.toml", status=2)

@@ -27,10 +27,23 @@ def series(tmp_path: Path) -> Path:
 
 def test_steps_are_named_as_isovalues_are(series: Path, small_scene: Path) -> None:
     scene = load_scene(series)
-    for text, steps in (("all", [0, 1, 2, 3]), ("2", [2]), ("1:3", [1, 2, 3]), ("0:3:2", [0, 2]), ("0:2:05", [0])):
+    for text, steps in (
+        ("all", [0, 1, 2, 3]),
+        ("2", [2]),
+        ("1:3", [1, 2, 3]),
+        ("0:3:2", [0, 2]),
+        ("0:2:05", [0]),
+    ):
         assert steps_in(text, scene) == steps
-    beyond, unread = r"has the steps 0 to 3", r"all, a step, or first:last:step"
-    for text, sentence in (("0:4", beyond), ("3:1", beyond), ("0:3:0", unread), ("-1", unread), ("first", unread)):
+    beyond = r"has the steps 0 to 3"
+    unread = r"all, a step, or first:last:step"
+    for text, sentence in (
+        ("0:4", beyond),
+        ("3:1", beyond),
+        ("0:3:0", unread),
+        ("-1", unread),
+        ("first", unread),
+    ):
         with pytest.raises(ParameterError, match=sentence):
             steps_in(text, scene)
     with pytest.raises(ParameterError, match="is no series in time: leave times out"):
@@ -61,13 +74,17 @@ def test_a_prewarm_of_all_steps_leaves_nothing_to_bake(series: Path, told: Told)
         (["--isovalue", "0.9"], "Step 0 of the series: isovalue must be a number from 0.2 to 0.8"),
     ],
 )
-def test_what_times_does_not_go_with_is_refused(series: Path, told: Told, more: list[str], sentence: str) -> None:
+def test_what_times_does_not_go_with_is_refused(
+    series: Path, told: Told, more: list[str], sentence: str
+) -> None:
     store = series.parent / "light"
     assert sentence in told("prewarm", series, "--times", "all", "--store", store, *more, status=2)
 
 
 def covers(folder: Path) -> list[np.ndarray]:
-    """What each picture of a film without a ground covers: light that still converges does not change it."""
+    """What each picture of a film without a ground covers: light that still converges does not
+    change it.
+    """
     found = []
     for path in sorted(folder.glob("*.png")):
         with Image.open(path) as opened:
@@ -81,8 +98,19 @@ def widths(folder: Path) -> list[int]:
 
 
 def test_a_film_goes_through_the_steps_evenly(series: Path, tmp_path: Path, told: Told) -> None:
-    """Two balls come apart: they are ever wider, each step as long as the others, and the camera stays."""
-    options = ["--store", tmp_path / "light", "--length", "2", "--fps", "4", "--background", "transparent"]
+    """Two balls come apart: they are ever wider, each step as long as the others, and the camera
+    stays.
+    """
+    options = [
+        "--store",
+        tmp_path / "light",
+        "--length",
+        "2",
+        "--fps",
+        "4",
+        "--background",
+        "transparent",
+    ]
     options += ["--width", "60", "--height", "40", "--azimuth", "90", "--time", "1"]
     told("film", series, "-o", tmp_path / "film", "--times", "all", *options)
     found = widths(tmp_path / "film")
@@ -93,10 +121,25 @@ def test_a_film_goes_through_the_steps_evenly(series: Path, tmp_path: Path, told
     assert widths(tmp_path / "back")[::4] == [found[0], found[6]]
 
 
-def test_a_film_moves_the_camera_meanwhile_if_it_is_told(series: Path, tmp_path: Path, told: Told) -> None:
+def test_a_film_moves_the_camera_meanwhile_if_it_is_told(
+    series: Path, tmp_path: Path, told: Told
+) -> None:
     options = ["--store", tmp_path / "light", "--length", "1", "--fps", "4", "--time", "1", *SIZE]
     for name, more in (("still", []), ("turn", ["--azimuth", "0:80"])):
-        told("film", series, "-o", tmp_path / name, "--times", "0:1", "--background", "transparent", *options, *more)
-    still, turn = ([cover.tobytes() for cover in covers(tmp_path / name)] for name in ("still", "turn"))
+        told(
+            "film",
+            series,
+            "-o",
+            tmp_path / name,
+            "--times",
+            "0:1",
+            "--background",
+            "transparent",
+            *options,
+            *more,
+        )
+    still, turn = (
+        [cover.tobytes() for cover in covers(tmp_path / name)] for name in ("still", "turn")
+    )
     assert still[0] == still[1] != still[2] == still[3]
     assert len(set(turn)) == 4

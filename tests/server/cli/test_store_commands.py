@@ -71,13 +71,21 @@ def test_stats_tell_each_layer(store: ChunkStore, tmp_path: Path, told: Told, fa
     found = facts("stats", tmp_path)
     layers = [(layer["kind"], layer["chunks"], layer["texels"]["lit"]) for layer in found["layers"]]
     assert layers == [("direct", 2, 80), ("indirect", 2, 80)]
-    assert found["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("*/**/*") if path.is_file())
+    assert found["bytes"] == sum(
+        path.stat().st_size for path in tmp_path.glob("*/**/*") if path.is_file()
+    )
     assert all("texels" not in layer for layer in facts("stats", tmp_path, "--quick")["layers"])
     text = told("store", "stats", tmp_path)
-    assert "orbital, 39 × 39 × 39 texels" in text and "direct, order 2" in text and "80 texels lit" in text
+    assert (
+        "orbital, 39 × 39 × 39 texels" in text
+        and "direct, order 2" in text
+        and "80 texels lit" in text
+    )
 
 
-def test_nothing_is_pruned_before_yes(store: ChunkStore, tmp_path: Path, told: Told, facts: Facts) -> None:
+def test_nothing_is_pruned_before_yes(
+    store: ChunkStore, tmp_path: Path, told: Told, facts: Facts
+) -> None:
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     for path in files:
         os.utime(path, (time.time() - 7200.0,) * 2)

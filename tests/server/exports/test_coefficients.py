@@ -31,7 +31,9 @@ COLOURS = ("red", "green", "blue")
 
 
 def arrays_in(file: Path) -> dict[str, np.ndarray]:
-    """The arrays of a VTI file with raw data at its end, (points, components) each; read without VTK."""
+    """The arrays of a VTI file with raw data at its end, (points, components) each; read without
+    VTK.
+    """
     head, _, data = file.read_bytes().partition(b'<AppendedData encoding="raw">_')
     found = {}
     for kind, name, parts, offset in ARRAY.findall(head.decode()):
@@ -45,9 +47,13 @@ def arrays_in(file: Path) -> dict[str, np.ndarray]:
 
 def radiance_of(found: dict[str, np.ndarray]) -> np.ndarray:
     """The light that coefficients and environments make, as docs/export.md says it; (points, 3)."""
-    total = found["lobes"].astype(np.float64) if "lobes" in found else np.zeros((len(found["value"]), 3))
+    if "lobes" in found:
+        total = found["lobes"].astype(np.float64)
+    else:
+        total = np.zeros((len(found["value"]), 3))
     for name in [each for each in found if each.startswith("environment_")]:
-        kind, bands = name.removeprefix("environment_"), math.isqrt(found[name].shape[1])
+        kind = name.removeprefix("environment_")
+        bands = math.isqrt(found[name].shape[1])
         for colour, own in enumerate(COLOURS):
             for band in range(bands):
                 array = found.get(f"{kind}_band{band}", found.get(f"{kind}_band{band}_{own}"))
@@ -58,20 +64,26 @@ def radiance_of(found: dict[str, np.ndarray]) -> np.ndarray:
 
 def real_harmonics(order: int, directions: np.ndarray) -> np.ndarray:
     """Real harmonics without the Condon-Shortley phase by SciPy's complex ones; (n², m)."""
-    theta, phi = np.arccos(np.clip(directions[:, 2], -1, 1)), np.arctan2(directions[:, 1], directions[:, 0])
+    theta = np.arccos(np.clip(directions[:, 2], -1, 1))
+    phi = np.arctan2(directions[:, 1], directions[:, 0])
     rows = []
     for band in range(order):
         for m in range(-band, band + 1):
             value = (-1) ** m * sph_harm_y(band, abs(m), theta, phi)
-            rows.append(value.real if m == 0 else math.sqrt(2) * (value.imag if m < 0 else value.real))
+            rows.append(
+                value.real if m == 0 else math.sqrt(2) * (value.imag if m < 0 else value.real)
+            )
     return np.array(rows)
 
 
 def turned_environment(scene: Path, yaw: float, order: int) -> np.ndarray:
-    """The scene's sky, turned about z, projected onto harmonics by a sum over its pixels; (3, n²)."""
+    """The scene's sky, turned about z, projected onto harmonics by a sum over its pixels; (3,
+    n²).
+    """
     environment = load_scene(scene).lighting.environment
     height, width = environment.image.shape[:2]
-    towards, (c, s) = pixel_directions(height, width).reshape(-1, 3), (math.cos(yaw), math.sin(yaw))
+    towards = pixel_directions(height, width).reshape(-1, 3)
+    (c, s) = (math.cos(yaw), math.sin(yaw))
     turned = towards @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
     steradians = np.sqrt(1.0 - towards[:, 2] ** 2) * 2.0 * math.pi**2 / (height * width)
     light = environment.image.reshape(-1, 3) + environment.constant
@@ -86,10 +98,12 @@ def scene(small_scene: Path) -> Path:
 
 
 def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, inline: None) -> None:
-    output, options = tmp_path / "a.vti", ["--store", str(tmp_path / "store"), "--yaw", "40", "--exposure", "2"]
+    output = tmp_path / "a.vti"
+    options = ["--store", str(tmp_path / "store"), "--yaw", "40", "--exposure", "2"]
     assert run(["export", str(scene), "-o", str(output), "--coefficients", *options]) == 0
     found = arrays_in(output)
-    light, made = found["light"].astype(np.float64), radiance_of(found)
+    light = found["light"].astype(np.float64)
+    made = radiance_of(found)
     lit = light.any(axis=1)
     assert lit.sum() > 500
     error = np.sqrt(((made - light)[lit] ** 2).mean()) / light[lit].mean()
@@ -100,11 +114,17 @@ def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, in
     assert np.abs(reflected - own).max() < 0.01 * np.abs(own).max()
 
 
-def test_a_servers_coefficients_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None) -> None:
+def test_a_servers_coefficients_are_those_of_the_command(
+    scene: Path, tmp_path: Path, inline: None
+) -> None:
     with baking(scene, tmp_path / "store") as client:
-        wrong = client.post("/v1/scenes/coefficients/export", params={"f": "ply", "coefficients": "on"})
+        wrong = client.post(
+            "/v1/scenes/coefficients/export", params={"f": "ply", "coefficients": "on"}
+        )
         assert wrong.status_code == 422 and ".vti alone" in wrong.json()["detail"]
-        begun = client.post("/v1/scenes/coefficients/export", params={"f": "vti", "yaw": "70", "coefficients": "on"})
+        begun = client.post(
+            "/v1/scenes/coefficients/export", params={"f": "vti", "yaw": "70", "coefficients": "on"}
+        )
         over = until_over(client, begun.headers["location"])
         (link,) = [each for each in over["links"] if each["rel"].endswith("/results")]
         fetched = client.get(link["href"]).content
@@ -118,11 +138,29 @@ def test_vtk_reads_coefficients_and_environments(scene: Path, tmp_path: Path, in
     from vtk.util.numpy_support import vtk_to_numpy
 
     output = tmp_path / "a.vti"
-    assert run(["export", str(scene), "-o", str(output), "--coefficients", "--store", str(tmp_path / "store")]) == 0
+    assert (
+        run(
+            [
+                "export",
+                str(scene),
+                "-o",
+                str(output),
+                "--coefficients",
+                "--store",
+                str(tmp_path / "store"),
+            ]
+        )
+        == 0
+    )
     reader = vtk.vtkXMLImageDataReader()
     reader.SetFileName(str(output))
     reader.Update()
     image = reader.GetOutput()
     for name, values in arrays_in(output).items():
-        data = image.GetFieldData() if name.startswith("environment_") else image.GetPointData()
-        np.testing.assert_array_equal(vtk_to_numpy(data.GetArray(name)).reshape(values.shape), values)
+        if name.startswith("environment_"):
+            data = image.GetFieldData()
+        else:
+            data = image.GetPointData()
+        np.testing.assert_array_equal(
+            vtk_to_numpy(data.GetArray(name)).reshape(values.shape), values
+        )

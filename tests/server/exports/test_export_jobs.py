@@ -1,4 +1,6 @@
-"""Exports over HTTP: the file is the command's own, jobs are dismissed, and what does not fit is refused."""
+"""Exports over HTTP: the file is the command's own, jobs are dismissed, and what does not fit is
+refused.
+"""
 
 import time
 from collections.abc import Iterator
@@ -34,7 +36,9 @@ def scene(small_scene: Path) -> Path:
     return path
 
 
-def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None, told: Told) -> None:
+def test_files_are_those_of_the_command(
+    scene: Path, tmp_path: Path, inline: None, told: Told
+) -> None:
     fetched = {}
     with baking(scene, tmp_path / "store") as client:
         for kind in ("glb", "usdz", "vti"):
@@ -45,7 +49,10 @@ def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: Non
             (link,) = [each for each in over["links"] if each["rel"].endswith("/results")]
             assert "100% of its light final" in link["title"]
             answer = client.get(link["href"])
-            assert answer.headers["content-disposition"] == f'attachment; filename="exported-0.45.{kind}"'
+            assert (
+                answer.headers["content-disposition"]
+                == f'attachment; filename="exported-0.45.{kind}"'
+            )
             assert answer.headers["content-type"] == link["type"]
             fetched[kind] = answer.content
             client.delete(begun.headers["location"])
@@ -73,7 +80,9 @@ def idle(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Idle
         ({"environment": "disco"}, "disco"),
     ],
 )
-def test_what_makes_no_sense_is_422_and_begins_nothing(idle: Idle, asked: dict[str, str], why: str) -> None:
+def test_what_makes_no_sense_is_422_and_begins_nothing(
+    idle: Idle, asked: dict[str, str], why: str
+) -> None:
     answer = httpx.post(f"{idle.url}{EXPORT}", params=asked)
     assert answer.status_code == 422 and why in answer.json()["detail"]
     assert httpx.get(f"{idle.url}/v1/jobs").json()["jobs"] == []

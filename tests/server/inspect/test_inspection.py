@@ -1,4 +1,6 @@
-"""``isogi inspect``: how stiff a volume is, as document, text and picture, and the lines that a person needs first."""
+"""``isogi inspect``: how stiff a volume is, as document, text and picture, and the lines that a
+person needs first.
+"""
 
 import importlib.util
 import json
@@ -34,7 +36,9 @@ from server.inspect.inspection import (
 from server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
 from tests.server.asking import Told
 
-needs_matplotlib = pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib")
+needs_matplotlib = pytest.mark.skipif(
+    importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib"
+)
 
 
 def scene_of(array: np.ndarray, isovalue: float, solid: str = "above") -> Scene:
@@ -109,7 +113,9 @@ def test_a_constant_volume_has_nothing_to_see() -> None:
 
 @pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
 def test_figures_are_those_of_the_field_and_not_of_its_units(scale: float) -> None:
-    expected, facts = (inspection_schema(scene_of(mask().astype(float) * s, 0.5 * s)) for s in (1.0, scale))
+    expected, facts = (
+        inspection_schema(scene_of(mask().astype(float) * s, 0.5 * s)) for s in (1.0, scale)
+    )
     for one, other in zip(expected.stiffness.surfaces, facts.stiffness.surfaces, strict=True):
         assert one.model_dump(exclude={"isovalue"}) == other.model_dump(exclude={"isovalue"})
 
@@ -133,7 +139,9 @@ def test_a_mark_of_missing_data_is_noticed(mark: float, solid: str) -> None:
     array[:4] = mark
     assert mark_of_nothing(make_volume(array, solid=solid)) == mark
     facts = inspection_schema(scene_of(array, 0.5, solid))
-    assert any(f"missing = {mark:.10g}" in can for remark in facts.stiffness.remarks for can in remark.can)
+    assert any(
+        f"missing = {mark:.10g}" in can for remark in facts.stiffness.remarks for can in remark.can
+    )
 
 
 @pytest.mark.parametrize("kind", ["mask", "outlier", "ramp", "holes"])
@@ -156,20 +164,31 @@ def test_remarks_follow_the_figures() -> None:
     assert [remark.about for remark in remarks(found)] == ["void"]
     noisy = surface.model_copy(update={"noisy": 0.4})
     calm = surface.model_copy(update={"isovalue": 9.0, "noisy": 0.1})
-    remark, coarse = remarks(StiffnessSchema(surfaces=[noisy, calm], own=0, void=0.0, steps=255.0, mark=None))
+    remark, coarse = remarks(
+        StiffnessSchema(surfaces=[noisy, calm], own=0, void=0.0, steps=255.0, mark=None)
+    )
     assert any("9 is near, and far less noisy, 10 %" in can for can in remark.can)
     assert "only 255 steps" in coarse.means
 
 
 @pytest.mark.parametrize(
     ("share", "text"),
-    [(0.0, "0 %"), (1e-6, "<0.1 %"), (0.0123, "1.2 %"), (0.0996, "10 %"), (0.5, "50 %"), (1.0, "100 %")],
+    [
+        (0.0, "0 %"),
+        (1e-6, "<0.1 %"),
+        (0.0123, "1.2 %"),
+        (0.0996, "10 %"),
+        (0.5, "50 %"),
+        (1.0, "100 %"),
+    ],
 )
 def test_percent(share: float, text: str) -> None:
     assert percent(share) == text
 
 
-def test_the_text_fits_a_terminal_and_marks_the_scenes_isovalue(told: Told, small_scene: Path) -> None:
+def test_the_text_fits_a_terminal_and_marks_the_scenes_isovalue(
+    told: Told, small_scene: Path
+) -> None:
     lines = told("inspect", small_scene, "--plan").splitlines()
     stiffness = lines[next(i for i, line in enumerate(lines) if line.startswith("stiffness")) :]
     assert max(map(len, stiffness)) <= 100
@@ -215,14 +234,18 @@ def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.svg", "a", "none/a.png"])
 def test_bad_pictures(told: Told, small_scene: Path, tmp_path: Path, name: str) -> None:
-    assert name.rpartition("/")[2] in told("inspect", small_scene, "--picture", tmp_path / name, status=2)
+    assert name.rpartition("/")[2] in told(
+        "inspect", small_scene, "--picture", tmp_path / name, status=2
+    )
 
 
 def test_without_matplotlib_a_sentence_says_what_to_install(
     told: Told, monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    assert "isogi[report]" in told("inspect", small_scene, "--picture", tmp_path / "a.png", status=1)
+    assert "isogi[report]" in told(
+        "inspect", small_scene, "--picture", tmp_path / "a.png", status=1
+    )
 
 
 def test_an_inspection_without_a_picture_needs_no_matplotlib() -> None:
@@ -252,7 +275,9 @@ def test_ten_lines_say_what_matters(brief_of: Brief, small_scene: Path) -> None:
     light = 2 * own.cells * 0.5**2 * scene.plan.bytes_per_texel / 1e6
     assert told["volume"] == "small, 24 × 20 × 16 voxels of float32, spacing 1 × 1 × 1"
     assert told["values"].endswith(", no holes")
-    assert told["isovalue"].startswith("0.5, as the scene says") and told["isovalue"].endswith("solid above")
+    assert told["isovalue"].startswith("0.5, as the scene says") and told["isovalue"].endswith(
+        "solid above"
+    )
     assert told["surface"].startswith(f"{own.cells:,} cells at 0.5")
     assert told["light"].startswith("constant, sky;")
     assert told["cost"].startswith(f"about {light:.2g} MB of light for this surface")
@@ -260,7 +285,8 @@ def test_ten_lines_say_what_matters(brief_of: Brief, small_scene: Path) -> None:
 
 def test_ten_lines_tell_of_holes_and_marks(brief_of: Brief, tmp_path: Path) -> None:
     array = np.random.default_rng(3).random((12,) * 3).astype(np.float32)
-    array[:2], array[5:7, 5:7, 5:7] = -9999.0, np.nan
+    array[:2] = -9999.0
+    array[5:7, 5:7, 5:7] = np.nan
     nrrd.write(str(tmp_path / "a.nrrd"), array, index_order="C")
     told = brief_of(tmp_path / "a.nrrd")
     assert told["values"].endswith("8 voxels are no numbers: holes")

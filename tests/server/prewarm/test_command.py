@@ -1,4 +1,6 @@
-"""``isogi prewarm`` alone: what it bakes is final at once afterwards, what it tells comes true, what stops goes on."""
+"""``isogi prewarm`` alone: what it bakes is final at once afterwards, what it tells comes true,
+what stops goes on.
+"""
 
 import json
 import os
@@ -49,7 +51,11 @@ def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Pat
     scene = load_scene(among)
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
         engine.start(hire=False)
-        for view in Views(order_of({"isovalues": [0.4, 0.6], "views": 3, **SIZE, "distance": 4.0}), scene, Settings()):
+        for view in Views(
+            order_of({"isovalues": [0.4, 0.6], "views": 3, **SIZE, "distance": 4.0}),
+            scene,
+            Settings(),
+        ):
             frame = engine.survey("among", view, 0.1)
             assert len(frame.gbuffer.walls.pixels) and not frame.quality.waiting
             between = engine.survey("among", replace(view, isovalue=0.5), 0.1)
@@ -69,9 +75,12 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     assert summary.paths >= FIRST_LEVEL * summary.texels > 0 and summary.processor_seconds > 0
     assert f"{summary.paths:,} paths" in str(summary)
     assert document_of(summary).summary == summary
-    scene, kept = load_scene(blocks), chunks_in(tmp_path)
+    scene = load_scene(blocks)
+    kept = chunks_in(tmp_path)
     assert 3 < summary.chunks <= len(kept)
-    assert summary.stored_bytes == sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
+    assert summary.stored_bytes == sum(
+        path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file()
+    )
     order = order_of({"isovalues": [0.4, 0.5, 0.6], "views": 3, **SIZE})
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
         engine.start(hire=False)
@@ -81,14 +90,17 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     assert chunks_in(tmp_path) == kept
 
 
-def test_whole_isosurfaces_are_final_from_all_sides_and_between(blocks: Path, tmp_path: Path) -> None:
+def test_whole_isosurfaces_are_final_from_all_sides_and_between(
+    blocks: Path, tmp_path: Path
+) -> None:
     order = order_of({"isovalues": ["0.45:0.55"], "all_directions": True})
     settings = Settings(store=str(tmp_path), workers=1)
     ahead = prewarm(str(blocks), order, settings, dry=True)
     summary = prewarm(str(blocks), order, settings)
     assert (summary.final, summary.stopped, summary.views) == (1.0, "target", 0)
     assert ahead.texels == summary.texels > 0
-    scene, rng = load_scene(blocks), np.random.default_rng(3)
+    scene = load_scene(blocks)
+    rng = np.random.default_rng(3)
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
         engine.start(hire=False)
         for isovalue in rng.uniform(0.45, 0.55, 8):
@@ -99,7 +111,9 @@ def test_whole_isosurfaces_are_final_from_all_sides_and_between(blocks: Path, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("asked", [{"views": 3, **SIZE}, {"all_directions": True}], ids=["views", "whole isosurfaces"])
+@pytest.mark.parametrize(
+    "asked", [{"views": 3, **SIZE}, {"all_directions": True}], ids=["views", "whole isosurfaces"]
+)
 def test_projected_texels_are_prewarmed_too(
     blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]
 ) -> None:
@@ -109,12 +123,15 @@ def test_projected_texels_are_prewarmed_too(
     order = order_of({"isovalues": ["0.4", "0.5"], **asked})
     settings = Settings(store=str(tmp_path / "light"), workers=1)
     ahead, plain = (prewarm(str(each), order, settings, dry=True) for each in (path, blocks))
-    summary, scene = prewarm(str(path), order, settings), load_scene(path)
+    summary = prewarm(str(path), order, settings)
+    scene = load_scene(path)
     assert (summary.final, summary.stopped) == (1.0, "target")
     assert ahead.texels == summary.texels > plain.texels
     with closing(RenderEngine([scene], str(tmp_path / "light"))) as engine:
         engine.start(hire=False)
-        for view in Views(order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()):
+        for view in Views(
+            order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()
+        ):
             frame = engine.survey("projected", view, 0.1)
             assert not frame.provisional and frame.quality.projection
             shares = frame.quality.projection.shares
@@ -157,7 +174,9 @@ def test_it_ends_with_its_deadline_and_goes_on(
     assert "no unfinished prewarm of blocks" in told(*command, status=2)
 
 
-def test_workers_that_fail_end_it(blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_fail_end_it(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise WorkersError("No workers today.")
 
@@ -189,9 +208,13 @@ def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
 
 
 def test_it_says_at_once_what_it_does(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    blocks: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    start, said = RenderEngine.start, list[str]()
+    start = RenderEngine.start
+    said = list[str]()
 
     def slow(engine: RenderEngine, hire: bool = True) -> None:
         said.append(capsys.readouterr().err)
@@ -218,7 +241,8 @@ def test_who_interrupts_it_is_told_how_to_go_on(
 
 
 def test_a_record_knows_its_process_and_the_time_left(blocks: Path) -> None:
-    scene, order = load_scene(blocks), order_of({"deadline": 100})
+    scene = load_scene(blocks)
+    order = order_of({"deadline": 100})
     document = Record("store", scene, order, "server").document
     ended = {"worker": f"{socket.gethostname()}/{os.getpid()}/other"}
     assert not document.left
@@ -230,7 +254,8 @@ def test_a_record_knows_its_process_and_the_time_left(blocks: Path) -> None:
 
 def test_silence_is_counted_by_the_clock_of_who_listens(blocks: Path) -> None:
     clock = [7.0]
-    silence, document = Silence(lambda: clock[0]), Record("store", load_scene(blocks), order_of({}), "server").document
+    silence = Silence(lambda: clock[0])
+    document = Record("store", load_scene(blocks), order_of({}), "server").document
     future = document.model_copy(update={"updated": document.updated + timedelta(days=1)})
     heard = []
     for clock[0], each in ((7.0, document), (20.0, document), (21.0, future), (26.0, future)):

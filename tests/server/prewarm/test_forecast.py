@@ -1,4 +1,6 @@
-"""What is told of a prewarm before it is begun: what is rehearsed is what tasks do, and a sample stands for all."""
+"""What is told of a prewarm before it is begun: what is rehearsed is what tasks do, and a sample
+stands for all.
+"""
 
 import math
 import threading
@@ -24,7 +26,9 @@ from worker.tasks import BakeTask
 
 def demand(number: int, texels: int) -> Demand:
     offsets = np.arange(texels, dtype=np.int32)
-    return Demand((number, 0, 0), offsets, 1.0, Effort(texels, 0.0, 0.0), np.ones(texels, np.float32))
+    return Demand(
+        (number, 0, 0), offsets, 1.0, Effort(texels, 0.0, 0.0), np.ones(texels, np.float32)
+    )
 
 
 def rehearsal(texels: int, seconds: float) -> ChunkCost:
@@ -37,15 +41,24 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
 ) -> None:
     """What is long is split: here all that is left of a chunk is, or nothing."""
     monkeypatch.setattr(bake_requests, "LONG_TASK_PATHS", long)
-    tasks, submit = list[BakeTask](), InlinePool.submit
-    monkeypatch.setattr(InlinePool, "submit", lambda self, task, done: (tasks.append(task), submit(self, task, done)))
+    tasks = list[BakeTask]()
+    submit = InlinePool.submit
+    monkeypatch.setattr(
+        InlinePool,
+        "submit",
+        lambda self, task, done: (tasks.append(task), submit(self, task, done)),
+    )
     scene = load_scene(blocks)
     with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:
         engine.start()
         patient = Viewer("a test", patient=True)
-        view, renderer = view_of(scene), engine.renderer("blocks")
+        view = view_of(scene)
+        renderer = engine.renderer("blocks")
         demands = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES).demands
-        tried = [rehearse(renderer, each, Until(0.1, 128), math.inf, threading.Event()) for each in demands]
+        tried = [
+            rehearse(renderer, each, Until(0.1, 128), math.inf, threading.Event())
+            for each in demands
+        ]
         cut = rehearse(renderer, demands[0], Until(0.1, 128), 0.0, threading.Event())
         before = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES)
         assert before.counts["provisional"] == before.surface > 0
@@ -68,7 +81,9 @@ def test_the_sample_is_spread_over_all_texels() -> None:
     assert sum(len(each.offsets) == 100 for each in chosen) > 0.8 * MOST_TRIED
     for first in (8, 16, 32):
         places = np.array([each.index[0] for each in chosen[:first]])
-        assert np.histogram(places, 4, (0, 1000))[0].tolist() == pytest.approx([first / 4] * 4, abs=1)
+        assert np.histogram(places, 4, (0, 1000))[0].tolist() == pytest.approx(
+            [first / 4] * 4, abs=1
+        )
     few = demands[:FEWEST_TRIED]
     assert list(stratified(few)) == few
 

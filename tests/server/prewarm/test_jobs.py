@@ -1,4 +1,6 @@
-"""Prewarms over HTTP: jobs that yield, are dismissed, outlive the server, and leave the same bytes."""
+"""Prewarms over HTTP: jobs that yield, are dismissed, outlive the server, and leave the same
+bytes.
+"""
 
 import asyncio
 import json
@@ -26,16 +28,22 @@ PREWARM = "/v1/scenes/blocks/prewarm"
 
 
 @pytest.fixture(scope="module")
-def alone(blocks: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def alone(
+    blocks: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, str]:
     """The chunks that the command leaves where nothing disturbs it."""
     store = tmp_path_factory.mktemp("alone")
     prewarm(str(blocks), order_of(ORDER), Settings(store=str(store), workers=1))
     return chunks_in(store)
 
 
-def test_a_prewarm_job_leaves_final_views_and_a_summary(blocks: Path, tmp_path: Path, alone: dict[str, str]) -> None:
+def test_a_prewarm_job_leaves_final_views_and_a_summary(
+    blocks: Path, tmp_path: Path, alone: dict[str, str]
+) -> None:
     with baking(blocks, tmp_path) as client:
-        ahead = until_over(client, client.post(PREWARM, json=ORDER | {"dry_run": True}).headers["location"])
+        ahead = until_over(
+            client, client.post(PREWARM, json=ORDER | {"dry_run": True}).headers["location"]
+        )
         assert (ahead["status"], chunks_in(tmp_path)) == ("successful", {})
         told = client.get(f"/v1/jobs/{ahead['jobID']}/results").json()
         begun = client.post(PREWARM, json=ORDER)
@@ -47,7 +55,11 @@ def test_a_prewarm_job_leaves_final_views_and_a_summary(blocks: Path, tmp_path: 
         assert (over["status"], over["progress"]) == ("successful", 100)
         (link,) = [each for each in over["links"] if each["rel"].endswith("/results")]
         summary = client.get(link["href"]).json()
-        assert (summary["final"], summary["stopped"], summary["texels"]) == (1.0, "target", told["texels"])
+        assert (summary["final"], summary["stopped"], summary["texels"]) == (
+            1.0,
+            "target",
+            told["texels"],
+        )
         assert summary["file"] == f"{tmp_path}/jobs/{over['jobID']}.json"
         assert json.loads(Path(summary["file"]).read_text())["summary"] == summary
         assert chunks_in(tmp_path) == alone
@@ -62,8 +74,16 @@ def test_a_prewarm_job_leaves_final_views_and_a_summary(blocks: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("body", "why"),
     [
-        *[("{", "no JSON"), ("[" * 30000, "no JSON"), ("[1]", "JSON object"), ('{"paint": 1}', "no parameter 'paint'")],
-        *[(f'{{"views": {number}}}', "views must be a whole number") for number in ("NaN", "1e999")],
+        *[
+            ("{", "no JSON"),
+            ("[" * 30000, "no JSON"),
+            ("[1]", "JSON object"),
+            ('{"paint": 1}', "no parameter 'paint'"),
+        ],
+        *[
+            (f'{{"views": {number}}}', "views must be a whole number")
+            for number in ("NaN", "1e999")
+        ],
         ('{"isovalues": ["0.2:0.8:0.0001"], "views": 9999}', "100,000 views at most"),
     ],
 )
@@ -94,14 +114,25 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
             assert (await client.post(PREWARM, json=ORDER)).json()["jobID"] == begun["jobID"]
             await idle.until(lambda: bool(idle.wanted), LONG)
             wants = idle.baker._queue.requests.values()
-            assert all(interest.viewer.patient for request in wants for interest in request.interests.values())
-            await client.get("/v1/scenes/blocks/frame", params={"width": 24, "height": 20, "isovalue": 0.5})
+            assert all(
+                interest.viewer.patient
+                for request in wants
+                for interest in request.interests.values()
+            )
+            await client.get(
+                "/v1/scenes/blocks/frame", params={"width": 24, "height": 20, "isovalue": 0.5}
+            )
             first = idle.baker._queue.take()
-            assert first is not None and any(not interest.viewer.patient for interest in first.interests.values())
+            assert first is not None and any(
+                not interest.viewer.patient for interest in first.interests.values()
+            )
             assert "chunks" in (await client.get(f"/v1/jobs/{begun['jobID']}")).json()["message"]
             ended = await client.delete(f"/v1/jobs/{begun['jobID']}")
             assert (ended.status_code, ended.json()["status"]) == (200, "dismissed")
-            assert all(client == GUEST_VIEWER.client or client == ("", "127.0.0.1") for _, client in idle.wanted)
+            assert all(
+                client == GUEST_VIEWER.client or client == ("", "127.0.0.1")
+                for _, client in idle.wanted
+            )
 
     asyncio.run(visit())
     (record,) = recorded_prewarms(str(tmp_path))
@@ -111,8 +142,16 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
 def test_looking_at_many_views_ends_soon_where_it_is_dismissed(idle: Idle) -> None:
     order = {"isovalues": ["0.3:0.7:0.001"], "views": 200, "width": 64, "height": 64}
     job = httpx.post(f"{idle.url}{PREWARM}", json=order).headers["location"]
-    assert wait_for(lambda: not httpx.get(f"{idle.url}{job}").json()["message"].startswith("Looking: 0 of"), LONG)
-    assert httpx.get(f"{idle.url}/v1/scenes/blocks/frame", params={"width": 24, "height": 20}).status_code == 200
+    assert wait_for(
+        lambda: not httpx.get(f"{idle.url}{job}").json()["message"].startswith("Looking: 0 of"),
+        LONG,
+    )
+    assert (
+        httpx.get(
+            f"{idle.url}/v1/scenes/blocks/frame", params={"width": 24, "height": 20}
+        ).status_code
+        == 200
+    )
     assert httpx.delete(f"{idle.url}{job}", timeout=10).json()["status"] == "dismissed"
 
 
@@ -122,10 +161,17 @@ def test_a_server_that_starts_again_takes_up_what_was_begun(
 ) -> None:
     with idle_server(blocks, tmp_path) as idle:
         kept = httpx.post(f"{idle.url}{PREWARM}", json=ORDER).json()["jobID"]
-        gone = httpx.post(f"{idle.url}{PREWARM}", json=ORDER | {"isovalues": [0.6]}).headers["location"]
+        gone = httpx.post(f"{idle.url}{PREWARM}", json=ORDER | {"isovalues": [0.6]}).headers[
+            "location"
+        ]
         httpx.delete(f"{idle.url}{gone}")
-        assert wait_for(lambda: any(record.ahead for record in recorded_prewarms(str(tmp_path))), LONG)
-    assert {record.status for record in recorded_prewarms(str(tmp_path))} == {"running", "dismissed"}
+        assert wait_for(
+            lambda: any(record.ahead for record in recorded_prewarms(str(tmp_path))), LONG
+        )
+    assert {record.status for record in recorded_prewarms(str(tmp_path))} == {
+        "running",
+        "dismissed",
+    }
     abandon(tmp_path / "jobs" / f"{kept}.json")
     with baking(blocks, tmp_path) as client:
         over = until_over(client, f"/v1/jobs/{kept}")
@@ -144,7 +190,9 @@ def abandon(record: Path) -> None:
 def test_what_another_server_works_on_is_left_to_it(blocks: Path, tmp_path: Path) -> None:
     with idle_server(blocks, tmp_path) as one:
         job = httpx.post(f"{one.url}{PREWARM}", json=ORDER).headers["location"]
-        assert wait_for(lambda: any(record.ahead for record in recorded_prewarms(str(tmp_path))), LONG)
+        assert wait_for(
+            lambda: any(record.ahead for record in recorded_prewarms(str(tmp_path))), LONG
+        )
         (record,) = (tmp_path / "jobs").glob("*.json")
         document = json.loads(record.read_text())
         record.write_text(json.dumps(document | {"worker": "elsewhere/1/abc"}))
@@ -155,11 +203,15 @@ def test_what_another_server_works_on_is_left_to_it(blocks: Path, tmp_path: Path
             assert answer.status_code == 404
 
 
-def test_a_command_beside_a_server_leaves_the_same_light(blocks: Path, tmp_path: Path, alone: dict[str, str]) -> None:
+def test_a_command_beside_a_server_leaves_the_same_light(
+    blocks: Path, tmp_path: Path, alone: dict[str, str]
+) -> None:
     load_scene(blocks)
     with baking(blocks, tmp_path) as client, ThreadPoolExecutor(1) as thread:
         job = client.post(PREWARM, json=ORDER).headers["location"]
-        beside = thread.submit(prewarm, str(blocks), order_of(ORDER), Settings(store=str(tmp_path), workers=1))
+        beside = thread.submit(
+            prewarm, str(blocks), order_of(ORDER), Settings(store=str(tmp_path), workers=1)
+        )
         assert until_over(client, job)["status"] == "successful"
         assert beside.result(LONG).final == 1.0
     assert chunks_in(tmp_path) == alone
@@ -167,7 +219,9 @@ def test_a_command_beside_a_server_leaves_the_same_light(blocks: Path, tmp_path:
 
 def test_the_body_is_documented(idle: Idle) -> None:
     api = httpx.get(f"{idle.url}/openapi.json").json()
-    body = api["paths"]["/v1/scenes/{scene}/prewarm"]["post"]["requestBody"]["content"]["application/json"]
+    body = api["paths"]["/v1/scenes/{scene}/prewarm"]["post"]["requestBody"]["content"][
+        "application/json"
+    ]
     assert body["schema"]["additionalProperties"] is False
     assert set(ORDER) < set(body["schema"]["properties"])
     assert "$ref" not in json.dumps(body)

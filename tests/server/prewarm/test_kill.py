@@ -1,4 +1,6 @@
-"""A prewarm that is killed half-way goes on: nothing is baked twice, and its light is that of an undisturbed one."""
+"""A prewarm that is killed half-way goes on: nothing is baked twice, and its light is that of an
+undisturbed one.
+"""
 
 import json
 import os
@@ -31,7 +33,9 @@ TARGET = "0.004"
 def paths_in(scene: Path, store: Path) -> int:
     """The paths of all light in a store; each brings light to all of its layers."""
     found = ChunkStore(store, spec_for(PreparedScene(load_scene(scene)), "gi"))
-    indices = [tuple(map(int, path.parts[-4:-1])) for path in Path(found.layers[0].path).glob("c/*/*/*/0")]
+    indices = [
+        tuple(map(int, path.parts[-4:-1])) for path in Path(found.layers[0].path).glob("c/*/*/*/0")
+    ]
     chunks = [found.read((z, y, x)) for z, y, x in indices]
     return sum(int(chunk.light.samples.clip(0).sum()) for chunk in chunks if chunk is not None)
 
@@ -47,11 +51,28 @@ def has_climbed(store: Path) -> bool:
 
 
 def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None:
-    """Begin a prewarm as a process, and kill it once it has ``reached`` something; its workers end with it."""
-    command = [sys.executable, "-m", "server", "prewarm", str(scene), "--store", str(store), "--workers", "1"]
+    """Begin a prewarm as a process, and kill it once it has ``reached`` something; its workers end
+    with it.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "prewarm",
+        str(scene),
+        "--store",
+        str(store),
+        "--workers",
+        "1",
+    ]
     order = ["--isovalue", "0.5", "--all-directions", "--target-error", TARGET]
-    process = subprocess.Popen([*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    assert wait_for(lambda: process.poll() is not None or reached(store), LONG) and process.poll() is None
+    process = subprocess.Popen(
+        [*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    assert (
+        wait_for(lambda: process.poll() is not None or reached(store), LONG)
+        and process.poll() is None
+    )
     family = psutil.Process(process.pid).children(recursive=True)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
@@ -62,13 +83,19 @@ def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None
 def scene(blocks: Path) -> Path:
     """The scene, whose pictures ask for more samples than texels have at first."""
     path = blocks.with_name("sky.toml")
-    settings = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
+    settings = (
+        blocks.read_text()
+        .replace('"constant"', '"sky"')
+        .replace("error = 0.1", f"error = {TARGET}")
+    )
     path.write_text(f"projected = false\n{settings}")
     return path
 
 
 @pytest.fixture(scope="module")
-def whole(scene: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+def whole(
+    scene: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Summary]:
     """A store that a prewarm has filled undisturbed, and how that ended."""
     store = tmp_path_factory.mktemp("whole")
     order = order_of({"isovalues": ["0.5"], "all_directions": True, "target_error": TARGET})
@@ -78,7 +105,11 @@ def whole(scene: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactor
 @pytest.mark.kill
 @pytest.mark.parametrize("reached", [has_begun, has_climbed])
 def test_a_prewarm_that_is_killed_goes_on(
-    scene: Path, whole: tuple[Path, Summary], tmp_path: Path, told: Told, reached: Callable[[Path], bool]
+    scene: Path,
+    whole: tuple[Path, Summary],
+    tmp_path: Path,
+    told: Told,
+    reached: Callable[[Path], bool],
 ) -> None:
     store, undisturbed = whole
     assert undisturbed.paths == paths_in(scene, store)

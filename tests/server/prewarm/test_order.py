@@ -11,13 +11,24 @@ from isogi_core.errors import ViewError
 from isogi_core.plan.assembly import load_scene
 from server.cli.prewarm import fields_given
 from server.errors import ParameterError
-from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views, all_sides, levels_of, orbit, order_of
+from server.prewarm.order import (
+    PrewarmOrder,
+    PrewarmRequest,
+    Views,
+    all_sides,
+    levels_of,
+    orbit,
+    order_of,
+)
 from server.settings import Settings
 
 
 def test_directions_are_spread_evenly() -> None:
     turns = np.radians(all_sides(200))
-    points = np.stack([np.cos(turns[:, 1]) * f(turns[:, 0]) for f in (np.cos, np.sin)] + [np.sin(turns[:, 1])], axis=1)
+    points = np.stack(
+        [np.cos(turns[:, 1]) * f(turns[:, 0]) for f in (np.cos, np.sin)] + [np.sin(turns[:, 1])],
+        axis=1,
+    )
     np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=0.01)
     np.testing.assert_allclose(points.T @ points / 200, np.eye(3) / 3, atol=0.01)
     apart = np.arccos(np.clip(points @ points.T - 2 * np.eye(200), -1, 1)).min(axis=1)
@@ -48,10 +59,13 @@ def test_so_many_levels_of_the_scenes_range(blocks: Path) -> None:
     scene = load_scene(blocks)
     assert order_of({"isovalues": ["adaptive:20"]}).isovalues_of(scene).single == scene.stops.levels
     order = order_of({"isovalues": ["uniform:4", "adaptive:6", "0.5"]})
-    levels, (low, high) = order.isovalues_of(scene).single, scene.isovalues
+    levels = order.isovalues_of(scene).single
+    (low, high) = scene.isovalues
     assert len(levels) == 11
     assert all(low < level < high for level in levels)
-    assert levels[1:5] == pytest.approx([low + (high - low) * share for share in (0.125, 0.375, 0.625, 0.875)])
+    assert levels[1:5] == pytest.approx(
+        [low + (high - low) * share for share in (0.125, 0.375, 0.625, 0.875)]
+    )
     assert levels[5:] == tuple(sorted(levels[5:]))
 
 
@@ -63,7 +77,9 @@ def test_so_many_levels_of_the_scenes_range(blocks: Path) -> None:
     ],
 )
 def test_other_isovalues_are_refused(text: str) -> None:
-    with pytest.raises(ParameterError, match=r"^isovalue must be a number such as 70, .* adaptive:20 or uniform:20"):
+    with pytest.raises(
+        ParameterError, match=r"^isovalue must be a number such as 70, .* adaptive:20 or uniform:20"
+    ):
         levels_of([text])
 
 
@@ -75,8 +91,14 @@ def test_each_isovalue_is_taken_once_and_not_too_many_together() -> None:
 
 
 def test_directions_of_all_kinds_add_up_and_are_taken_once(blocks: Path) -> None:
-    told = {"isovalues": [0.4, "0.5:0.6:0.1"], "views": 3, "orbits": [{"count": 4}], "directions": [{"azimuth": 90}]}
-    order, scene = order_of(told), load_scene(blocks)
+    told = {
+        "isovalues": [0.4, "0.5:0.6:0.1"],
+        "views": 3,
+        "orbits": [{"count": 4}],
+        "directions": [{"azimuth": 90}],
+    }
+    order = order_of(told)
+    scene = load_scene(blocks)
     views = list(Views(order, scene, Settings()))
     assert len(views) == 3 * 7
     assert {view.isovalue for view in views} == {0.4, 0.5, 0.6}
@@ -87,14 +109,20 @@ def test_directions_of_all_kinds_add_up_and_are_taken_once(blocks: Path) -> None
 @pytest.mark.parametrize(
     ("told", "why"),
     [
-        ({"isovalues": ["0.4:0.5"]}, "isovalues 0.4:0.5 means every isovalue between, which takes all_directions"),
+        (
+            {"isovalues": ["0.4:0.5"]},
+            "isovalues 0.4:0.5 means every isovalue between, which takes all_directions",
+        ),
         ({"all_directions": True, "views": 3}, "all_directions leaves nothing to views"),
         ({"views": 0}, "views must be a whole number from 1 to 10000, not '0'."),
         *[({"views": views}, "views must be a whole number") for views in (1.5, math.nan, True)],
         ({"isovalues": 5}, "isovalues Input should be a valid tuple."),
         ({"isovalues": [[1]]}, "isovalue must be a number such as 70"),
         ({"isovalues": ["1"] * 1001}, "isovalues Tuple should have at most 1000 items"),
-        ({"directions": [{"azimuth": 1000}]}, "directions.0.azimuth must be a number from -360 to 360, not '1000'."),
+        (
+            {"directions": [{"azimuth": 1000}]},
+            "directions.0.azimuth must be a number from -360 to 360, not '1000'.",
+        ),
         ({"directions": [{}]}, "directions.0.azimuth is missing: give it."),
         ({"orbits": [{"count": 2, "at": 3}]}, "orbits.0.at"),
         ({"all_directions": "yes"}, "all_directions Input should be a valid boolean."),
@@ -115,13 +143,19 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(told: dict[str, Any], why:
     ("told", "why"),
     [
         ({"isovalues": ["0.4:0.9:0.1"]}, "isovalue must be a number from 0.2 to 0.8"),
-        ({"isovalues": ["0.2:0.9"], "all_directions": True}, "isovalue must be a number from 0.2 to 0.8"),
+        (
+            {"isovalues": ["0.2:0.9"], "all_directions": True},
+            "isovalue must be a number from 0.2 to 0.8",
+        ),
         ({"isovalues": ["0.2:0.8:0.0001"], "views": 1000}, "ask for 100,000 views at most."),
         ({"width": 16000, "height": 16000}, "width × height must be at most"),
     ],
 )
-def test_what_a_scene_does_not_allow_is_refused(blocks: Path, told: dict[str, Any], why: str) -> None:
-    order, scene = order_of(told), load_scene(blocks)
+def test_what_a_scene_does_not_allow_is_refused(
+    blocks: Path, told: dict[str, Any], why: str
+) -> None:
+    order = order_of(told)
+    scene = load_scene(blocks)
     with pytest.raises(ViewError, match=why):
         order.isovalues_of(scene)
         Views(order, scene, Settings())
@@ -139,17 +173,28 @@ def test_the_name_of_an_order_is_that_of_its_light(blocks: Path) -> None:
 def test_options_tell_the_same_order(tmp_path: Path) -> None:
     (tmp_path / "views.toml").write_text("[[directions]]\nazimuth = 5\nelevation = 6\n")
     (tmp_path / "views.json").write_text('[{"azimuth": 5, "elevation": 6}]')
-    given = {"isovalues": ("0.5",), "directions": ("azimuth=40,elevation=30",), "orbits": ("36@20", "8"), "views": None}
+    given = {
+        "isovalues": ("0.5",),
+        "directions": ("azimuth=40,elevation=30",),
+        "orbits": ("36@20", "8"),
+        "views": None,
+    }
     order = order_of(fields_given(given | {"views_file": tmp_path / "views.toml"}))
     assert [(each.azimuth, each.elevation) for each in order.directions] == [(40, 30), (5, 6)]
     assert [(each.count, each.elevation) for each in order.orbits] == [(36, 20), (8, 0)]
-    assert order_of(fields_given({"views_file": tmp_path / "views.json"})).directions == order.directions[1:]
+    assert (
+        order_of(fields_given({"views_file": tmp_path / "views.json"})).directions
+        == order.directions[1:]
+    )
 
 
 @pytest.mark.parametrize(
     "given",
     [
-        *[{"directions": (text,)} for text in ("40,30", "azimuth=40;elevation=30", "azimuth=40,azimut=30")],
+        *[
+            {"directions": (text,)}
+            for text in ("40,30", "azimuth=40;elevation=30", "azimuth=40,azimut=30")
+        ],
         *[{"orbits": (text,)} for text in ("x@20", "36@", "36@200")],
     ],
 )
@@ -158,7 +203,9 @@ def test_directions_that_are_misspelt_are_refused(given: dict[str, Any]) -> None
         order_of(fields_given(given))
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.json", "{"), ("a.toml", "="), ("a.json", "3"), ("a.json", "[]")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.json", "{"), ("a.toml", "="), ("a.json", "3"), ("a.json", "[]")]
+)
 def test_a_file_without_directions_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(ParameterError, match=name):

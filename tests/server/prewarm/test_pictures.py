@@ -1,4 +1,6 @@
-"""Prewarms go by the measured error of pictures: they bake what a server would for the views, and nothing more."""
+"""Prewarms go by the measured error of pictures: they bake what a server would for the views, and
+nothing more.
+"""
 
 import shutil
 import time
@@ -48,9 +50,15 @@ pytestmark = pytest.mark.usefixtures("all_inline")
 
 @pytest.fixture(scope="module")
 def lit(blocks: Path) -> Path:
-    """The scene whose pictures need more than first light: a sky, and a target that 16 samples do not reach."""
+    """The scene whose pictures need more than first light: a sky, and a target that 16 samples do
+    not reach.
+    """
     path = blocks.with_name("lit.toml")
-    dim = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
+    dim = (
+        blocks.read_text()
+        .replace('"constant"', '"sky"')
+        .replace("error = 0.1", f"error = {TARGET}")
+    )
     path.write_text(dim)
     return path
 
@@ -94,13 +102,18 @@ def rungs_in(scene: Path, store: Path, low: float, high: float) -> np.ndarray:
     """The samples of all lit texels of the isosurfaces from one isovalue to another."""
     with engine_of(scene, store, hire=False) as engine:
         renderer = engine.renderer(scene.stem)
-        prepared, volume = renderer.prepared, renderer.prepared.scene.volume
+        prepared = renderer.prepared
+        volume = renderer.prepared.scene.volume
         ends = volume.normalise_isovalue(low), volume.normalise_isovalue(high)
         found = []
-        for index, offsets in surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends]):
+        for index, offsets in surface_texels(
+            volume.voxels, prepared.shape, prepared.lattice.chunk, [ends]
+        ):
             chunk = renderer.caches.chunk_store("gi").read(index)
             assert chunk is not None
-            light = chunk.with_texels(offsets).light.rows(chunk.with_texels(offsets).rows_of(offsets))
+            light = chunk.with_texels(offsets).light.rows(
+                chunk.with_texels(offsets).rows_of(offsets)
+            )
             found.append(light.samples[~light.void])
     return np.concatenate(found)
 
@@ -121,7 +134,9 @@ def test_a_prewarm_bakes_what_serving_the_view_would(
 
 
 def test_views_are_final_without_a_texel_baked(lit: Path, viewed: Warm, tmp_path: Path) -> None:
-    summary, views, kept = viewed.summary, views_of(lit, VIEWS), chunks_in(viewed.store)
+    summary = viewed.summary
+    views = views_of(lit, VIEWS)
+    kept = chunks_in(viewed.store)
     assert (summary.final, summary.stopped) == (1.0, "target")
     with engine_of(lit, viewed.store, hire=False) as engine:
         for view in views:
@@ -137,7 +152,8 @@ def test_views_are_final_without_a_texel_baked(lit: Path, viewed: Warm, tmp_path
 
 
 def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, whole: Warm) -> None:
-    summary, rungs = whole.summary, rungs_in(lit, whole.store, 0.5, 0.5)
+    summary = whole.summary
+    rungs = rungs_in(lit, whole.store, 0.5, 0.5)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.worst <= TARGET
     assert FIRST_LEVEL < rungs.min() <= rungs.max(), "those with fewer are good enough alone"
     assert summary.texels >= len(rungs) and summary.paths >= rungs.sum()
@@ -148,7 +164,8 @@ def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, whole: Warm
 
 
 def test_ranges_have_the_samples_that_their_ends_need(lit: Path, tmp_path: Path) -> None:
-    summary, rungs = warmed(lit, tmp_path, RANGE), rungs_in(lit, tmp_path, 0.49, 0.51)
+    summary = warmed(lit, tmp_path, RANGE)
+    rungs = rungs_in(lit, tmp_path, 0.49, 0.51)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.mean <= TARGET
     assert FIRST_LEVEL < rungs.min() <= rungs.max()
     assert warmed(lit, tmp_path, RANGE).paths == 0
@@ -157,7 +174,8 @@ def test_ranges_have_the_samples_that_their_ends_need(lit: Path, tmp_path: Path)
 def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, whole: Warm, tmp_path: Path) -> None:
     store = shutil.copytree(whole.store, tmp_path / "store")
     rung = int(rungs_in(lit, store, 0.5, 0.5).max())
-    record, context = Record(str(store), load_scene(lit), order_of(WHOLE), "command"), SimpleNamespace(rung=0)
+    record = Record(str(store), load_scene(lit), order_of(WHOLE), "command")
+    context = SimpleNamespace(rung=0)
     record.follow(context)  # type: ignore[arg-type]
     assert context.rung == record.document.rung == rung
     context.climbed(2 * rung)
@@ -165,8 +183,11 @@ def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, whole: Warm, tmp_p
     assert context.rung == 2 * rung
 
 
-def test_checks_end_with_the_deadline(lit: Path, viewed: Warm, monkeypatch: pytest.MonkeyPatch) -> None:
-    check, taken = RenderEngine.check, list[float]()
+def test_checks_end_with_the_deadline(
+    lit: Path, viewed: Warm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check = RenderEngine.check
+    taken = list[float]()
 
     def slow(engine: RenderEngine, *what: Any, **how: Any) -> bool:
         taken.append(time.monotonic())
@@ -203,7 +224,9 @@ def test_progress_never_goes_back(request: pytest.FixtureRequest, order: str) ->
     shares = [step.share for step in steps]
     assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
     baking = [step for step in steps if step.what == "Baking"]
-    assert len({step.total for step in baking}) >= 1 and all(step.left is not None for step in baking)
+    assert len({step.total for step in baking}) >= 1 and all(
+        step.left is not None for step in baking
+    )
     rounds = sum(step.done == 0 for step in baking)
     assert rounds >= 2, "one for each rung"
 
@@ -226,7 +249,8 @@ SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
 @pytest.mark.slow
 def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weigh_at(Prices(COUNTED_TEXEL_SHARE, 0.0, 0.0), monkeypatch)
-    scene, order = tmp_path / "coarse.toml", {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
+    scene = tmp_path / "coarse.toml"
+    order = {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
     scene.write_text(COARSE)
     summary = warmed(scene, tmp_path / "light", order)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.error <= 0.05
@@ -241,7 +265,8 @@ def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.Monk
 def test_all_sides_of_several_surfaces_are_prewarmed(blocks: Path, tmp_path: Path) -> None:
     scene = blocks.with_name("several.toml")
     scene.write_text(blocks.read_text().replace("[[lights]]", SEVERAL))
-    summary, views = warmed(scene, tmp_path, VIEWS), views_of(scene, VIEWS)
+    summary = warmed(scene, tmp_path, VIEWS)
+    views = views_of(scene, VIEWS)
     assert (summary.final, summary.stopped) == (1.0, "target")
     with engine_of(scene, tmp_path, hire=False) as engine:
         for view in views:

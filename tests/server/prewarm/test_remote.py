@@ -1,4 +1,6 @@
-"""``isogi prewarm --server``: a server does the work, and the command follows it, or leaves it to that."""
+"""``isogi prewarm --server``: a server does the work, and the command follows it, or leaves it to
+that.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,7 +51,9 @@ def test_a_server_is_left_to_it(lab: Lab, tmp_path: Path, told: Told) -> None:
     assert chunks_in(tmp_path)
 
 
-def test_who_interrupts_the_command_dismisses_the_job(lab: Lab, monkeypatch: pytest.MonkeyPatch, told: Told) -> None:
+def test_who_interrupts_the_command_dismisses_the_job(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, told: Told
+) -> None:
     jobs: list[str] = []
 
     def interrupted(job: isogi_client.Job, _: object) -> None:
@@ -57,7 +61,9 @@ def test_who_interrupts_the_command_dismisses_the_job(lab: Lab, monkeypatch: pyt
         raise KeyboardInterrupt
 
     monkeypatch.setattr(isogi_client.Job, "wait", interrupted)
-    assert "stopped" in told("prewarm", "blocks", "--server", lab.url, "--isovalue", "0.3:0.7:0.01", status=1)
+    assert "stopped" in told(
+        "prewarm", "blocks", "--server", lab.url, "--isovalue", "0.3:0.7:0.01", status=1
+    )
     assert status(lab, jobs[0]) == "dismissed"
 
 
@@ -68,10 +74,14 @@ def test_who_interrupts_the_command_dismisses_the_job(lab: Lab, monkeypatch: pyt
         (["blocks", "--isovalue", "0.9"], 2, "must be a number from 0.2 to 0.8"),
     ],
 )
-def test_what_a_server_refuses_is_told(lab: Lab, more: list[str], status: int, why: str, told: Told) -> None:
+def test_what_a_server_refuses_is_told(
+    lab: Lab, more: list[str], status: int, why: str, told: Told
+) -> None:
     assert why in told("prewarm", *more, "--server", lab.url, status=status)
 
 
 def test_a_server_that_is_not_there_is_told(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ISOGI_TOKEN", TOKEN)
-    assert "No answer from the server" in told("prewarm", "blocks", "--server", "http://127.0.0.1:9", status=1)
+    assert "No answer from the server" in told(
+        "prewarm", "blocks", "--server", "http://127.0.0.1:9", status=1
+    )

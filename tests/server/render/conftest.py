@@ -41,7 +41,9 @@ def engine(begin: Begin, inline: None) -> RenderEngine:
 
 @pytest.fixture
 def hasty(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake on a thread of this process, look often whether the store is back, and try again at once what failed."""
+    """Bake on a thread of this process, look often whether the store is back, and try again at once
+    what failed.
+    """
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.storage.store.WRITE_RETRY_SECONDS", 0.0)
     monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
@@ -50,7 +52,9 @@ def hasty(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, str]]:
+def whole(
+    small_scene: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[bytes, dict[str, str]]:
     """A view as one server over a folder leaves it, and its chunks."""
     folder = tmp_path_factory.mktemp("light")
     with pytest.MonkeyPatch.context() as patch:

@@ -13,7 +13,8 @@ from tests.server.loops import IN_NO_TIME
 
 async def lost_of(*owners: Hashable, most: int, work: bool = False) -> list[int]:
     """The numbers of the places that were lost when these owners came, one a second."""
-    limit, places = AdmissionLimit(most, "guests are in", work), list[Place]()
+    limit = AdmissionLimit(most, "guests are in", work)
+    places = list[Place]()
     for owner in owners:
         await asyncio.sleep(1)
         with suppress(BusyError):
@@ -26,7 +27,10 @@ async def lost_of(*owners: Hashable, most: int, work: bool = False) -> list[int]
 async def test_no_more_are_let_in_than_may_be() -> None:
     limit = AdmissionLimit(1, "guests are in")
     with limit.admitted("a"):
-        with pytest.raises(BusyError, match=r"^1 guests are in already: ask again in a second\.$"), limit.admitted("b"):
+        with (
+            pytest.raises(BusyError, match=r"^1 guests are in already: ask again in a second\.$"),
+            limit.admitted("b"),
+        ):
             pass
         assert limit.open == 1
     assert limit.open == 0
@@ -48,7 +52,9 @@ async def test_no_more_are_let_in_than_may_be() -> None:
         ("aaaabb", True, [2, 3]),
     ],
 )
-async def test_a_newcomer_takes_a_place_of_who_has_most(owners: str, work: bool, lost: list[int]) -> None:
+async def test_a_newcomer_takes_a_place_of_who_has_most(
+    owners: str, work: bool, lost: list[int]
+) -> None:
     assert await lost_of(*owners, most=4, work=work) == lost
 
 
@@ -87,11 +93,15 @@ async def three_seconds() -> str:
 
 
 @IN_NO_TIME
-@pytest.mark.parametrize(("lost", "said", "seconds"), [(5, "done", 3), (1, "Another client needed", 1)])
+@pytest.mark.parametrize(
+    ("lost", "said", "seconds"), [(5, "done", 3), (1, "Another client needed", 1)]
+)
 async def test_work_ends_when_its_place_is_lost(lost: float, said: str, seconds: float) -> None:
     ENDED.clear()
-    loop, limit = asyncio.get_running_loop(), AdmissionLimit(2, "guests are in", work=True)
-    _, place = limit.enter("a"), limit.enter("a")
+    loop = asyncio.get_running_loop()
+    limit = AdmissionLimit(2, "guests are in", work=True)
+    _ = limit.enter("a")
+    place = limit.enter("a")
     begun = loop.time()
     loop.call_later(lost, limit.enter, "b")
     try:

@@ -37,25 +37,35 @@ def picture(answer: httpx.Response) -> np.ndarray:
 
 
 def test_another_albedo_is_final_at_once_and_brighter(ask: Ask) -> None:
-    own, bright, warm = ask(), ask(albedo=0.9), ask(albedo="0.9,0.5,0.1")
+    own = ask()
+    bright = ask(albedo=0.9)
+    warm = ask(albedo="0.9,0.5,0.1")
     for answer in (bright, warm):
         needed, final = re.findall(r"\d+", answer.headers["isogi-chunks"])
-        assert needed == final and "provisional=0.000" in answer.headers["isogi-coverage"], "nothing is baked again"
-    assert picture(bright).mean() == pytest.approx(3.0 * picture(own).mean(), rel=0.05), "two balls reflect little"
+        assert needed == final and "provisional=0.000" in answer.headers["isogi-coverage"], (
+            "nothing is baked again"
+        )
+    assert picture(bright).mean() == pytest.approx(3.0 * picture(own).mean(), rel=0.05), (
+        "two balls reflect little"
+    )
     reds = [picture(answer)[..., 0] for answer in (warm, bright)]
     np.testing.assert_allclose(*reds, rtol=1e-3, err_msg="red is as bright as grey of that share")
     assert picture(warm)[..., 2].max() < picture(bright)[..., 2].max() / 5.0
 
 
 def test_tags_differ_by_albedo_and_the_scenes_own_is_default(ask: Ask) -> None:
-    own, named, spelt, other = (ask(**albedo).headers["etag"] for albedo in ({}, {"albedo": 0.3}, *TWO))
+    own, named, spelt, other = (
+        ask(**albedo).headers["etag"] for albedo in ({}, {"albedo": 0.3}, *TWO)
+    )
     assert own == named == spelt != other
 
 
 TWO: tuple[dict[str, str | float], ...] = ({"albedo": "0.3,0.3,0.3"}, {"albedo": 0.31})
 
 
-@pytest.mark.parametrize("albedo", ["0.95", "0.9,0.95,0.1", "1.5", "-0.1", "0.5,0.5", "red", "nan", ""])
+@pytest.mark.parametrize(
+    "albedo", ["0.95", "0.9,0.95,0.1", "1.5", "-0.1", "0.5,0.5", "red", "nan", ""]
+)
 def test_albedos_that_are_none_or_not_in_the_range_are_refused(ask: Ask, albedo: str) -> None:
     answer = ask(albedo=albedo)
     assert (answer.status_code, answer.json()["parameter"]) == (422, "albedo")
@@ -66,7 +76,12 @@ def test_a_scene_of_one_albedo_says_how_to_have_more(live_server: str) -> None:
     answer = httpx.get(f"{live_server}/v1/scenes/small/frame", params={**VIEW, "albedo": 0.5})
     assert (answer.status_code, answer.json()["parameter"]) == (422, "albedo")
     assert "albedos = [0, 0.9]" in answer.json()["detail"]
-    assert httpx.get(f"{live_server}/v1/scenes/small/frame", params={**VIEW, "albedo": 0.7}).status_code == 200
+    assert (
+        httpx.get(
+            f"{live_server}/v1/scenes/small/frame", params={**VIEW, "albedo": 0.7}
+        ).status_code
+        == 200
+    )
     assert httpx.get(f"{live_server}/v1/scenes/small").json()["albedos"] is None
 
 
@@ -90,6 +105,9 @@ def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
 
 
 async def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
-    views = [{"width": 24, "height": 20, "azimuth": 40, "albedo": albedo} for albedo in (0.9, [0.9, 0.5, 0.1], "0.9")]
+    views = [
+        {"width": 24, "height": 20, "azimuth": 40, "albedo": albedo}
+        for albedo in (0.9, [0.9, 0.5, 0.1], "0.9")
+    ]
     grey, warm, spelt = await pictures_on(f"{server}/v1/scenes/live/stream", views)
     assert grey != warm != spelt

@@ -1,4 +1,6 @@
-"""Servers whose way to a standard S3 delays, drops, resets and says nothing: no light is lost, and nothing hangs."""
+"""Servers whose way to a standard S3 delays, drops, resets and says nothing: no light is lost, and
+nothing hangs.
+"""
 
 import os
 import sys
@@ -72,7 +74,9 @@ def started(scene: Path, store: str, seconds: float = 5.0, retries: int = 2) -> 
 def test_what_a_bad_network_bakes_is_what_a_folder_has(
     small_scene: Path, standard_s3: str, proxy: Proxy, whole: tuple[bytes, dict[str, str]]
 ) -> None:
-    """Answers are cut off or lost whose writes were done; a retry finds the object that it wrote itself."""
+    """Answers are cut off or lost whose writes were done; a retry finds the object that it wrote
+    itself.
+    """
     proxy.harms = BAD
     with closing(started(small_scene, standard_s3)) as engine:
         assert drawn(engine) == whole[0]
@@ -85,12 +89,18 @@ def test_what_a_bad_network_bakes_is_what_a_folder_has(
 
 @pytest.mark.parametrize("harm", ["silence", "drop", "reset", "cut"])
 def test_a_network_that_is_down_is_told_within_a_call(
-    small_scene: Path, standard_s3: str, proxy: Proxy, whole: tuple[bytes, dict[str, str]], harm: Harm
+    small_scene: Path,
+    standard_s3: str,
+    proxy: Proxy,
+    whole: tuple[bytes, dict[str, str]],
+    harm: Harm,
 ) -> None:
     with closing(started(small_scene, standard_s3, CALL, retries=1)) as engine:
         proxy.harms = (harm,)
         begun = time.monotonic()
-        with pytest.raises(StoreError, match=r"^(The|Cannot \w+.* the) store at s3://\S+:? [a-z ]+\.$"):
+        with pytest.raises(
+            StoreError, match=r"^(The|Cannot \w+.* the) store at s3://\S+:? [a-z ]+\.$"
+        ):
             engine.frame("small", view_of(engine.scenes["small"]), wait=2.0)
         assert time.monotonic() - begun < 5.0 * CALL
         proxy.harms = ("pass",)
@@ -98,7 +108,9 @@ def test_a_network_that_is_down_is_told_within_a_call(
     assert chunks_at(standard_s3) == whole[1]
 
 
-def test_a_silent_network_holds_no_thread_for_ever(small_scene: Path, standard_s3: str, proxy: Proxy) -> None:
+def test_a_silent_network_holds_no_thread_for_ever(
+    small_scene: Path, standard_s3: str, proxy: Proxy
+) -> None:
     """Where an engine is closed while its store says nothing, each call comes to an end."""
     with closing(started(small_scene, standard_s3, CALL, retries=1)) as engine:
         proxy.harms = ("silence",)
@@ -117,13 +129,20 @@ def calling() -> list[str]:
     return [
         each.name
         for each in threads
-        if any(frame.filename.endswith("object_store.py") for frame in traceback.extract_stack(stacks[each.ident or 0]))
+        if any(
+            frame.filename.endswith("object_store.py")
+            for frame in traceback.extract_stack(stacks[each.ident or 0])
+        )
     ]
 
 
 @pytest.mark.kill
 def test_a_prewarm_that_is_killed_on_a_bad_network_is_mended(
-    small_scene: Path, standard_s3: str, proxy: Proxy, whole: tuple[bytes, dict[str, str]], tmp_path: Path
+    small_scene: Path,
+    standard_s3: str,
+    proxy: Proxy,
+    whole: tuple[bytes, dict[str, str]],
+    tmp_path: Path,
 ) -> None:
     proxy.harms = BAD
     command = ["prewarm", str(small_scene), "--store", standard_s3, "--workers", "1"]

@@ -53,14 +53,19 @@ pytestmark = pytest.mark.usefixtures("inline")
 def scene() -> Scene:
     """A scene whose texels keep two layers."""
     light = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
-    return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
+    return load_scene(
+        "demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light]
+    )
 
 
 @pytest.fixture(scope="module")
 def baked(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Frame, Path]:
     """The final frame of a view, and a store that has its light."""
     folder = tmp_path_factory.mktemp("baked")
-    with pytest.MonkeyPatch.context() as patch, closing(RenderEngine([scene], str(folder))) as engine:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        closing(RenderEngine([scene], str(folder))) as engine,
+    ):
         patch.setattr(pool, "WorkerPool", InlinePool)
         engine.start()
         return look(engine, wait=LONG), folder
@@ -74,7 +79,9 @@ def whole(baked: tuple[Frame, Path], store: Path) -> Frame:
     return frame
 
 
-def look(engine: RenderEngine, azimuth: float = 30.0, isovalue: float | None = None, **more: Any) -> Frame:
+def look(
+    engine: RenderEngine, azimuth: float = 30.0, isovalue: float | None = None, **more: Any
+) -> Frame:
     """A frame of an engine's scene."""
     (scene,) = engine.scenes.values()
     return engine.frame(scene.id, view_of(scene, azimuth, isovalue), **more)
@@ -166,10 +173,14 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     for isovalue in (0.3, 0.31):
         look(engine, isovalue=isovalue)
     before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
-    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, find_levels(scene.volume.voxels))
+    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(
+        before, now, find_levels(scene.volume.voxels)
+    )
 
 
-def test_a_scheduler_that_comes_later_is_joined_then(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_comes_later_is_joined_then(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tries = iter((True, True, False))
 
     def join(*given: Any) -> InlinePool:
@@ -188,7 +199,10 @@ def test_a_scheduler_that_comes_later_is_joined_then(begin: Begin, monkeypatch: 
     ("error", "told"),
     [
         (WorkersError("No workers today."), "No workers today."),
-        (ImportError("No module 'distributed'"), "Cannot start the workers: No module 'distributed'"),
+        (
+            ImportError("No module 'distributed'"),
+            "Cannot start the workers: No module 'distributed'",
+        ),
         (OSError("No such file"), "Cannot start the workers: No such file"),
     ],
 )
@@ -212,7 +226,9 @@ def test_workers_that_are_lost_are_told(begin: Begin, monkeypatch: pytest.Monkey
     assert engine.unready() == ["The workers are on strike."]
 
 
-def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, store: Path, whole: Frame) -> None:
+def test_after_a_restart_the_same_view_is_final_at_once(
+    begin: Begin, store: Path, whole: Frame
+) -> None:
     kept = chunks_in(store)
     after = look(begin())
     assert not after.provisional
@@ -221,7 +237,8 @@ def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, store: Pat
 
 
 def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, scene: Scene) -> None:
-    engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
+    engine = begin()
+    view = replace(view_of(scene), shading="path_traced", samples=16)
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
     assert frame.provisional and frame.noise > 0.001
     assert engine.lacking(scene.id, frame)[1].demands == ()
@@ -240,7 +257,10 @@ def test_a_stricter_error_is_worked_for(begin: Begin) -> None:
 
 DAMAGES: list[Callable[[list[bytes]], list[bytes]]] = [
     *(lambda chunks: [b"" for _ in chunks], lambda chunks: [each[:-1] for each in chunks]),
-    *(lambda chunks: [bytes(len(each)) for each in chunks], lambda chunks: [each + b"!" for each in chunks]),
+    *(
+        lambda chunks: [bytes(len(each)) for each in chunks],
+        lambda chunks: [each + b"!" for each in chunks],
+    ),
     lambda chunks: chunks[1:] + chunks[:1],
 ]
 
@@ -260,7 +280,9 @@ def test_damage_on_disk_heals_to_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_layers_deleted_while_running_are_baked_again(begin: Begin, scene: Scene, store: Path) -> None:
+def test_layers_deleted_while_running_are_baked_again(
+    begin: Begin, scene: Scene, store: Path
+) -> None:
     engine = begin()
     views = view_of(scene), view_of(scene, isovalue=0.06)
     frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
@@ -280,7 +302,9 @@ def test_layers_deleted_while_running_are_baked_again(begin: Begin, scene: Scene
     assert chunks_in(store) == kept
 
 
-def test_a_chunk_deleted_while_running_is_baked_again(begin: Begin, store: Path, whole: Frame) -> None:
+def test_a_chunk_deleted_while_running_is_baked_again(
+    begin: Begin, store: Path, whole: Frame
+) -> None:
     kept = chunks_in(store)
     engine = begin()
     lost = sorted(kept)[:3]
@@ -300,7 +324,8 @@ def test_cut_metadata_stops_the_start(begin: Begin, store: Path) -> None:
     metadata.write_text(metadata.read_text()[:100])
     with pytest.raises(
         StoreError,
-        match=r"^Cannot open the light at .*; have `isogi store repair` mend it, or move that folder away, .*\.$",
+        match=r"^Cannot open the light at .*; have `isogi store repair` mend it, "
+        r"or move that folder away, .*\.$",
     ):
         begin()
 
@@ -318,7 +343,11 @@ def test_a_full_disk_leaves_frames_provisional_and_is_told(
         assert (frame.radiance[frame.state > 0] > 0.0).all()
         assert wait_for(lambda: engine.unready() != [], LONG)
         assert "No space left on device; the store is full" in engine.unready()[0]
-        assert engine.trouble() == "" == StoreProbe(engine.store).reasons()[0].partition("Cannot write to the store")[0]
+        assert (
+            engine.trouble()
+            == ""
+            == StoreProbe(engine.store).reasons()[0].partition("Cannot write to the store")[0]
+        )
         assert engine.baker.tally().given_up == engine.baker.tally().failed == 0
     assert not engine.frame(scene.id, other, wait=LONG).provisional
     assert engine.unready() == StoreProbe(engine.store).reasons() == []
@@ -364,12 +393,14 @@ def test_memory_is_set_aside_for_what_requests_read_alone(
     begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
-    budget, shadings = 64 << 20, ("lambert", "phong_shadow", "vicinity", "gi")
+    budget = 64 << 20
+    shadings = ("lambert", "phong_shadow", "vicinity", "gi")
     views = [replace(view_of(scene), shading=shading) for shading in shadings]
     for view in views:
         begin().frame(scene.id, view)
     tracemalloc.start()
-    engine, taken = begin(memory=budget), []
+    engine = begin(memory=budget)
+    taken = []
     for view in views:
         engine.frame(scene.id, view)
         taken.append(tracemalloc.get_traced_memory()[0] / budget)
@@ -382,7 +413,8 @@ def test_what_a_scene_keeps_stays_within_its_memory(
     begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
-    memory, grown = 8 << 20, []
+    memory = 8 << 20
+    grown = []
     views = [view_of(scene, azimuth, isovalue=0.2 + azimuth / 1000) for azimuth in range(0, 360, 6)]
     engine = begin(memory=memory)
     tracemalloc.start()
@@ -407,8 +439,11 @@ def test_a_engine_can_be_closed_before_it_began(scene: Scene, store: Path) -> No
     assert not store.exists()
 
 
-def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiling, stopped = threading.Event(), list[RenderEngine]()
+def test_a_start_can_be_given_up(
+    scene: Scene, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiling = threading.Event()
+    stopped = list[RenderEngine]()
 
     def compile_for_long(work: Compilation, kernels: Any) -> None:
         compiling.set()
@@ -464,9 +499,14 @@ def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light
     command = [sys.executable, str(tmp_path / "start.py"), settings, str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
-    uncalled = {carry_ratios, rotate, *LOBES} if light == "constant" else {carry_light}
+    if light == "constant":
+        uncalled = {carry_ratios, rotate, *LOBES}
+    else:
+        uncalled = {carry_light}
     called = {*FRAME} - uncalled - {project_lamps, measure_distances, count_stiffness}
-    assert set(json.loads(done.stdout)) == {kernel.name for kernel in with_callees([*called, shade_local])}
+    assert set(json.loads(done.stdout)) == {
+        kernel.name for kernel in with_callees([*called, shade_local])
+    }
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

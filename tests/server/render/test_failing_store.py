@@ -1,4 +1,6 @@
-"""The store fails at its n-th call, for every n of a small bake: no pixel is wrong, and all light comes in the end."""
+"""The store fails at its n-th call, for every n of a small bake: no pixel is wrong, and all light
+comes in the end.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -58,7 +60,9 @@ def begun(scene: Scene, failing: Failing) -> RenderEngine:
 
 
 def frames(engine: RenderEngine, scene: Scene) -> Iterator[Frame]:
-    """What there is to show, again and again, until it is final; nothing while the store is away."""
+    """What there is to show, again and again, until it is final; nothing while the store is
+    away.
+    """
     deadline = time.monotonic() + LONG
     while time.monotonic() < deadline:
         try:
@@ -72,7 +76,9 @@ def frames(engine: RenderEngine, scene: Scene) -> Iterator[Frame]:
 
 
 def whole(scene: Scene, store: StoreMaker) -> tuple[Frame, dict[str, bytes], int]:
-    """The last frame of a bake that nothing disturbs, what it leaves in the store, and the calls it took."""
+    """The last frame of a bake that nothing disturbs, what it leaves in the store, and the calls it
+    took.
+    """
     with store() as failing:
         with closing(begun(scene, failing)) as engine:
             *_, frame = frames(engine, scene)
@@ -80,7 +86,9 @@ def whole(scene: Scene, store: StoreMaker) -> tuple[Frame, dict[str, bytes], int
 
 
 def endure(scene: Scene, failing: Failing, reference: Frame) -> dict[str, bytes]:
-    """Bake in a store that fails; what is left in it. No final pixel differs from the reference's."""
+    """Bake in a store that fails; what is left in it. No final pixel differs from the
+    reference's.
+    """
     with closing(begun(scene, failing)) as engine:
         for frame in frames(engine, scene):
             final = frame.state == FINAL
@@ -91,8 +99,12 @@ def endure(scene: Scene, failing: Failing, reference: Frame) -> dict[str, bytes]
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("row", "step"), [(1, 1), (12, 3)], ids=["once", "for a while"])
-def test_a_store_that_fails_costs_no_light(scene: Scene, store: StoreMaker, row: int, step: int) -> None:
-    """At each call alone, and from each third call on for as many as several tasks and frames make."""
+def test_a_store_that_fails_costs_no_light(
+    scene: Scene, store: StoreMaker, row: int, step: int
+) -> None:
+    """At each call alone, and from each third call on for as many as several tasks and frames
+    make.
+    """
     reference, kept, calls = whole(scene, store)
     assert calls > 10 and [key.partition("/")[2] for key in kept if "/c/" in key] == ["c/0/0/0/0"]
     for n in range(1, calls + 1, step):

@@ -1,4 +1,6 @@
-"""Finer texels where control pixels ask for them: baked, shown once they are final, and left where there is no room."""
+"""Finer texels where control pixels ask for them: baked, shown once they are final, and left where
+there is no room.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -41,7 +43,14 @@ def free(monkeypatch: pytest.MonkeyPatch) -> None:
 def scene() -> Scene:
     """So few texels that light between them is wrong by far more than its noise."""
     constant = [{"type": "constant"}]
-    return load_scene("demo:casting", lights=constant, lattice=0.125, bounces=1, projected=False, target_error=TARGET)
+    return load_scene(
+        "demo:casting",
+        lights=constant,
+        lattice=0.125,
+        bounces=1,
+        projected=False,
+        target_error=TARGET,
+    )
 
 
 @pytest.mark.slow
@@ -54,19 +63,26 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
     assert refined_header(frame).startswith(f"texels={2**frame.quality.fineness}, pixels=0.")
     assert news == {scene.id}, "who waits for the scene's light hears of finer texels too"
     better = finer(scene)
-    assert {better.layer_digest(layer) for layer in better.plan.layers} <= set(census_of(engine.store).counts)
+    assert {better.layer_digest(layer) for layer in better.plan.layers} <= set(
+        census_of(engine.store).counts
+    )
 
 
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
-    view, target = view_of(scene), scene.target_error
+    view = view_of(scene)
+    target = scene.target_error
     while (frame := engine.survey(scene.id, view, target)).quality.finer is None:
         assert not engine.frame(scene.id, view, wait=0.01).final
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
     assert bake != scene.id and demands == frame.quality.finer.stages[0].demands != ()
-    assert frame.quality.fineness == 0 and not frame.final and not frame.checkable and frame.measured
+    assert (
+        frame.quality.fineness == 0 and not frame.final and not frame.checkable and frame.measured
+    )
     assert frame.measured.low > target
-    assert engine.want(scene.id, frame, target, GUEST_VIEWER) == {demand.index for demand in demands}
+    assert engine.want(scene.id, frame, target, GUEST_VIEWER) == {
+        demand.index for demand in demands
+    }
 
 
 def test_without_room_for_them_pixels_get_light_of_their_own(

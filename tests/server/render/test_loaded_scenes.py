@@ -1,4 +1,6 @@
-"""Scenes that share the memory: loaded when they are looked at, dropped for others, and the same when they are back."""
+"""Scenes that share the memory: loaded when they are looked at, dropped for others, and the same
+when they are back.
+"""
 
 import gc
 import threading
@@ -45,12 +47,16 @@ def engine(scenes: list[Scene], tmp_path: Path, inline: None) -> Iterator[Render
 
 def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
     first, second, third = scenes
-    assert first.lighting.environment is second.lighting.environment is not third.lighting.environment
+    assert (
+        first.lighting.environment is second.lighting.environment is not third.lighting.environment
+    )
     assert first.inputs.harmonics is second.inputs.harmonics
 
 
 @pytest.mark.slow
-def test_a_scene_makes_way_and_is_the_same_when_it_is_back(engine: RenderEngine, scenes: list[Scene]) -> None:
+def test_a_scene_makes_way_and_is_the_same_when_it_is_back(
+    engine: RenderEngine, scenes: list[Scene]
+) -> None:
     one, other, _ = scenes
     engine.admit(other)
     assert engine._loaded.held(other.id) is None, "nobody has looked at it"
@@ -64,7 +70,9 @@ def test_a_scene_makes_way_and_is_the_same_when_it_is_back(engine: RenderEngine,
     engine.bake(bake, stage).wait(LONG)
     again = engine.frame(one.id, view_of(one), wait=LONG)
     assert again.version == first.version and again.radiance.tobytes() == first.radiance.tobytes()
-    assert not engine.frame(one.id, view_of(one, 120.0)).demands, "light that came meanwhile is seen"
+    assert not engine.frame(one.id, view_of(one, 120.0)).demands, (
+        "light that came meanwhile is seen"
+    )
 
 
 def test_a_dismissed_scene_is_found_no_more(engine: RenderEngine, scenes: list[Scene]) -> None:
@@ -93,7 +101,9 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 
 
 def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, closed, trimmed = [0.0], list[str](), list[None]()
+    now = [0.0]
+    closed = list[str]()
+    trimmed = list[None]()
     monkeypatch.setattr(loaded_scene, "give_memory_back", lambda: trimmed.append(None))
 
     def load(scene: Any) -> Any:
@@ -116,7 +126,9 @@ FAR = KernelProgress(1, 3, 4.0)
 
 
 class Slow:
-    """In place of a Compilation: nothing is compiled but what ``go`` lets go, of the one scene that is admitted."""
+    """In place of a Compilation: nothing is compiled but what ``go`` lets go, of the one scene that
+    is admitted.
+    """
 
     go = threading.Event()
     waiting = threading.Event()
@@ -133,7 +145,9 @@ class Slow:
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
         assert list(kernels)
-        return FAR if self.begun and not self.go.is_set() else None
+        if self.begun and not self.go.is_set():
+            return FAR
+        return None
 
 
 def test_what_an_admitted_scene_lacks_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,15 +15,26 @@ from tests.server.sockets import wait_for
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "metrics.md"
 BAKING = {
-    *("isogi_queue_chunks", "isogi_queue_age_seconds", "isogi_tasks_in_flight", "isogi_chunks_given_up"),
-    *("isogi_workers", "isogi_workers_utilization", "isogi_worker_deaths_total", "isogi_paths_total"),
+    *(
+        "isogi_queue_chunks",
+        "isogi_queue_age_seconds",
+        "isogi_tasks_in_flight",
+        "isogi_chunks_given_up",
+    ),
+    *(
+        "isogi_workers",
+        "isogi_workers_utilization",
+        "isogi_worker_deaths_total",
+        "isogi_paths_total",
+    ),
     *("isogi_tasks_done_total", "isogi_tasks_failed_total", "isogi_tasks_duplicate_total"),
     *("isogi_chunks_healed_total", "isogi_texels_kept_total"),
 }
 
 
 def test_errors_are_counted_by_class_while_they_are_logged() -> None:
-    metrics, log = Metrics(), logging.getLogger("isogi.cache")
+    metrics = Metrics()
+    log = logging.getLogger("isogi.cache")
     with metrics.counting_errors():
         log.warning("%s", DamagedChunkError("Chunk (0, 0, 0) is damaged."))
         log.warning("baking chunk %s failed: %s", (0, 0, 0), DamagedChunkError("again"))
@@ -49,23 +60,37 @@ def read(live_server: str) -> dict[str, float]:
 
 
 def test_a_frame_and_its_baking_are_told(live_server: str) -> None:
-    """Baking is counted from the server's start, as other tests may have left this view nothing to bake.
+    """Baking is counted from the server's start, as other tests may have left this view nothing to
+    bake.
 
-    What nobody waits for any more is not baked: where the machine is slow, the frame is asked for again.
+    What nobody waits for any more is not baked: where the machine is slow, the frame is asked for
+    again.
     """
-    before, asked = read(live_server), 0
-    view = {"width": 16, "height": 16, "wait_ms": 10_000, "isovalue": 0.273, "azimuth": 123, "max_error": 0.01}
+    before = read(live_server)
+    asked = 0
+    view = {
+        "width": 16,
+        "height": 16,
+        "wait_ms": 10_000,
+        "isovalue": 0.273,
+        "azimuth": 123,
+        "max_error": 0.01,
+    }
 
     def told() -> bool:
         nonlocal asked
         asked += 1
-        assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=view, timeout=60).status_code == 200
+        assert (
+            httpx.get(f"{live_server}/v1/scenes/small/frame", params=view, timeout=60).status_code
+            == 200
+        )
         after = read(live_server)
         return all(after[name] > 0.0 for name in ("isogi_tasks_done_total", "isogi_paths_total"))
 
     assert wait_for(told, 120)
     after = read(live_server)
-    frames, primary = "isogi_requests_total GET /v1/scenes/{scene}/frame 200", "isogi_frame_stage_seconds_count primary"
+    frames = "isogi_requests_total GET /v1/scenes/{scene}/frame 200"
+    primary = "isogi_frame_stage_seconds_count primary"
     assert after[frames] == before.get(frames, 0) + asked
     assert after[primary] > before.get(primary, 0)
     assert set(after) >= BAKING
@@ -74,7 +99,8 @@ def test_a_frame_and_its_baking_are_told(live_server: str) -> None:
 
 
 async def test_pictures_of_a_stream_are_counted_as_those_of_requests(live_server: str) -> None:
-    view, address = {"width": 16, "height": 16}, live_server.replace("http", "ws") + "/v1/scenes/small/stream"
+    view = {"width": 16, "height": 16}
+    address = live_server.replace("http", "ws") + "/v1/scenes/small/stream"
     before = read(live_server)
     async with connect(address) as socket:
         for number, moving in enumerate((True, False)):
@@ -91,13 +117,19 @@ async def test_pictures_of_a_stream_are_counted_as_those_of_requests(live_server
 
     drafts = more("isogi_frames_total provisional draft") + more("isogi_frames_total final draft")
     assert (drafts, more("isogi_frames_total final stream")) == (1, 1)
-    assert more("isogi_frame_stage_seconds_count encode") == 2 + more("isogi_frames_total provisional stream")
+    assert more("isogi_frame_stage_seconds_count encode") == 2 + more(
+        "isogi_frames_total provisional stream"
+    )
 
 
 def test_the_document_names_all_that_is_told(live_server: str) -> None:
     text = httpx.get(f"{live_server}/metrics").text
     families = [each for each in text_string_to_metric_families(text) if "isogi_" in each.name]
-    told = {each.name: each.documentation for each in families if not each.name.endswith("_created")}
-    rows = re.findall(r"^\| `(isogi_\w+)(?:{[^}]*})?` \| (.*) \|$", DOCUMENT.read_text(encoding="utf-8"), re.M)
+    told = {
+        each.name: each.documentation for each in families if not each.name.endswith("_created")
+    }
+    rows = re.findall(
+        r"^\| `(isogi_\w+)(?:{[^}]*})?` \| (.*) \|$", DOCUMENT.read_text(encoding="utf-8"), re.M
+    )
     names = {name.removesuffix("_total"): about for name, about in rows}
     assert names == told

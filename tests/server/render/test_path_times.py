@@ -9,7 +9,13 @@ from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from server.render.engine import MAX_KEPT_PICTURES, MAX_TIME_LEFT_RATIO, Promises, RenderEngine, time_of_paths
+from server.render.engine import (
+    MAX_KEPT_PICTURES,
+    MAX_TIME_LEFT_RATIO,
+    Promises,
+    RenderEngine,
+    time_of_paths,
+)
 from tests.server.inline import LONG, view_of
 from worker.progress import TimeLeft
 
@@ -20,12 +26,21 @@ TARGET = 0.05
 def scene() -> Scene:
     """So few texels that light between them is wrong by far more than its noise."""
     constant = [{"type": "constant"}]
-    return load_scene("demo:casting", lights=constant, lattice=0.3, bounces=1, projected=False, target_error=TARGET)
+    return load_scene(
+        "demo:casting",
+        lights=constant,
+        lattice=0.3,
+        bounces=1,
+        projected=False,
+        target_error=TARGET,
+    )
 
 
 def test_a_path_takes_a_share_of_those_of_texels_at_first() -> None:
     left = time_of_paths(PathsLeft(600.0 * HEAVIER, 400.0), Cost(seconds=2.0, paths=400), 2, {})
-    assert left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
+    assert (
+        left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
+    )
 
 
 def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
@@ -41,11 +56,14 @@ def test_each_drawing_of_the_picture_takes_its_time() -> None:
 
 
 def test_a_time_left_never_leaps_up() -> None:
-    told, long = Promises(), TimeLeft(10.0, 20.0, 40.0)
+    told = Promises()
+    long = TimeLeft(10.0, 20.0, 40.0)
     assert told.kept("one", TimeLeft(1.0, 2.0, 4.0)) == TimeLeft(1.0, 2.0, 4.0)
     assert told.kept("other", long) == long
     risen = told.kept("one", long)
-    assert risen.likely == pytest.approx(MAX_TIME_LEFT_RATIO * 2.0) and risen.high == pytest.approx(2.0 * risen.likely)
+    assert risen.likely == pytest.approx(MAX_TIME_LEFT_RATIO * 2.0) and risen.high == pytest.approx(
+        2.0 * risen.likely
+    )
     assert told.kept("one", TimeLeft(0.1, 0.2, 0.4)).likely == 0.2
     for number in range(MAX_KEPT_PICTURES):
         told.kept(number, long)
@@ -57,8 +75,12 @@ def test_times_of_two_works_add_up() -> None:
 
 
 @pytest.mark.slow
-def test_a_picture_tells_the_time_until_its_pixels_have_light(engine: RenderEngine, scene: Scene) -> None:
-    view, target, checks = view_of(scene), 0.02, engine.renderer(scene.id).checks
+def test_a_picture_tells_the_time_until_its_pixels_have_light(
+    engine: RenderEngine, scene: Scene
+) -> None:
+    view = view_of(scene)
+    target = 0.02
+    checks = engine.renderer(scene.id).checks
     while (frame := engine.survey(scene.id, view, target)).provisional:
         engine.frame(scene.id, view, max_error=target, wait=0.05)
     told = []
@@ -67,16 +89,22 @@ def test_a_picture_tells_the_time_until_its_pixels_have_light(engine: RenderEngi
         assert engine.check(scene.id, view, target)
         check = checks.held(view, target)
         if check is not None and check.growing:
-            told.append((checks.left(frame, target).pixels, engine.time_left(scene.id, frame, target)))
+            told.append(
+                (checks.left(frame, target).pixels, engine.time_left(scene.id, frame, target))
+            )
     assert len(told) > 1 and told[0][0] > told[-1][0] > 0.0
     assert all(left is not None and left.likely > 0.0 for _, left in told)
     assert engine.time_left(scene.id, frame, target) == TimeLeft(0.0, 0.0, 0.0)
 
 
 def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: Scene) -> None:
-    view, target = view_of(scene), scene.target_error / 4.0
+    view = view_of(scene)
+    target = scene.target_error / 4.0
     engine.frame(scene.id, view, max_error=0.5, wait=LONG)
     frame = engine.survey(scene.id, view, target)
     left = engine.renderer(scene.id).checks.left
     least = left(frame, target).pixels
-    assert left(replace(frame, quality=replace(frame.quality, expected=2.0 * target)), target).pixels > least
+    assert (
+        left(replace(frame, quality=replace(frame.quality, expected=2.0 * target)), target).pixels
+        > least
+    )

@@ -14,7 +14,8 @@ from server.render.bakes import MAX_WAITING_PICTURES, PictureChecks
 from worker.bake_requests import Viewer
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-ONE, OTHER = Viewer("one", 1), Viewer("other", 2)
+ONE = Viewer("one", 1)
+OTHER = Viewer("other", 2)
 LONG = 30.0
 
 
@@ -22,7 +23,8 @@ class Steps:
     """Steps that wait until they may go on; each picture takes so many."""
 
     def __init__(self, most: int = 1) -> None:
-        self.most, self.broken = most, math.nan
+        self.most = most
+        self.broken = math.nan
         self.taken: list[float] = []
         self.told: list[tuple[float, bool]] = []
         self.go = threading.Semaphore(0)
@@ -70,7 +72,9 @@ def test_a_picture_is_checked_until_no_step_is_left(steps: Steps) -> None:
     assert steps.told == [(0.5, True), (0.5, True), (0.5, False)]
 
 
-def test_a_check_that_breaks_leaves_the_others(steps: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_that_breaks_leaves_the_others(
+    steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
     said: list[str] = []
     monkeypatch.setattr(bakes.log, "exception", said.append)
     steps.broken = 0.1

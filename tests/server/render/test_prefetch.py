@@ -17,7 +17,9 @@ LONG = 30.0
 
 
 class Preparing:
-    """Prepares values at once, or, ``halting``, waits at each until it is told to go on or is cancelled."""
+    """Prepares values at once, or, ``halting``, waits at each until it is told to go on or is
+    cancelled.
+    """
 
     def __init__(self) -> None:
         self.halting = False
@@ -74,7 +76,9 @@ def halted(prepare: Preparing, prefetch: Prefetch) -> Preparing:
 
 @pytest.mark.parametrize(("before", "now"), [(0.5, 0.55), (0.5, 0.58), (0.5, 0.3)])
 def test_next_values_go_on_as_the_slider_moves(before: float, now: float) -> None:
-    assert next_values(before, now, LEVELS) == pytest.approx([now + (now - before) * n for n in (1, 2)])
+    assert next_values(before, now, LEVELS) == pytest.approx(
+        [now + (now - before) * n for n in (1, 2)]
+    )
 
 
 def test_a_slow_slider_is_in_the_next_group_next() -> None:
@@ -115,14 +119,18 @@ def test_one_that_stands_is_not(prepare: Preparing, prefetch: Prefetch) -> None:
     assert not prepare.begun
 
 
-def test_nothing_is_prepared_while_a_frame_is_worked_on(prepare: Preparing, prefetch: Prefetch) -> None:
+def test_nothing_is_prepared_while_a_frame_is_worked_on(
+    prepare: Preparing, prefetch: Prefetch
+) -> None:
     with prefetch.frame(0.4):
         show(prefetch, 0.5, 0.51)
         assert not prepare.begun
     prepare.wait_for(lambda: len(prepare.done) == VALUES_AHEAD)
 
 
-def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again(halted: Preparing, prefetch: Prefetch) -> None:
+def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again(
+    halted: Preparing, prefetch: Prefetch
+) -> None:
     first, second = next_values(0.5, 0.51, LEVELS)
     assert halted.begun == [first]
     with prefetch.frame(0.51):
@@ -144,7 +152,9 @@ def test_closing_drops_what_is_prepared(halted: Preparing, prefetch: Prefetch) -
     assert len(halted.dropped) == 1 and not halted.done
 
 
-def test_preparations_for_the_frame_itself_are_not_cancelled(halted: Preparing, prefetch: Prefetch) -> None:
+def test_preparations_for_the_frame_itself_are_not_cancelled(
+    halted: Preparing, prefetch: Prefetch
+) -> None:
     with prefetch.frame(0.535):
         time.sleep(0.05)  # long enough to be dropped
         halted.go.set()
@@ -154,7 +164,9 @@ def test_preparations_for_the_frame_itself_are_not_cancelled(halted: Preparing, 
     halted.wait_for(lambda: halted.done[-2:] == expected)
 
 
-def test_what_was_kept_going_is_still_dropped_by_a_later_frame(halted: Preparing, prefetch: Prefetch) -> None:
+def test_what_was_kept_going_is_still_dropped_by_a_later_frame(
+    halted: Preparing, prefetch: Prefetch
+) -> None:
     show(prefetch, 0.535)
     with prefetch.frame(0.9):
         halted.wait_for(lambda: len(halted.dropped) == 1)

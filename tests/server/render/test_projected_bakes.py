@@ -1,4 +1,6 @@
-"""Bakes of projected texels: added on demand, the oldest forgotten; and an engine whose views at rest have them."""
+"""Bakes of projected texels: added on demand, the oldest forgotten; and an engine whose views at
+rest have them.
+"""
 
 import time
 from dataclasses import replace
@@ -61,7 +63,8 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
     def name(scene: str, shown: float) -> str:
         return bakes.name(scene, shown, 0, lambda: made.append(shown))  # type: ignore[arg-type, func-returns-value]
 
-    first, second = name("a", 0.25), name("b", 0.25)
+    first = name("a", 0.25)
+    second = name("b", 0.25)
     assert first != second and name("a", 0.25) == first
     third = name("a", 0.5)
     assert list(baker.bakes) == [first, third] and made == [0.25, 0.25, 0.5]
@@ -73,12 +76,16 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
 def test_the_caches_that_asked_last_hear_of_new_light(
     monkeypatch: pytest.MonkeyPatch, scene: Scene, tmp_path: Path
 ) -> None:
-    """Caches of a side may be let go and made anew while its bake is at work: pictures of the new ones go on."""
+    """Caches of a side may be let go and made anew while its bake is at work: pictures of the new
+    ones go on.
+    """
     baker: Any = FakeBaker()
     told: list[tuple[Caches, Any]] = []
     monkeypatch.setattr(Caches, "refresh", lambda self, *given: told.append((self, given)))
     bakes = SideBakes(baker, Store("memory://projected"), 0)
-    former, latter = (Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2))
+    former, latter = (
+        Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2)
+    )
     names = {bakes.side("a", "gi", Stage((), 0.3, caches=each), False) for each in (former, latter)}
     assert len(names) == len(baker.bakes) == 1
     baker.bakes[names.pop()].arrived((0, 0, 0))
@@ -87,7 +94,8 @@ def test_the_caches_that_asked_last_hear_of_new_light(
 
 def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
     baker: Any = FakeBaker()
-    store, trimmed = Store("memory://projected"), []
+    store = Store("memory://projected")
+    trimmed = []
     monkeypatch.setattr(room, "trim_projected", lambda *given: trimmed.append(given))
     bakes = SideBakes(baker, store, 7)
     for shown in (0.25, 0.25, 0.5):
@@ -104,26 +112,35 @@ def test_a_view_at_rest_has_projected_texels(engine: RenderEngine, scene: Scene)
     assert not frame.provisional and frame.quality.projection
     shares = frame.quality.projection.shares
     assert shares["projected"] > 0.2 and shares["pending"] == 0.0
-    assert {bake for bake, _ in news} == {scene.id}, "who waits for the scene's light hears of projected texels too"
+    assert {bake for bake, _ in news} == {scene.id}, (
+        "who waits for the scene's light hears of projected texels too"
+    )
     assert engine.lacking(scene.id, frame)[1].demands == () == frame.stages
     assert projection_header(shares).startswith(f"projected={shares['projected']:.3f}, near=")
     whole = planes(frame, 0, frame.view.height)
     assert (whole[..., 4] == frame.reported_state).all()
     shown = scene.volume.normalise_isovalue(scene.isovalue)
-    layers = {scene.layer_digest(layer, level) for layer in scene.plan.layers for level in (None, shown)}
+    layers = {
+        scene.layer_digest(layer, level) for layer in scene.plan.layers for level in (None, shown)
+    }
     assert set(census_of(engine.store).counts) == layers
 
 
 @pytest.mark.slow
 def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scene: Scene) -> None:
-    view, name, target = view_of(scene), scene.id, scene.target_error
+    view = view_of(scene)
+    name = scene.id
+    target = scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
         assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
         engine.want(name, frame, target, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
     assert frame.provisional and frame.quality.projection and bake != name
-    assert places_of(stage.demands) == places_of(frame.quality.projection.demands) != [] and stage.target == target
+    assert (
+        places_of(stage.demands) == places_of(frame.quality.projection.demands) != []
+        and stage.target == target
+    )
     moving = engine.survey(name, replace(view, moving=True), target)
     assert engine.lacking(name, moving)[0] == name and moving.quality.projection is None
     final = engine.frame(name, view, wait=LONG)
@@ -136,12 +153,16 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
 
 
 @pytest.mark.slow
-def test_light_that_is_replaced_is_not_brought_to_the_target(engine: RenderEngine, scene: Scene) -> None:
+def test_light_that_is_replaced_is_not_brought_to_the_target(
+    engine: RenderEngine, scene: Scene
+) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is."""
-    view, strict = view_of(scene), 0.025
+    view = view_of(scene)
+    strict = 0.025
     lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
     assert not lazy.provisional and lazy.quality.projection
-    wanted, base = lazy.quality.projection.reading.wanted, lazy.quality.projection.reading.base
+    wanted = lazy.quality.projection.reading.wanted
+    base = lazy.quality.projection.reading.base
     assert wanted.any() and (base.grade[~wanted] >= FINAL).all()
     assert base.samples[wanted].max() == FIRST_LEVEL
 
@@ -154,7 +175,11 @@ def test_a_store_keeps_a_bounded_part_of_them(
     for isovalue in levels:
         engine.frame(scene.id, view_of(scene, isovalue=isovalue), wait=LONG)
     store = Store(engine.store.url)
-    kept = {digest for digest, count in census_of(store).counts.items() if count.facts.attributes["shown"] is not None}
+    kept = {
+        digest
+        for digest, count in census_of(store).counts.items()
+        if count.facts.attributes["shown"] is not None
+    }
     assert len(kept) == 2 * len(scene.plan.layers)
     assert trim_projected(store, 0) == 0, "it was written just now"
     monkeypatch.setattr(pruning, "BUSY_SECONDS", -1.0)

@@ -18,14 +18,22 @@ from tests.baking import bake_each_texel
 from tests.server.inline import chunks_in, view_of
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
-SETTINGS: dict[str, Any] = {"lattice": 0.5, "bounces": 1, "target_error": 0.5, "lights": [SKY], "precision": "half"}
+SETTINGS: dict[str, Any] = {
+    "lattice": 0.5,
+    "bounces": 1,
+    "target_error": 0.5,
+    "lights": [SKY],
+    "precision": "half",
+}
 """Each texel takes MIN_SAMPLES samples, whatever its noise."""
 
 Turn = Callable[..., "Shown"]
 
 
 class Shown:
-    """What an engine shows of a scene: the first frame, the final one, and the store before, between and after."""
+    """What an engine shows of a scene: the first frame, the final one, and the store before,
+    between and after.
+    """
 
     def __init__(self, store: Path, **settings: Any) -> None:
         self.scene: Scene = load_scene("demo:orbital", **{**SETTINGS, **settings})
@@ -66,13 +74,20 @@ def alike(one: Frame, other: Frame, error: float = 1e-5) -> np.ndarray:
 
 
 def shown_meanwhile(first: Frame, former: Frame) -> bool:
-    """Whether a frame is provisional and lit as the former was, but at the few texels that are buried."""
-    return bool((first.state[first.state > 0] == PROVISIONAL).all() and alike(first, former).mean() > 0.95)
+    """Whether a frame is provisional and lit as the former was, but at the few texels that are
+    buried.
+    """
+    return bool(
+        (first.state[first.state > 0] == PROVISIONAL).all() and alike(first, former).mean() > 0.95
+    )
 
 
 def same_light(one: Frame, other: Frame) -> bool:
     """Whether two frames are the same bit for bit, but for what they say of their error."""
-    return one.radiance.tobytes() == other.radiance.tobytes() and one.state.tobytes() == other.state.tobytes()
+    return (
+        one.radiance.tobytes() == other.radiance.tobytes()
+        and one.state.tobytes() == other.state.tobytes()
+    )
 
 
 def omitted(plan: ScenePlan) -> set[str]:
@@ -91,7 +106,9 @@ def test_more_bands_are_baked_while_the_former_ones_are_shown(turn: Turn, precis
     large = turn(order=5, indirect_order=2, precision=precision)
     assert shown_meanwhile(large.first, small.final) and large.first.demands
     assert large.digests[1] == small.digests[1] and large.written == {large.digests[0]}
-    assert same_light(large.final, turn("fresh", order=5, indirect_order=2, precision=precision).final)
+    assert same_light(
+        large.final, turn("fresh", order=5, indirect_order=2, precision=precision).final
+    )
 
 
 @pytest.mark.slow
@@ -103,7 +120,9 @@ def test_fewer_bands_are_served_by_the_layers_that_are_there(turn: Turn, precisi
     assert "bands 3 to 4 of direct light" in omitted(small.scene.plan) - omitted(small.plan)
     assert dict(small.plan.errors)["harmonics"] == dict(small.scene.plan.errors)["harmonics"]
     assert not small.first.provisional and not small.written
-    assert same_light(small.final, turn("fresh", order=3, indirect_order=2, precision=precision).final)
+    assert same_light(
+        small.final, turn("fresh", order=3, indirect_order=2, precision=precision).final
+    )
 
 
 @pytest.mark.slow
@@ -113,7 +132,9 @@ def test_albedo_that_turns_coloured_bakes_reflected_light_alone(turn: Turn) -> N
     assert (grey.plan.channels, coloured.plan.channels) == (1, 3)
     assert coloured.digests[0] == grey.digests[0] and coloured.written == {coloured.digests[1]}
     assert coloured.first.demands
-    assert same_light(coloured.final, turn("fresh", order=3, indirect_order=2, albedo=[0.7, 0.5, 0.3]).final)
+    assert same_light(
+        coloured.final, turn("fresh", order=3, indirect_order=2, albedo=[0.7, 0.5, 0.3]).final
+    )
 
 
 @pytest.mark.slow
@@ -121,7 +142,11 @@ def test_light_that_turns_for_a_while_finds_its_first_bake_again(turn: Turn) -> 
     fixed = turn(rotating=False)
     turning = turn(rotating=True, order=3)
     again = turn(rotating=False)
-    assert [shown.plan.representation for shown in (fixed, turning, again)] == ["irradiance", "transfer", "irradiance"]
+    assert [shown.plan.representation for shown in (fixed, turning, again)] == [
+        "irradiance",
+        "transfer",
+        "irradiance",
+    ]
     assert fixed.written and turning.written == set(turning.digests) and not again.written
     assert fixed.written.isdisjoint(turning.written)
     assert not again.first.provisional
@@ -139,6 +164,8 @@ def test_single_floats_have_own_layers_and_serve_half_floats(turn: Turn) -> None
     served = turn("other", order=3)
     assert served.digests == alone.digests and not served.written
     assert omitted(served.scene.plan) - omitted(served.plan) == {"half of each float"}
-    assert "rounding" in dict(served.scene.plan.errors) and "rounding" not in dict(served.plan.errors)
+    assert "rounding" in dict(served.scene.plan.errors) and "rounding" not in dict(
+        served.plan.errors
+    )
     assert same_light(served.final, single.final)
     assert alike(served.final, half.final, 2e-3).all()

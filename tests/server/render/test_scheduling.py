@@ -36,10 +36,14 @@ def renders() -> Iterator[Renders]:
 async def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
     order: list[float] = []
     release = threading.Event()
-    first = asyncio.create_task(renders.run(lambda: release.wait(10), Rank.within(REQUEST_PATIENCE)))
+    first = asyncio.create_task(
+        renders.run(lambda: release.wait(10), Rank.within(REQUEST_PATIENCE))
+    )
     await asyncio.sleep(0.01)
     later = [
-        asyncio.create_task(renders.run(lambda patience=patience: order.append(patience), Rank.within(patience)))
+        asyncio.create_task(
+            renders.run(lambda patience=patience: order.append(patience), Rank.within(patience))
+        )
         for patience in (REFINEMENT_PATIENCE, REQUEST_PATIENCE, REST_PATIENCE, DRAFT)
     ]
     await asyncio.sleep(0.01)
@@ -52,7 +56,8 @@ class Turns:
     """Places, and who had one, in order."""
 
     def __init__(self, **options: bool) -> None:
-        self.places, self.order = FairSemaphore(1, **options), list[str]()
+        self.places = FairSemaphore(1, **options)
+        self.order = list[str]()
 
     async def take(self, name: str, rank: Rank, seconds: float = 0.1) -> None:
         async with self.places.place(rank):
@@ -70,7 +75,9 @@ def turns() -> Turns:
 
 @IN_NO_TIME
 async def test_one_place_alone_is_given_while_others_are_pressed() -> None:
-    pressed, working, most = [True], [0], [0]
+    pressed = [True]
+    working = [0]
+    most = [0]
 
     async def take() -> None:
         async with places.place(Rank.within(0.0)):
@@ -81,7 +88,8 @@ async def test_one_place_alone_is_given_while_others_are_pressed() -> None:
 
     places = FairSemaphore(3, lambda: pressed[0])
     await asyncio.gather(*(take() for _ in range(4)))
-    alone, pressed[0] = most[0], False
+    alone = most[0]
+    pressed[0] = False
     await asyncio.gather(*(take() for _ in range(4)))
     assert (alone, most[0]) == (1, 3)
 
@@ -103,7 +111,10 @@ async def test_even_turns_count_alike_and_others_by_time(even: bool, slow: int) 
 
 @IN_NO_TIME
 async def test_patient_work_does_not_wait_forever(turns: Turns) -> None:
-    tasks = [turns.begin(name, Rank.within(patience), 0.02) for name, patience in (("first", 0.0), ("patient", 0.1))]
+    tasks = [
+        turns.begin(name, Rank.within(patience), 0.02)
+        for name, patience in (("first", 0.0), ("patient", 0.1))
+    ]
     for _ in range(12):
         tasks.append(turns.begin("draft", Rank.within(0.0), 0.02))
         await asyncio.sleep(0.015)
@@ -178,7 +189,9 @@ async def test_errors_reach_all_that_share(renders: Renders) -> None:
         raise BusyError("full")
 
     shares = (renders.share("key", fail, Rank(0.0)) for _ in range(3))
-    assert [str(error) for error in await asyncio.gather(*shares, return_exceptions=True)] == ["full"] * 3
+    assert [str(error) for error in await asyncio.gather(*shares, return_exceptions=True)] == [
+        "full"
+    ] * 3
 
 
 class Array:
@@ -227,7 +240,10 @@ async def test_updates_reach_those_that_wait_for_the_chunk() -> None:
 
 async def test_dark_chunks_are_lit_with_an_update_of_each() -> None:
     updates = UpdateBus()
-    with updates.pending("gi", {A, B, C}, 0, {A, B}) as some, updates.pending("gi", {A, C}, 0) as none:
+    with (
+        updates.pending("gi", {A, B, C}, 0, {A, B}) as some,
+        updates.pending("gi", {A, C}, 0) as none,
+    ):
         await publish(updates, ("gi", C, True), ("gi", A, True))
         assert not some.lit.is_set()
         await publish(updates, ("gi", B, True))
@@ -251,8 +267,11 @@ async def test_updates_before_the_wait_count_from_its_number_on() -> None:
 
 @IN_NO_TIME
 async def test_a_client_that_comes_anew_is_not_behind_all_that_waits(turns: Turns) -> None:
-    """Requests of one address have waited for long; the draft of a stream that comes now has its turn between them."""
-    crowd, stream = Client(), Client()
+    """Requests of one address have waited for long; the draft of a stream that comes now has its
+    turn between them.
+    """
+    crowd = Client()
+    stream = Client()
     tasks = [turns.begin("request", Rank(0.0, client=crowd)) for _ in range(40)]
     await asyncio.sleep(1.0)
     for _ in range(5):
@@ -264,13 +283,17 @@ async def test_a_client_that_comes_anew_is_not_behind_all_that_waits(turns: Turn
 
 @IN_NO_TIME
 async def test_a_view_that_is_replaced_keeps_its_place_in_line(turns: Turns) -> None:
-    first, second, third = Client(), Client(), Client()
+    first = Client()
+    second = Client()
+    third = Client()
     working = turns.begin("first", Rank(0.0, client=first))
     await asyncio.sleep(0.01)
     older = turns.begin("older", Rank(0.0, client=second))
     await asyncio.sleep(0.01)
     older.cancel()
-    later = [turns.begin("later", Rank(0.0, client=client)) for client in (first, first, first, third)]
+    later = [
+        turns.begin("later", Rank(0.0, client=client)) for client in (first, first, first, third)
+    ]
     await asyncio.sleep(0.15)
     await asyncio.gather(working, turns.begin("newer", Rank(0.0, client=second)), *later)
     assert turns.order.index("newer") <= 2 and "older" not in turns.order
@@ -278,7 +301,8 @@ async def test_a_view_that_is_replaced_keeps_its_place_in_line(turns: Turns) -> 
 
 @IN_NO_TIME
 async def test_who_took_much_is_not_behind_for_long(turns: Turns) -> None:
-    greedy, other = Client(), Client()
+    greedy = Client()
+    other = Client()
     await turns.take("long", Rank(0.0, client=greedy), 100.0)
     tasks = [turns.begin("other", Rank(0.0, client=other)) for _ in range(60)]
     await asyncio.gather(*tasks, turns.begin("greedy", Rank(0.0, client=greedy)))

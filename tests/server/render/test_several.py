@@ -1,4 +1,6 @@
-"""Several surfaces, and rooms, in an engine: the light of every side that is seen, and walls that lag."""
+"""Several surfaces, and rooms, in an engine: the light of every side that is seen, and walls that
+lag.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
@@ -23,17 +25,27 @@ from tests.server.inline import LONG
 from worker.bake_requests import GUEST_VIEWER
 
 HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}
-SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2, "projected": False}
+SCENE = {
+    "surfaces": [HALO],
+    "isovalue": 0.06,
+    "bounces": 1,
+    "target_error": 0.2,
+    "projected": False,
+}
 
 
 @pytest.fixture
 def make(tmp_path: Path, inline: None) -> Iterator[Callable[..., RenderEngine]]:
-    """Make engines of an orbital over one store, with a worker to ``hire``, on a thread of this process, or without."""
+    """Make engines of an orbital over one store, with a worker to ``hire``, on a thread of this
+    process, or without.
+    """
     with ExitStack() as engines:
 
         def make(hire: bool, **settings: Any) -> RenderEngine:
             scene = load_scene("demo:orbital", **settings)
-            engine = engines.enter_context(closing(RenderEngine([scene], tmp_path / "store", workers=1)))
+            engine = engines.enter_context(
+                closing(RenderEngine([scene], tmp_path / "store", workers=1))
+            )
             engine.start(hire)
             return engine
 
@@ -59,7 +71,9 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
 
 def test_the_document_of_a_scene_tells_its_surfaces() -> None:
     told = scene_schema(load_scene("demo:orbital", clear=0.25, **SCENE)).model_dump()
-    assert told["surfaces"] == [{**HALO, "albedo": (0.4, 0.6, 0.9), "transmission": (0.0, 0.0, 0.0)}]
+    assert told["surfaces"] == [
+        {**HALO, "albedo": (0.4, 0.6, 0.9), "transmission": (0.0, 0.0, 0.0)}
+    ]
     assert told["clear"] == 0.25 and told["rotating"] is False
 
 
@@ -78,7 +92,8 @@ def test_walls_are_lit_beside_texels(make: Callable[..., RenderEngine]) -> None:
     """A view asks for both at once: its walls are fine before anybody bakes."""
     engine = make(False, room="cornell", bounces=1, target_error=0.2, projected=False)
     scene = engine.scenes["orbital"]
-    camera, target = scene.camera(90.0, 0.0, 4.0, 30.0), scene.target_error
+    camera = scene.camera(90.0, 0.0, 4.0, 30.0)
+    target = scene.target_error
     view = View(scene.isovalue, camera, width=24, height=24)
     heard: Queue[tuple[tuple[int, ...], bool]] = Queue()
     engine.listen(lambda bake, index, more: heard.put((index, more)))

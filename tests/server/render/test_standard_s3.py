@@ -1,4 +1,6 @@
-"""Servers on a bucket of a standard S3: the bytes of a folder, whoever bakes, is killed, or spoils an object."""
+"""Servers on a bucket of a standard S3: the bytes of a folder, whoever bakes, is killed, or spoils
+an object.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,8 +28,30 @@ def test_what_a_killed_server_left_is_mended(
     small_scene: Path, standard_s3: str, whole: tuple[bytes, dict[str, str]], tmp_path: Path
 ) -> None:
     """And an object that was spoilt, and one that was lost."""
-    command = ["render", str(small_scene), "-o", str(tmp_path / "frame.png"), "--store", standard_s3, "--workers", "1"]
-    view = ["--azimuth", "30", "--elevation", "20", "--distance", "3", "--fov", "30", "--width", "40", "--height", "40"]
+    command = [
+        "render",
+        str(small_scene),
+        "-o",
+        str(tmp_path / "frame.png"),
+        "--store",
+        standard_s3,
+        "--workers",
+        "1",
+    ]
+    view = [
+        "--azimuth",
+        "30",
+        "--elevation",
+        "20",
+        "--distance",
+        "3",
+        "--fov",
+        "30",
+        "--width",
+        "40",
+        "--height",
+        "40",
+    ]
     killed_when(lambda: len(chunks_at(standard_s3)) > 0, *command, *view)
     store = Store(standard_s3)
     spoilt, *rest = sorted(chunks_at(standard_s3))

@@ -1,4 +1,6 @@
-"""A server over an object store: while that is there, while it is away, and where it may only be read."""
+"""A server over an object store: while that is there, while it is away, and where it may only be
+read.
+"""
 
 import json
 import logging
@@ -43,7 +45,8 @@ OTHER = {**VIEW, "isovalue": 0.3}
 @pytest.fixture(autouse=True)
 def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """What travels to the workers; and the probe's findings stand for no time."""
-    tasks, submit = list[bytes](), InlinePool.submit
+    tasks = list[bytes]()
+    submit = InlinePool.submit
 
     def noted(workers: InlinePool, task: BakeTask, done: Done) -> None:
         tasks.append(pickle.dumps(task))
@@ -68,12 +71,16 @@ def server(scene: Path, store: str | Path) -> Iterator[httpx.Client]:
 
 def frame(client: httpx.Client, view: dict[str, Any], wait: float = 0.0) -> httpx.Response:
     """A frame of the only scene."""
-    return client.get("/v1/scenes/small/frame", params={**view, "f": "npy", "wait_ms": int(1000 * wait)})
+    return client.get(
+        "/v1/scenes/small/frame", params={**view, "f": "npy", "wait_ms": int(1000 * wait)}
+    )
 
 
 def final(client: httpx.Client, view: dict[str, Any]) -> bytes:
     """The frame once it is final; the store may be away at first."""
-    assert wait_for(lambda: frame(client, view, wait=5.0).headers.get("isogi-provisional") == "?0", LONG)
+    assert wait_for(
+        lambda: frame(client, view, wait=5.0).headers.get("isogi-provisional") == "?0", LONG
+    )
     return frame(client, view).content
 
 
@@ -86,7 +93,9 @@ def pictures(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> lis
             return [final(client, view) for view in (VIEW, OTHER)]
 
 
-def test_light_comes_from_a_bucket_as_from_a_folder(small_scene: Path, s3: S3Server, pictures: list[bytes]) -> None:
+def test_light_comes_from_a_bucket_as_from_a_folder(
+    small_scene: Path, s3: S3Server, pictures: list[bytes]
+) -> None:
     with server(small_scene, s3.url) as client:
         assert final(client, VIEW) == pictures[0]
     with server(small_scene, s3.url) as client:
@@ -104,7 +113,10 @@ def test_a_store_that_is_away_is_not_empty_and_baking_waits(
         assert answer.headers["content-type"] == "application/problem+json"
         assert s3.url in answer.json()["detail"] and "is gone" in answer.json()["detail"]
         ready = client.get("/readyz")
-        assert (ready.status_code, ready.json()["ready"]) == (503, False) and "is gone" in ready.json()["reasons"][0]
+        assert (ready.status_code, ready.json()["ready"]) == (
+            503,
+            False,
+        ) and "is gone" in ready.json()["reasons"][0]
         assert client.get("/livez").status_code == 200
         s3.fault = lambda call: None
         assert final(client, VIEW) == pictures[0]
@@ -162,10 +174,16 @@ def test_a_store_that_may_only_be_read_shows_what_it_has(
         assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
         (reason,) = client.get("/readyz").json()["reasons"]
         facts = client.get("/v1/scenes/small").json()
-        assert "can only be read" in reason and facts["read_only"] and facts["plan"]["notes"][-1] == reason
+        assert (
+            "can only be read" in reason
+            and facts["read_only"]
+            and facts["plan"]["notes"][-1] == reason
+        )
         events = client.get("/v1/scenes/small/events", params=OTHER).text
         assert "event: failed" in events and "can only be read" in events
-        begun = client.get("/v1/scenes/small/frame", params=OTHER, headers={"Prefer": "respond-async"})
+        begun = client.get(
+            "/v1/scenes/small/frame", params=OTHER, headers={"Prefer": "respond-async"}
+        )
         link = begun.headers["location"]
         assert wait_for(lambda: client.get(link).json()["status"] == "failed", LONG)
         assert "can only be read" in client.get(link).json()["message"]
@@ -178,7 +196,11 @@ async def test_listeners_are_told_that_light_cannot_be_read() -> None:
         raise StoreAwayError("The store is gone.")
 
     *events, last = [each async for each in resumed(b"first", rest())]
-    assert events == [b"first", b"second"] and b"event: failed" in last and b"The store is gone." in last
+    assert (
+        events == [b"first", b"second"]
+        and b"event: failed" in last
+        and b"The store is gone." in last
+    )
 
 
 async def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,7 +213,8 @@ async def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> Non
             raise next_one
         return next_one
 
-    engine, updates = SimpleNamespace(bake_of=lambda *_: "bake"), SimpleNamespace(newest=lambda _: 0)
+    engine = SimpleNamespace(bake_of=lambda *_: "bake")
+    updates = SimpleNamespace(newest=lambda _: 0)
     nothing = {"rank": lambda *_: None, "leave": lambda _: None}
     service: Any = SimpleNamespace(engine=engine, updates=updates, frame=draw, **nothing)
     job: Any = SimpleNamespace(report=lambda share, message: told.append(message))
@@ -208,22 +231,44 @@ def test_secrets_are_told_to_nobody(
         final(client, VIEW)
         for fault in (403, 500, "no-bucket", "drop"):
             s3.fault = lambda call, fault=fault: fault  # type: ignore[misc]
-            paths = ("/readyz", "/metrics", "/v1/scenes/small", "/v1/scenes/small/frame?width=9&height=9&isovalue=0.4")
+            paths = (
+                "/readyz",
+                "/metrics",
+                "/v1/scenes/small",
+                "/v1/scenes/small/frame?width=9&height=9&isovalue=0.4",
+            )
             told += [client.get(path).text for path in paths]
     assert len(sent) > 0 and len(caplog.records) > 0
     told += [str(task) for task in sent] + [record.getMessage() for record in caplog.records]
-    told += [json.dumps(call.__dict__) for call in s3.calls] + [data.decode("latin-1") for data in s3.objects.values()]
+    told += [json.dumps(call.__dict__) for call in s3.calls] + [
+        data.decode("latin-1") for data in s3.objects.values()
+    ]
     for secret in (SECRET_KEY, ACCESS_KEY):
         assert not [text for text in told if secret in text]
 
 
 @pytest.mark.slow
-def test_workers_use_the_credentials_of_their_own_environment(small_scene: Path, s3: S3Server, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "server", "render", str(small_scene), "-o", "frame.png", "--store", s3.url]
+def test_workers_use_the_credentials_of_their_own_environment(
+    small_scene: Path, s3: S3Server, tmp_path: Path
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "render",
+        str(small_scene),
+        "-o",
+        "frame.png",
+        "--store",
+        s3.url,
+    ]
     done = subprocess.run(
         [*command, "--workers", "1", "--width", "24", "--height", "24", "--json"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        },
         capture_output=True,
         text=True,
         check=False,
@@ -234,20 +279,37 @@ def test_workers_use_the_credentials_of_their_own_environment(small_scene: Path,
     assert SECRET_KEY not in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("command", [["serve", "--port", "0"], ["render", "demo:orbital", "-o", "frame.png"]])
+@pytest.mark.parametrize(
+    "command", [["serve", "--port", "0"], ["render", "demo:orbital", "-o", "frame.png"]]
+)
 def test_a_password_on_the_command_line_is_wrong_use(
-    command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([*command, "--store", "s3://me:hunter2@bucket/light"]) == 2
     out, error = capsys.readouterr()
-    assert out == "" and error.count("\n") == 1 and "hunter2" not in error and "the environment" in error
+    assert (
+        out == ""
+        and error.count("\n") == 1
+        and "hunter2" not in error
+        and "the environment" in error
+    )
 
 
-def test_a_store_that_is_not_there_is_told_in_one_line(tmp_path: Path, small_scene: Path, s3: S3Server) -> None:
+def test_a_store_that_is_not_there_is_told_in_one_line(
+    tmp_path: Path, small_scene: Path, s3: S3Server
+) -> None:
     s3.fault = lambda call: "no-bucket"
-    with pytest.raises(StoreAwayError, match=r"^Cannot make a place for light at the store at s3://.*404 Not Found\.$"):
-        RenderEngine([load_scene(small_scene)], Store(StoreUrl(s3.url, seconds=1.0, retries=0))).start(hire=False)
+    with pytest.raises(
+        StoreAwayError,
+        match=r"^Cannot make a place for light at the store at s3://.*404 Not Found\.$",
+    ):
+        RenderEngine(
+            [load_scene(small_scene)], Store(StoreUrl(s3.url, seconds=1.0, retries=0))
+        ).start(hire=False)
 
 
 def baked(scene: Path, store: Path, scheduler: str | None) -> dict[str, str]:
@@ -259,7 +321,11 @@ def baked(scene: Path, store: Path, scheduler: str | None) -> dict[str, str]:
             scene.parent.rename(scene.parent.with_name("gone"))
         engine.hire()
         assert not engine.frame(shown.id, view_of(shown), wait=LONG).provisional
-    return {name: digest for name, digest in chunks_in(store).items() if not name.startswith(("volumes", "files"))}
+    return {
+        name: digest
+        for name, digest in chunks_in(store).items()
+        if not name.startswith(("volumes", "files"))
+    }
 
 
 def test_workers_elsewhere_bake_the_same_without_the_files(
@@ -269,7 +335,9 @@ def test_workers_elsewhere_bake_the_same_without_the_files(
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
     shutil.copytree(small_scene.parent, tmp_path / "scene")
     own = baked(small_scene, tmp_path / "own", None)
-    joined = baked(tmp_path / "scene" / small_scene.name, tmp_path / "joined", "tcp://elsewhere:8786")
+    joined = baked(
+        tmp_path / "scene" / small_scene.name, tmp_path / "joined", "tcp://elsewhere:8786"
+    )
     assert own and joined == own
     assert not (tmp_path / "own" / "volumes").exists()
     assert len(list((tmp_path / "joined" / "volumes").iterdir())) == 1

@@ -1,4 +1,6 @@
-"""Variants of another material, or that hide labels: their names, what they share, and what is refused."""
+"""Variants of another material, or that hide labels: their names, what they share, and what is
+refused.
+"""
 
 import asyncio
 from collections.abc import Iterator
@@ -21,7 +23,9 @@ from tests.loaded import load_scene
 
 @pytest.fixture
 def engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
-    """An engine of a scene, and of one in the light of a lamp, that is not started; its kernels count as compiled."""
+    """An engine of a scene, and of one in the light of a lamp, that is not started; its kernels
+    count as compiled.
+    """
     monkeypatch.setattr(module, "entries_of", lambda _: [])
     sun = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
     scenes = [load_scene("demo:orbital"), load_scene("demo:casting", lights=[sun])]
@@ -52,7 +56,9 @@ def test_other_parts_of_a_variant_are_kept_beside_a_material(engine: RenderEngin
     )
     assert SceneVariant("seg", material="glass", hidden=(3,), time=2).id == "seg@=glass!3+2"
     scatters = SceneVariant("seg", material="subsurface")
-    assert scatters.may_lend(replace(scatters, time=2)) and not SceneVariant("seg").may_lend(scatters)
+    assert scatters.may_lend(replace(scatters, time=2)) and not SceneVariant("seg").may_lend(
+        scatters
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,14 +72,19 @@ def test_other_parts_of_a_variant_are_kept_beside_a_material(engine: RenderEngin
         ("casting", "subsurface", "Lamps do not reach inside"),
     ],
 )
-def test_what_a_scene_cannot_be_of_is_told(engine: RenderEngine, scene: str, material: str, reason: str) -> None:
+def test_what_a_scene_cannot_be_of_is_told(
+    engine: RenderEngine, scene: str, material: str, reason: str
+) -> None:
     with pytest.raises(ParameterError, match=reason) as refused:
         variant(engine, Change(material=material), scene)
     assert refused.value.parameter == "material"
 
 
-def test_kernels_that_were_never_compiled_come_first(engine: RenderEngine, monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, compiled = SimpleNamespace(loaded=False, stored=False), []
+def test_kernels_that_were_never_compiled_come_first(
+    engine: RenderEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = SimpleNamespace(loaded=False, stored=False)
+    compiled = []
     monkeypatch.setattr(module, "entries_of", lambda _: [kernel])
     monkeypatch.setattr(module, "warm", compiled.append)
     with pytest.raises(BusyError, match="is being compiled"):
@@ -99,22 +110,41 @@ def test_variants_that_hide_the_same_share_their_voxels(segmented: RenderEngine)
     without = asyncio.run(variants.of(own, Change(hide="3")))
     lit = asyncio.run(variants.of(own, Change("studio", hide=" 3")))
     assert without.volume is lit.volume and without.volume.digest != own.volume.digest
-    assert without.surfaces.colours is lit.surfaces.colours and without.plan.channels == own.plan.channels
+    assert (
+        without.surfaces.colours is lit.surfaces.colours
+        and without.plan.channels == own.plan.channels
+    )
     cut = asyncio.run(variants.of(own, Change(cut="x>4", hide="3")))
-    assert segmented.variant(cut.id).hidden == (3,) and not np.array_equal(cut.volume.voxels, without.volume.voxels)
-    assert set(segmented.scenes) == {"seg", lit.id, cut.id}, "those with voxels of their own are few"
+    assert segmented.variant(cut.id).hidden == (3,) and not np.array_equal(
+        cut.volume.voxels, without.volume.voxels
+    )
+    assert set(segmented.scenes) == {"seg", lit.id, cut.id}, (
+        "those with voxels of their own are few"
+    )
 
 
-@pytest.mark.parametrize(("hide", "reason"), [("4", "no voxel of label 4"), ("3,8", "are hidden: show one")])
-def test_labels_that_cannot_be_hidden_are_told(segmented: RenderEngine, hide: str, reason: str) -> None:
+@pytest.mark.parametrize(
+    ("hide", "reason"), [("4", "no voxel of label 4"), ("3,8", "are hidden: show one")]
+)
+def test_labels_that_cannot_be_hidden_are_told(
+    segmented: RenderEngine, hide: str, reason: str
+) -> None:
     with pytest.raises(ParameterError, match=reason):
-        asyncio.run(Variants(segmented, lambda name: name).of(segmented.scenes["seg"], Change(hide=hide)))
+        asyncio.run(
+            Variants(segmented, lambda name: name).of(segmented.scenes["seg"], Change(hide=hide))
+        )
 
 
 def test_scenes_that_differ_in_labels_or_time_lend_light() -> None:
-    own, noon = SceneVariant("seg"), SceneVariant("seg", "noon")
+    own = SceneVariant("seg")
+    noon = SceneVariant("seg", "noon")
     hides = replace(own, hidden=(3,))
     assert own.may_lend(hides) and hides.may_lend(replace(own, hidden=(8,), time=2))
     assert replace(noon, time=1).may_lend(replace(noon, hidden=(3,)))
-    for other, scene in ((own, own), (noon, hides), (own, replace(hides, cut="x>1")), (SceneVariant("other"), hides)):
+    for other, scene in (
+        (own, own),
+        (noon, hides),
+        (own, replace(hides, cut="x>1")),
+        (SceneVariant("other"), hides),
+    ):
         assert not other.may_lend(scene) and not scene.may_lend(other)

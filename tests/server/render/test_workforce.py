@@ -1,4 +1,6 @@
-"""The probe of the store; and what a server's memory is for, and that what is freed is used again or given back."""
+"""The probe of the store; and what a server's memory is for, and that what is freed is used again
+or given back.
+"""
 
 import errno
 import os
@@ -47,7 +49,9 @@ def test_a_store_that_is_gone_is_told(tmp_path: Path) -> None:
     assert probe.reasons() == []
 
 
-@pytest.mark.parametrize(("number", "told"), [(errno.ENOSPC, "the store is full"), (errno.EIO, "Input/output error")])
+@pytest.mark.parametrize(
+    ("number", "told"), [(errno.ENOSPC, "the store is full"), (errno.EIO, "Input/output error")]
+)
 def test_a_store_that_takes_nothing_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, told: str
 ) -> None:
@@ -61,7 +65,9 @@ def test_a_store_that_takes_nothing_is_told(
     assert told in StoreProbe(place).reasons()[0]
 
 
-def test_a_store_that_is_only_read_is_as_it_should_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_that_is_only_read_is_as_it_should_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     place = Store(tmp_path)
     place.open()
 
@@ -74,7 +80,8 @@ def test_a_store_that_is_only_read_is_as_it_should_be(tmp_path: Path, monkeypatc
 
 
 def test_a_finding_stands_for_a_while(tmp_path: Path) -> None:
-    clock, store = Clock(), tmp_path / "store"
+    clock = Clock()
+    store = tmp_path / "store"
     probe = StoreProbe(str(store), clock)
     store.write_text("in the way")
     assert probe.reasons() != []
@@ -85,7 +92,8 @@ def test_a_finding_stands_for_a_while(tmp_path: Path) -> None:
 
 
 def test_a_store_that_hangs_holds_no_probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    probe, hangs = StoreProbe(Store(tmp_path), clock := Clock()), threading.Event()
+    probe = StoreProbe(Store(tmp_path), clock := Clock())
+    hangs = threading.Event()
     assert probe.reasons() == []
     monkeypatch.setattr(workforce, "PROBE_SECONDS", 0.01)
     monkeypatch.setattr(Store, "check_writable", lambda _: hangs.wait(60))
@@ -136,7 +144,9 @@ def test_all_steps_of_finer_texels_take_a_quarter_more() -> None:
 
 def arenas(*how: str) -> int:
     """How many arenas glibc has after eight threads took memory."""
-    told = subprocess.run([sys.executable, "-c", THREADS, *how], capture_output=True, check=True, text=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-c", THREADS, *how], capture_output=True, check=True, text=True
+    ).stdout
     return told.count("<heap nr=")
 
 
@@ -164,7 +174,9 @@ for _ in range(64):
 del freed[:]
 print(resident() - before)
 """
-"""Large arrays that come and go beside small ones that stay; the bytes by which the process has grown in the end."""
+"""Large arrays that come and go beside small ones that stay; the bytes by which the process has
+grown in the end.
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only glibc holds on to it")

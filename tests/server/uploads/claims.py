@@ -48,7 +48,10 @@ def nifti(folder: Path) -> Files:
     nib.save(nib.Nifti1Image(F.T, affine()), folder / "good.nii")
     good = (folder / "good.nii").read_bytes()
     extension = struct.pack("<4B2i", 1, 0, 0, 0, HUGE // 16 * 16, 0)
-    yield "extension.nii", good[:108] + struct.pack("<f", 2.0**31) + good[112:348] + extension + good[352:]
+    yield (
+        "extension.nii",
+        good[:108] + struct.pack("<f", 2.0**31) + good[112:348] + extension + good[352:],
+    )
     yield "offset.nii", good[:108] + struct.pack("<f", 2.0**40) + good[112:]
     yield "sizes.nii", good[:40] + struct.pack("<4h", 3, 400, 400, 400) + good[48:]
 
@@ -67,33 +70,46 @@ def dicom(folder: Path) -> Files:
     made.NumberOfFrames = HUGE
     made.save_as(folder / "many", enforce_file_format=True)
     yield "frames.dcm", (folder / "many").read_bytes()
-    made.NumberOfFrames, made.Rows, made.Columns = 12, 65535, 65535
+    made.NumberOfFrames = 12
+    made.Rows = 65535
+    made.Columns = 65535
     made.save_as(folder / "wide", enforce_file_format=True)
     yield "sizes.dcm", (folder / "wide").read_bytes()
 
 
 def tiff(folder: Path) -> Files:
-    """A page of many voxels, a tile larger than its page, a tag of many values, and zeros that are packed."""
+    """A page of many voxels, a tile larger than its page, a tag of many values, and zeros that are
+    packed.
+    """
     import tifffile
 
     tifffile.imwrite(folder / "good", F, photometric="minisblack")
     yield "width.tif", patched((folder / "good").read_bytes(), 256, HUGE)
     yield "counts.tif", patched((folder / "good").read_bytes(), 273, HUGE, at=4)
-    tifffile.imwrite(folder / "tiled", np.zeros((4, 64, 64), np.uint8), tile=(64, 64), photometric="minisblack")
+    tifffile.imwrite(
+        folder / "tiled", np.zeros((4, 64, 64), np.uint8), tile=(64, 64), photometric="minisblack"
+    )
     tiled = (folder / "tiled").read_bytes()
     yield "tiles.tif", patched(patched(tiled, 322, 1 << 15), 323, 1 << 15)
     big = io.BytesIO()
-    tifffile.imwrite(big, np.zeros((2, 20000, 20000), np.uint8), compression="zlib", photometric="minisblack")
+    tifffile.imwrite(
+        big, np.zeros((2, 20000, 20000), np.uint8), compression="zlib", photometric="minisblack"
+    )
     yield "packed.tif", big.getvalue()
 
 
 def patched(data: bytes, tag: int, value: int, at: int = 8) -> bytes:
-    """A little-endian TIFF whose first page has a number in a tag: its value, or ``at`` 4 its count."""
+    """A little-endian TIFF whose first page has a number in a tag: its value, or ``at`` 4 its
+    count.
+    """
     start = struct.unpack_from("<I", data, 4)[0]
     count = struct.unpack_from("<H", data, start)[0]
     for place in range(start + 2, start + 2 + 12 * count, 12):
         if struct.unpack_from("<H", data, place)[0] == tag:
-            kind = b"\x04\x00" if at == 8 else data[place + 2 : place + 4]
+            if at == 8:
+                kind = b"\x04\x00"
+            else:
+                kind = data[place + 2 : place + 4]
             entry = bytearray(data[place : place + 12])
             entry[2:4] = kind
             struct.pack_into("<I", entry, at, value)
@@ -102,7 +118,9 @@ def patched(data: bytes, tag: int, value: int, at: int = 8) -> bytes:
 
 
 def hdf5(folder: Path) -> Files:
-    """A virtual dataset, chunks that are larger than what is read of them, and values that are elsewhere."""
+    """A virtual dataset, chunks that are larger than what is read of them, and values that are
+    elsewhere.
+    """
     h5py = import_module("h5py")
 
     def file(name: str, make: Callable[[Any], object]) -> tuple[str, bytes]:
@@ -121,7 +139,9 @@ def hdf5(folder: Path) -> Files:
         shape = {"shape": (side,) * 3, "maxshape": (None,) * 3}
 
         def make(whole: Any) -> None:
-            whole.create_dataset("field", **shape, dtype=kind, chunks=chunk, compression="gzip")[0, 0, 0] = 1
+            whole.create_dataset("field", **shape, dtype=kind, chunks=chunk, compression="gzip")[
+                0, 0, 0
+            ] = 1
 
         return make
 
@@ -130,7 +150,10 @@ def hdf5(folder: Path) -> Files:
     yield file("chunks.h5", one_chunk("u1", 4, 100, 1000, 1000))
     yield file("hole.h5", lambda whole: whole.create_dataset("field", (4000, 4000, 4000), "f8"))
     external = [("/etc/passwd", 0, 400**3)]
-    yield file("external.h5", lambda whole: whole.create_dataset("field", (400, 400, 400), "u1", external=external))
+    yield file(
+        "external.h5",
+        lambda whole: whole.create_dataset("field", (400, 400, 400), "u1", external=external),
+    )
     lines = h5py.string_dtype()
     yield file("strings.h5", lambda whole: whole.create_dataset("field", (400, 400, 400), lines))
 
@@ -141,7 +164,10 @@ def numpy_files(folder: Path) -> Files:
     np.save(good, F)
     shape = str(F.shape).encode()
     yield "sizes.npy", good.getvalue().replace(shape + b", }", b"(400,400,400), }")
-    yield "fortran.npy", good.getvalue().replace(b"False", b"True ").replace(shape + b", }", b"(400,400,400), }")
+    yield (
+        "fortran.npy",
+        good.getvalue().replace(b"False", b"True ").replace(shape + b", }", b"(400,400,400), }"),
+    )
     np.savez_compressed(folder / "zeros.npz", np.zeros((3, 400, 400, 400), np.float32))
     yield "zeros.npz", (folder / "zeros.npz").read_bytes()
 
@@ -150,6 +176,8 @@ def vti(folder: Path) -> Files:
     """Points that are not there."""
     extent = "0 399 0 399 0 399"
     piece = f'<Piece Extent="{extent}"><PointData>'
-    array = '<DataArray type="Float64" Name="a" format="ascii">1 2 3</DataArray></PointData></Piece>'
+    array = (
+        '<DataArray type="Float64" Name="a" format="ascii">1 2 3</DataArray></PointData></Piece>'
+    )
     head = f'<?xml version="1.0"?><VTKFile type="ImageData"><ImageData WholeExtent="{extent}">'
     yield "points.vti", f"{head}{piece}{array}</ImageData></VTKFile>".encode()

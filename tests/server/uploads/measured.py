@@ -28,11 +28,15 @@ MOST = 64 << 20
 
 
 def read_measured(path: Path, kind: str = VOLUME_KIND) -> tuple[dict[str, str], int]:
-    """What the reader answers to a file of a kind, and the most memory that it took, in megabytes."""
+    """What the reader answers to a file of a kind, and the most memory that it took, in
+    megabytes.
+    """
     with path.open("rb") as body, tempfile.TemporaryFile(dir=path.parent) as out:
         files = body.fileno(), out.fileno()
         command = [sys.executable, "-c", CODE, *map(str, files), kind, str(MOST)]
-        done = subprocess.run(command, capture_output=True, pass_fds=files, env=READER_ENVIRONMENT, check=False)
+        done = subprocess.run(
+            command, capture_output=True, pass_fds=files, env=READER_ENVIRONMENT, check=False
+        )
     assert done.returncode == 0, (path, done.returncode, done.stderr)
     answer, peak = json.loads(done.stdout)
     return answer, peak

@@ -26,7 +26,9 @@ Open = Callable[..., FastAPI]
 
 def client_of(app: FastAPI) -> httpx.AsyncClient:
     """A client of an app, without a socket."""
-    return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost", timeout=120)
+    return httpx.AsyncClient(
+        transport=httpx.ASGITransport(app), base_url="http://localhost", timeout=120
+    )
 
 
 PATIENT = {"reading_seconds": 120}
@@ -61,7 +63,9 @@ class Site:
     """A server that takes uploads: its engine, a client, and the folder."""
 
     def __init__(self, engine: RenderEngine, client: httpx.Client, folder: Path) -> None:
-        self.engine, self.client, self.folder = engine, client, folder
+        self.engine = engine
+        self.client = client
+        self.folder = folder
 
     def send(self, side: int) -> dict[str, str]:
         """A ball that is there now."""
@@ -84,6 +88,8 @@ def opened(scene: Path, folder: Path) -> Iterator[Site]:
 
 @pytest.fixture(scope="module")
 def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """A site that the tests of a module share; rooms whose tests ask for it import it into their conftest."""
+    """A site that the tests of a module share; rooms whose tests ask for it import it into their
+    conftest.
+    """
     with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
         yield site

@@ -1,4 +1,6 @@
-"""Tokens with names and scopes: what they allow, whose jobs and volumes are, and files that hold them."""
+"""Tokens with names and scopes: what they allow, whose jobs and volumes are, and files that hold
+them.
+"""
 
 import asyncio
 from pathlib import Path
@@ -18,7 +20,9 @@ from tests.server.asking import Ask
 from tests.server.uploads.files import ball, names
 from tests.server.uploads.site import Poster
 
-ANNA, BEN, EVE, ROOT = (f"the token of {name}, a long one" for name in ("anna", "ben", "eve", "root"))
+ANNA, BEN, EVE, ROOT = (
+    f"the token of {name}, a long one" for name in ("anna", "ben", "eve", "root")
+)
 FILE = f"""\
 [anna]
 token = "{ANNA}"
@@ -50,9 +54,15 @@ def shown(token: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("kind", "method", "path", "scope"),
     [
-        *[("http", "GET", "/v1/scenes/a/frame", "look"), ("websocket", "", "/v1/scenes/a/stream", "look")],
+        *[
+            ("http", "GET", "/v1/scenes/a/frame", "look"),
+            ("websocket", "", "/v1/scenes/a/stream", "look"),
+        ],
         *[("http", "GET", "/v1/volumes", "look"), ("http", "POST", "/v1/volumes", "upload")],
-        *[("http", "DELETE", "/v1/volumes/a", "upload"), ("http", "POST", "/v1/scenes/a/prewarm", "bake")],
+        *[
+            ("http", "DELETE", "/v1/volumes/a", "upload"),
+            ("http", "POST", "/v1/scenes/a/prewarm", "bake"),
+        ],
         *[("http", "DELETE", "/v1/jobs/a", "bake"), ("http", "PATCH", "/", "bake")],
         ("http", "GET", "/metrics", "admin"),
     ],
@@ -65,15 +75,31 @@ def test_a_token_allows_what_its_scopes_say(ask: Ask, open_app: Any, tokens: Pat
     app: FastAPI = open_app(tokens_file=tokens)
     for token, sends in ((ANNA, 201), (EVE, 403), (ROOT, 200)):
         assert ask(app, "GET", "/v1/scenes", headers=shown(token)).status_code == 200
-        assert ask(app, "POST", "/v1/volumes", content=ball(), headers=shown(token)).status_code == sends
-        assert (ask(app, "GET", "/metrics", headers=shown(token)).status_code == 403) == (token != ROOT)
+        assert (
+            ask(app, "POST", "/v1/volumes", content=ball(), headers=shown(token)).status_code
+            == sends
+        )
+        assert (ask(app, "GET", "/metrics", headers=shown(token)).status_code == 403) == (
+            token != ROOT
+        )
     refused = ask(app, "POST", "/v1/scenes/a/prewarm", headers=shown(EVE))
-    assert refused.status_code == 403 and "The token 'eve' does not allow this (bake)" in refused.json()["detail"]
-    assert ask(app, "GET", "/v1/scenes").status_code == ask(app, "GET", "/", headers=shown("!")).status_code == 401
+    assert (
+        refused.status_code == 403
+        and "The token 'eve' does not allow this (bake)" in refused.json()["detail"]
+    )
+    assert (
+        ask(app, "GET", "/v1/scenes").status_code
+        == ask(app, "GET", "/", headers=shown("!")).status_code
+        == 401
+    )
 
 
 async def test_who_may_only_look_has_nothing_baked() -> None:
-    scope = {"type": "http", "client": ("10.0.0.1", 80), BEARER_SCOPE_KEY: Bearer(EVE, "eve", frozenset({"look"}))}
+    scope = {
+        "type": "http",
+        "client": ("10.0.0.1", 80),
+        BEARER_SCOPE_KEY: Bearer(EVE, "eve", frozenset({"look"})),
+    }
     viewers = request_viewer(Request(scope)), stream_viewer(Request(scope))
     assert not any(viewer.bakes for viewer in viewers)
     assert request_viewer(Request({"type": "http", "client": None})).bakes
@@ -82,11 +108,16 @@ async def test_who_may_only_look_has_nothing_baked() -> None:
 
 
 @pytest.mark.slow
-def test_volumes_belong_to_who_sent_them(ask: Ask, open_app: Any, tokens: Path, folder: Path) -> None:
+def test_volumes_belong_to_who_sent_them(
+    ask: Ask, open_app: Any, tokens: Path, folder: Path
+) -> None:
     """Also after a restart; what two have sent goes with the second."""
     app: FastAPI = open_app(tokens_file=tokens)
     hers, both, free = (ball(side) for side in (8, 9, 10))
-    sent = [ask(app, "POST", "/v1/volumes", content=content, headers=shown(ANNA)).json() for content in (hers, both)]
+    sent = [
+        ask(app, "POST", "/v1/volumes", content=content, headers=shown(ANNA)).json()
+        for content in (hers, both)
+    ]
     assert ask(app, "POST", "/v1/volumes", content=both, headers=shown(BEN)).status_code == 200
     app.state.service.uploads.close()
     app = open_app(Poster(), tokens_file=tokens)
@@ -124,8 +155,11 @@ def test_jobs_belong_to_who_began_them(ask: Ask, open_app: Any, tokens: Path) ->
 
 
 def test_one_token_owns_what_nobody_is_named_for() -> None:
-    one, anna = Bearer("one token alone"), Bearer(ANNA, "anna", frozenset({"look"}))
-    assert all(map(one.may, ("look", "bake", "upload", "admin"))) and one.owns("") and one.owns("anna")
+    one = Bearer("one token alone")
+    anna = Bearer(ANNA, "anna", frozenset({"look"}))
+    assert (
+        all(map(one.may, ("look", "bake", "upload", "admin"))) and one.owns("") and one.owns("anna")
+    )
     assert anna.owns("") and anna.owns("anna") and not anna.owns("ben") and not anna.may("bake")
 
 
@@ -133,7 +167,11 @@ def test_one_token_owns_what_nobody_is_named_for() -> None:
     "text",
     [
         *["", "[anna", "[anna]", 'anna = "look"', '[anna]\ntoken = "short"\nscopes = ["look"]'],
-        *[FILE.replace('["look"]', "[]"), FILE.replace('["look"]', '["looks"]'), FILE.replace(EVE, BEN)],
+        *[
+            FILE.replace('["look"]', "[]"),
+            FILE.replace('["look"]', '["looks"]'),
+            FILE.replace(EVE, BEN),
+        ],
         *[FILE.replace("[eve]", "[eve]\ncolour = 1"), FILE.replace('["look"]', '"look"')],
     ],
 )

@@ -1,4 +1,6 @@
-"""Light probes that clients send: on a real socket, through the confined reader, kept and deleted."""
+"""Light probes that clients send: on a real socket, through the confined reader, kept and
+deleted.
+"""
 
 import re
 from collections.abc import Iterator
@@ -32,7 +34,9 @@ def lamp(height: int = 16) -> np.ndarray:
 @pytest.fixture
 def sent(site: Site, tmp_path: Path) -> Iterator[dict[str, str]]:
     """An environment that is there while a test runs."""
-    answer = site.client.post(LIGHTS, params={"name": "Hall"}, content=picture(tmp_path, lamp())).raise_for_status()
+    answer = site.client.post(
+        LIGHTS, params={"name": "Hall"}, content=picture(tmp_path, lamp())
+    ).raise_for_status()
     yield answer.json()
     site.client.delete(answer.json()["href"])
 
@@ -44,11 +48,15 @@ def test_it_lights_every_scene(site: Site, sent: dict[str, str]) -> None:
     lit = site.client.get("/v1/scenes/small", params={"environment": sent["id"]}).json()
     assert [light["type"] for light in lit["lights"]] == ["probe"]
     queries = ({}, {"environment": sent["id"]})
-    own, other = (site.client.get("/v1/scenes/small/frame", params={**SMALL, **query}) for query in queries)
+    own, other = (
+        site.client.get("/v1/scenes/small/frame", params={**SMALL, **query}) for query in queries
+    )
     assert own.raise_for_status().content != other.raise_for_status().content
 
 
-def test_it_is_kept_once_as_it_was_sent_and_counts(site: Site, sent: dict[str, str], tmp_path: Path) -> None:
+def test_it_is_kept_once_as_it_was_sent_and_counts(
+    site: Site, sent: dict[str, str], tmp_path: Path
+) -> None:
     file = site.folder / f"{sent['id']}.hdr"
     assert np.allclose(read_hdr(file), lamp(), rtol=0.01)
     again = site.client.post(LIGHTS, content=picture(tmp_path, lamp()))

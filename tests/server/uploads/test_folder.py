@@ -1,4 +1,6 @@
-"""The folder of uploads: what it holds is whole, what goes in comes out, and what isogi did not write is none."""
+"""The folder of uploads: what it holds is whole, what goes in comes out, and what isogi did not
+write is none.
+"""
 
 import dataclasses
 import errno
@@ -16,7 +18,14 @@ import pytest
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import Grid, LabelName
 from server.errors import FullError
-from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, UploadFolder, default_folder, read_volume, write
+from server.uploads.folder import (
+    NRRD_TYPES,
+    SCENE_BYTES,
+    UploadFolder,
+    default_folder,
+    read_volume,
+    write,
+)
 from tests.loaded import read_nrrd
 from tests.server.uploads.files import names
 
@@ -65,7 +74,9 @@ def test_it_is_the_owners_alone(folder: UploadFolder) -> None:
     assert all(path.stat().st_mode & 0o077 == 0 for path in folder.path.glob("*.nrrd"))
 
 
-def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder, tmp_path: Path) -> None:
+def test_unfinished_files_are_deleted_and_foreign_ones_left(
+    folder: UploadFolder, tmp_path: Path
+) -> None:
     number = put(folder)
     folder.close()
     (folder.path / "x.part").write_bytes(b"half")
@@ -78,9 +89,12 @@ def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder
     assert not folder.uploads and not folder.held
 
 
-def test_a_file_is_on_the_disk_before_its_name_is(folder: UploadFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_on_the_disk_before_its_name_is(
+    folder: UploadFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done: list[str] = []
-    fsync, replace = os.fsync, os.replace
+    fsync = os.fsync
+    replace = os.replace
 
     def noted(number: int) -> None:
         done.append("folder" if os.path.isdir(f"/proc/self/fd/{number}") else "file")
@@ -92,7 +106,9 @@ def test_a_file_is_on_the_disk_before_its_name_is(folder: UploadFolder, monkeypa
     assert done == ["file", "name", "folder"]
 
 
-def test_a_disk_that_is_full_says_so_and_nothing_is_left(folder: UploadFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_is_full_says_so_and_nothing_is_left(
+    folder: UploadFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -128,7 +144,9 @@ def test_a_kill_in_the_middle_leaves_nothing(folder: UploadFolder) -> None:
     assert names(folder.path) == {f"{number}.nrrd"}
 
 
-def test_the_users_own_folder_is_taken_where_none_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_users_own_folder_is_taken_where_none_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert default_folder() == tmp_path / "isogi" / "volumes"
 
@@ -136,7 +154,9 @@ def test_the_users_own_folder_is_taken_where_none_is_told(monkeypatch: pytest.Mo
 RAMP = np.arange(24).reshape(2, 3, 4)
 
 
-def kept(folder: Path, array: np.ndarray, name: str = "a", labels: tuple[LabelName, ...] | None = None) -> Path:
+def kept(
+    folder: Path, array: np.ndarray, name: str = "a", labels: tuple[LabelName, ...] | None = None
+) -> Path:
     """The canonical file of an array, under its id."""
     file = io.BytesIO()
     number = write(file, dataclasses.replace(Grid.of(array, (1.0, 2.0, 0.1)), labels=labels), name)
@@ -153,16 +173,25 @@ def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> No
     np.testing.assert_array_equal(array, RAMP)
     assert (array.dtype.newbyteorder("="), spacing) == (np.dtype(kind), (1.0, 2.0, 0.1))
     facts = read_volume(path)
-    assert facts and (facts.id, facts.size, facts.bytes) == (path.stem, (4, 3, 2), path.stat().st_size)
+    assert facts and (facts.id, facts.size, facts.bytes) == (
+        path.stem,
+        (4, 3, 2),
+        path.stat().st_size,
+    )
 
 
 def test_the_id_is_of_the_voxels_and_not_of_order_layout_or_name(tmp_path: Path) -> None:
     same = [RAMP.astype("<i2"), RAMP.astype(">i2"), np.asfortranarray(RAMP.astype("<i2"))]
-    assert len({kept(tmp_path, array, name).stem for array, name in zip(same, "abc", strict=True)}) == 1
+    assert (
+        len({kept(tmp_path, array, name).stem for array, name in zip(same, "abc", strict=True)})
+        == 1
+    )
     assert kept(tmp_path, RAMP.astype("<i4")).stem != kept(tmp_path, same[0]).stem
 
 
-@pytest.mark.parametrize("name", ["Zwei Kugeln é 球", "a\\nb: c", "<script>", "sizes: 1 1 1", "%41", "x" * 80])
+@pytest.mark.parametrize(
+    "name", ["Zwei Kugeln é 球", "a\\nb: c", "<script>", "sizes: 1 1 1", "%41", "x" * 80]
+)
 def test_a_name_is_kept_whatever_is_in_it(tmp_path: Path, name: str) -> None:
     facts = read_volume(kept(tmp_path, RAMP.astype("u1"), name))
     assert facts and facts.name == name
@@ -199,13 +228,21 @@ def test_labels_keep_their_names_and_colours(tmp_path: Path) -> None:
     bare = kept(tmp_path, MARKED)
     assert open_file(bare, {}).labels is None and bare.stem != path.stem
     assert open_file(kept(tmp_path, MARKED, "a", ()), {}).labels is not None
-    many = kept(tmp_path, MARKED, "a", tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400)))
+    many = kept(
+        tmp_path, MARKED, "a", tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400))
+    )
     assert read_volume(many) and len(open_file(many, {}).labels or ()) == 255
 
 
 def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
     whole = kept(tmp_path, RAMP.astype("u1")).read_bytes()
-    others = [whole[:-1], whole + b"x", whole.replace(b"raw", b"gzip"), b"", whole.replace(b"uint8", b"uint9")]
+    others = [
+        whole[:-1],
+        whole + b"x",
+        whole.replace(b"raw", b"gzip"),
+        b"",
+        whole.replace(b"uint8", b"uint9"),
+    ]
     detached = whole.replace(b"name:=a", b"data file: /etc/passwd")
     for text in (*others, detached):
         (tmp_path / "a.nrrd").write_bytes(text)

@@ -1,4 +1,6 @@
-"""Files of every kind are read by the confined reader, which can open no file and load no library any more."""
+"""Files of every kind are read by the confined reader, which can open no file and load no library
+any more.
+"""
 
 import json
 import os
@@ -35,7 +37,10 @@ def read_confined(path: Path, folder: Path) -> Path:
             input=b"60\n",
             capture_output=True,
             pass_fds=[upload.fileno(), out.fileno()],
-            env={"PYTHONPATH": os.pathsep.join([str(PYTHON_ROOT), *installed()]), "PATH": os.environ["PATH"]},
+            env={
+                "PYTHONPATH": os.pathsep.join([str(PYTHON_ROOT), *installed()]),
+                "PATH": os.environ["PATH"],
+            },
             check=True,
         )
         answer = json.loads(done.stdout)
@@ -50,18 +55,24 @@ def read_confined(path: Path, folder: Path) -> Path:
 def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
     for path in written(tmp_path / "files"):
         kept = read_confined(path, tmp_path)
-        facts, grid = read_volume(kept), on_right_angles(open_file(kept, {}))
+        facts = read_volume(kept)
+        grid = on_right_angles(open_file(kept, {}))
         assert facts and facts.name == path.name and facts.size == (16, 20, 12)
         np.testing.assert_array_equal(np.sort(grid.whole(), axis=None), np.sort(F, axis=None))
 
 
 def test_an_uploaded_series_shows_its_first_step(tmp_path: Path) -> None:
     nib = pytest.importorskip("nibabel")
-    nib.save(nib.Nifti1Image(np.stack([F.T, F.T + 1, F.T + 2], axis=-1), np.eye(4)), tmp_path / "bold.nii")
+    nib.save(
+        nib.Nifti1Image(np.stack([F.T, F.T + 1, F.T + 2], axis=-1), np.eye(4)),
+        tmp_path / "bold.nii",
+    )
     kept = read_confined(tmp_path / "bold.nii", tmp_path)
     facts = read_volume(kept)
     assert facts and facts.name == "bold.nii, first of 3 steps"
-    np.testing.assert_array_equal(np.sort(open_file(kept, {}).whole(), axis=None), np.sort(F, axis=None))
+    np.testing.assert_array_equal(
+        np.sort(open_file(kept, {}).whole(), axis=None), np.sort(F, axis=None)
+    )
 
 
 def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
@@ -99,6 +110,10 @@ def test_a_segmentation_without_a_label_is_refused(tmp_path: Path) -> None:
 
 def test_a_skewed_segmentation_is_uploaded_as_values(tmp_path: Path) -> None:
     """Between two labels is neither."""
-    skewed = {"space": "RAS", "space directions": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]], "space origin": [0, 0, 0]}
+    skewed = {
+        "space": "RAS",
+        "space directions": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]],
+        "space origin": [0, 0, 0],
+    }
     nrrd.write(str(tmp_path / "skew.seg.nrrd"), PARTS, {**SEGMENTS, **skewed}, index_order="C")
     assert open_file(read_confined(tmp_path / "skew.seg.nrrd", tmp_path), {}).labels is None

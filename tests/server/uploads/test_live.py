@@ -1,4 +1,6 @@
-"""Volumes that come and go while an engine draws: on a real socket, baked on a thread of this process."""
+"""Volumes that come and go while an engine draws: on a real socket, baked on a thread of this
+process.
+"""
 
 import gc
 import threading
@@ -26,12 +28,16 @@ def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     again = site.send(12)
     assert again["id"] == facts["id"]
     shown = site.client.get(f"{facts['scene']}/frame", params=VIEW)
-    assert "provisional=0.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
+    assert "provisional=0.000" in shown.headers["isogi-coverage"], (
+        "the light of what came again is found in the store"
+    )
 
 
 @pytest.mark.slow
 def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> None:
-    facts, statuses, begun = site.send(16), [], threading.Semaphore(0)
+    facts = site.send(16)
+    statuses = []
+    begun = threading.Semaphore(0)
 
     def look(azimuth: int) -> None:
         with httpx.Client(base_url=site.client.base_url, timeout=120) as client:
@@ -51,7 +57,9 @@ def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> 
         thread.join()
     assert set(statuses) <= {200, 404} and 404 in statuses
     assert f"{facts['id']}.nrrd" not in names(site.folder)
-    assert facts["id"] not in {each["id"] for each in site.client.get("/v1/scenes").json()["scenes"]}
+    assert facts["id"] not in {
+        each["id"] for each in site.client.get("/v1/scenes").json()["scenes"]
+    }
     gc.collect()
     assert volume() is None, "somebody still holds the voxels"
 
@@ -59,7 +67,9 @@ def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> 
 def test_who_listens_to_what_is_deleted_is_told(site: Site) -> None:
     facts = site.send(18)
     told: list[str] = []
-    with site.client.stream("GET", f"{facts['scene']}/events", params={"width": 48, "height": 48}) as events:
+    with site.client.stream(
+        "GET", f"{facts['scene']}/events", params={"width": 48, "height": 48}
+    ) as events:
         for line in events.iter_lines():
             told.append(line)
             if line == "event: refined" and facts["id"] in site.engine.scenes:

@@ -1,4 +1,6 @@
-"""The reader's limits: the processor's time, memory, one at a time; and what a hole in a library could do inside."""
+"""The reader's limits: the processor's time, memory, one at a time; and what a hole in a library
+could do inside.
+"""
 
 import asyncio
 import json
@@ -29,13 +31,17 @@ from tests.server.uploads.site import Open, client_of, opened
 def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
     """A NRRD file of a cube."""
     sizes = " ".join([str(side)] * 3)
-    fields = f"NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {sizes}\nencoding: raw\nendian: little\n\n"
+    fields = (
+        f"NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {sizes}\nencoding: raw\nendian: little\n\n"
+    )
     return fields.encode() + data
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "dtype"), [("float", np.float32), ("uchar", np.uint8)])
-def test_the_largest_upload_is_read_within_a_gigabyte(tmp_path: Path, kind: str, dtype: Any) -> None:
+def test_the_largest_upload_is_read_within_a_gigabyte(
+    tmp_path: Path, kind: str, dtype: Any
+) -> None:
     side = 400
     values = np.arange(side**3, dtype=np.uint32).astype(dtype)
     (tmp_path / "large.nrrd").write_bytes(nrrd_of(kind, side, values.tobytes()))
@@ -71,8 +77,12 @@ def test_a_start_that_takes_long_is_no_reason_to_refuse(
     assert answer.status_code == 201, answer.text
 
 
-async def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    at_once, most, read = [0], [0], Reader.read
+async def test_one_upload_is_read_at_a_time(
+    open_app: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_once = [0]
+    most = [0]
+    read = Reader.read
 
     async def counted(reader: Reader, seconds: float) -> str:
         at_once[0] += 1
@@ -85,7 +95,9 @@ async def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.
 
     monkeypatch.setattr(Reader, "read", counted)
     async with client_of(open_app()) as client:
-        answers = await asyncio.gather(*(client.post("/v1/volumes", content=ball(side)) for side in (8, 9)))
+        answers = await asyncio.gather(
+            *(client.post("/v1/volumes", content=ball(side)) for side in (8, 9))
+        )
     assert [answer.status_code for answer in answers] == [201, 201] and most == [1]
 
 
@@ -127,10 +139,14 @@ def test_a_small_file_that_claims_much_takes_little(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_picture_of_microscopes_may_be_sent(tmp_path: Path) -> None:
-    """Its description is XML, whose reader must be loaded before files cannot be opened any more."""
+    """Its description is XML, whose reader must be loaded before files cannot be opened any
+    more.
+    """
     tifffile = pytest.importorskip("tifffile")
     values = np.arange(4 * 5 * 6, dtype=np.uint8).reshape(4, 5, 6)
-    tifffile.imwrite(tmp_path / "a.ome.tif", values, photometric="minisblack", metadata={"axes": "ZYX"})
+    tifffile.imwrite(
+        tmp_path / "a.ome.tif", values, photometric="minisblack", metadata={"axes": "ZYX"}
+    )
     answer, _ = read_measured(tmp_path / "a.ome.tif")
     assert "id" in answer, answer
 
@@ -172,10 +188,17 @@ def allowed(give_up: str, folder: Path) -> set[str]:
     """The attempts that succeed in a process which ran ``give_up`` of the sandbox."""
     for name in ("secret", "other"):
         (folder / name).write_text("x")
-    script = f"{ATTEMPTS}\n{give_up}\nprint(json.dumps([name for name, each in attempts.items() if succeeds(each)]))"
-    with subprocess.Popen(["sleep", "600"]) as victim, socket.create_server(("127.0.0.1", 0)) as listener:
+    script = (
+        f"{ATTEMPTS}\n{give_up}\nprint(json.dumps([name for name, each in "
+        "attempts.items() if succeeds(each)]))"
+    )
+    with (
+        subprocess.Popen(["sleep", "600"]) as victim,
+        socket.create_server(("127.0.0.1", 0)) as listener,
+    ):
         arguments = [str(folder), str(listener.getsockname()[1]), str(victim.pid)]
-        command, given = [sys.executable, "-c", script, *arguments], {"PYTHONPATH": str(PYTHON_ROOT)}
+        command = [sys.executable, "-c", script, *arguments]
+        given = {"PYTHONPATH": str(PYTHON_ROOT)}
         done = subprocess.run(command, env=given, capture_output=True, text=True, check=False)
         victim.kill()
     assert done.returncode == 0, done.stderr
@@ -194,7 +217,9 @@ def test_landlock_alone_keeps_files_out_of_reach(tmp_path: Path) -> None:
     assert not allowed("sandbox.give_up_paths()", tmp_path) & PATHS
 
 
-def test_readyz_says_what_the_sandbox_lacks(small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readyz_says_what_the_sandbox_lacks(
+    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(uploads, "lacking", lambda: "Uploads are read without Landlock.")
     with opened(small_scene, tmp_path) as site:
         answer = site.client.get("/readyz").json()

@@ -1,4 +1,6 @@
-"""A page with a card to test: WebGL 2 in software, a server of files and of data, and scenes as a card gets them."""
+"""A page with a card to test: WebGL 2 in software, a server of files and of data, and scenes as a
+card gets them.
+"""
 
 import gzip
 import http.server
@@ -30,10 +32,13 @@ SECONDS = 300
 
 
 class Lab:
-    """A page whose scripts are those of ``web``, and files of ``data`` that it may fetch as ``/data/NAME``."""
+    """A page whose scripts are those of ``web``, and files of ``data`` that it may fetch as
+    ``/data/NAME``.
+    """
 
     def __init__(self, page: Page, address: str, data: dict[str, bytes]) -> None:
-        self.page, self.data = page, data
+        self.page = page
+        self.data = data
         page.set_default_timeout(1000 * SECONDS)
         page.goto(address)
         page.evaluate("import('/bench/bench.js').then((bench) => { window.bench = bench; })")
@@ -48,7 +53,10 @@ class Lab:
 
     def put(self, name: str, content: bytes | dict[str, Any]) -> str:
         """Let the page fetch a file of this name."""
-        self.data[name] = content if isinstance(content, bytes) else json.dumps(content).encode()
+        if isinstance(content, bytes):
+            self.data[name] = content
+        else:
+            self.data[name] = json.dumps(content).encode()
         return name
 
 
@@ -62,13 +70,22 @@ def served(data: dict[str, bytes]) -> Iterator[str]:
     """The address of a server of the page's files, of this folder's, and of ``data``."""
 
     class Handler(http.server.BaseHTTPRequestHandler):
-        KINDS: ClassVar[dict[str, str]] = {".js": "text/javascript", ".html": "text/html", ".glsl": "text/plain"}
+        KINDS: ClassVar[dict[str, str]] = {
+            ".js": "text/javascript",
+            ".html": "text/html",
+            ".glsl": "text/plain",
+        }
 
         def do_GET(self) -> None:
             room, _, name = self.path.split("?")[0].lstrip("/").partition("/")
-            content = data.get(name) if room == "data" else self.file(room, name)
+            if room == "data":
+                content = data.get(name)
+            else:
+                content = self.file(room, name)
             self.send_response(200 if content is not None else 404)
-            self.send_header("Content-Type", self.KINDS.get(Path(self.path).suffix, "application/octet-stream"))
+            self.send_header(
+                "Content-Type", self.KINDS.get(Path(self.path).suffix, "application/octet-stream")
+            )
             self.end_headers()
             self.wfile.write(content or b"")
 
@@ -76,7 +93,9 @@ def served(data: dict[str, bytes]) -> Iterator[str]:
             if room in ("x.html", "favicon.ico"):
                 return b""
             path = {"web": WEB, "bench": HERE}[room] / name
-            return path.read_bytes() if path.is_file() else None
+            if path.is_file():
+                return path.read_bytes()
+            return None
 
         def log_message(self, *_: Any) -> None:
             pass
@@ -100,7 +119,9 @@ def lab_in(browser: Browser) -> Iterator[Lab]:
     with served(data) as address:
         page = browser.new_page()
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("console", lambda line: complaints.append(line.text) if line.type == "error" else None)
+        page.on(
+            "console", lambda line: complaints.append(line.text) if line.type == "error" else None
+        )
         yield Lab(page, address, data)
         page.close()
     assert complaints == []
@@ -112,8 +133,18 @@ TURN = quaternion_from_angles(70.0, -20.0, 15.0)
 
 def view_of(view: View, exposure: float = 1.0, **more: Any) -> dict[str, Any]:
     """A view as a card takes it: camera and light in the world."""
-    camera = {"eye": view.camera.eye, "target": view.camera.target, "up": view.camera.up, "fov": view.camera.fov}
-    shown = {"isovalue": view.isovalue, "camera": camera, "light": view.light, "ground": [0.01, 0.01, 0.02]}
+    camera = {
+        "eye": view.camera.eye,
+        "target": view.camera.target,
+        "up": view.camera.up,
+        "fov": view.camera.fov,
+    }
+    shown = {
+        "isovalue": view.isovalue,
+        "camera": camera,
+        "light": view.light,
+        "ground": [0.01, 0.01, 0.02],
+    }
     planes = view.window.planes if view.window else ()
     shown["window"] = [{"normal": [-x, -y, -z], "limit": w} for x, y, z, w in planes]
     return {**shown, "exposure": exposure, "lambert": view.shading == "lambert", **more}
@@ -121,19 +152,29 @@ def view_of(view: View, exposure: float = 1.0, **more: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Shown:
-    """A card's picture: linear ``light`` (h, w, 3), and how much of each pixel the surface ``covers`` (h, w)."""
+    """A card's picture: linear ``light`` (h, w, 3), and how much of each pixel the surface
+    ``covers`` (h, w).
+    """
 
     light: np.ndarray
     covers: np.ndarray
 
 
 class CardScene:
-    """A scene in a lab: the voxels, and what light the ``renderer`` has for views; with its ``lobes`` or without."""
+    """A scene in a lab: the voxels, and what light the ``renderer`` has for views; with its
+    ``lobes`` or without.
+    """
 
-    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int], lobes: bool = False) -> None:
-        self.lab, self.renderer, self.size = lab, renderer, size
+    def __init__(
+        self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int], lobes: bool = False
+    ) -> None:
+        self.lab = lab
+        self.renderer = renderer
+        self.size = size
         codes = renderer.prepared.voxel_codes
-        slabs = [codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs]
+        slabs = [
+            codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs
+        ]
         scene = card_scene(renderer, view, ()).model_dump(mode="json")
         if not lobes:
             scene["light"]["lobes"] = []
@@ -147,12 +188,14 @@ class CardScene:
 
         Returns the bytes, as a server compresses them.
         """
-        tiles, sent = self.renderer.tiles, 0
+        tiles = self.renderer.tiles
+        sent = 0
         seen = [each.at for each in seen_chunks(self.renderer, view, target, tiles)]
         for first in range(0, len(seen), CHUNKS):
             some = seen[first : first + CHUNKS]
             answers = [fold_chunks(self.renderer, view, some, target, tiles)]
-            answers += [transfer_chunks(self.renderer, some, target, tiles)] if raw else []
+            if raw:
+                answers += [transfer_chunks(self.renderer, some, target, tiles)]
             for answer in answers:
                 name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
                 sent += len(gzip.compress(self.lab.data[name], LEVEL))
@@ -168,10 +211,15 @@ class CardScene:
 
 
 def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarray, np.ndarray]:
-    """What isogi's frame has before lobes and own light: radiance (h, w, 3), and where the surface is seen (h, w)."""
-    gbuffer, light = renderer.gbuffer(view), renderer._light(view)
+    """What isogi's frame has before lobes and own light: radiance (h, w, 3), and where the surface
+    is seen (h, w).
+    """
+    gbuffer = renderer.gbuffer(view)
+    light = renderer._light(view)
     texels = renderer.texels(view, gbuffer)
-    _, framebuffer = renderer._texels.picture(texels, light, Until(target), renderer.tiles, Stopwatch())
+    _, framebuffer = renderer._texels.picture(
+        texels, light, Until(target), renderer.tiles, Stopwatch()
+    )
     size = (view.height, view.width)
     return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
 
@@ -183,7 +231,13 @@ def light_of(renderer: Renderer, view: View) -> RotatedLight:
 
 def orthographic_camera(camera: Camera) -> dict[str, Any]:
     """A camera of parallel rays as a card takes it."""
-    return {"eye": camera.eye, "target": camera.target, "up": camera.up, "fov": camera.fov, "parallel": True}
+    return {
+        "eye": camera.eye,
+        "target": camera.target,
+        "up": camera.up,
+        "fov": camera.fov,
+        "parallel": True,
+    }
 
 
 def toned(light: np.ndarray, exposure: float = 1.0) -> np.ndarray:
@@ -199,14 +253,18 @@ def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndar
     """sRGB codes of linear light through isogi's curve, without a table; (h, w, 3) float64."""
     shown = np.where(covers[..., None], toned(light, exposure), 0.0)
     return np.rint(
-        255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055)
+        255.0
+        * np.where(
+            shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055
+        )
     )
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a card's picture is from isogi's: the share of surface pixels ``within`` 2/255, and the relative RMSE of
-    the radiance; pixels of the ``surface``, and those that show it in one of both pictures alone (``torn``).
+    """How far a card's picture is from isogi's: the share of surface pixels ``within`` 2/255, and
+    the relative RMSE of the radiance; pixels of the ``surface``, and those that show it in one of
+    both pictures alone (``torn``).
     """
 
     within: float
@@ -215,11 +273,20 @@ class Difference:
     torn: int
 
 
-def difference(shown: Shown, light: np.ndarray, on: np.ndarray, exposure: float = 1.0) -> Difference:
-    """How far the card's picture is from the ``light`` (h, w, 3) of isogi's, which shows the surface where ``on``."""
+def difference(
+    shown: Shown, light: np.ndarray, on: np.ndarray, exposure: float = 1.0
+) -> Difference:
+    """How far the card's picture is from the ``light`` (h, w, 3) of isogi's, which shows the
+    surface where ``on``.
+    """
     covers = shown.covers > 0.5
-    apart = np.abs(developed(shown.light, covers, exposure) - developed(light, on, exposure)).max(axis=-1)
-    either, both = covers | on, covers & on
+    apart = np.abs(developed(shown.light, covers, exposure) - developed(light, on, exposure)).max(
+        axis=-1
+    )
+    either = covers | on
+    both = covers & on
     wrong = (shown.light - light)[both]
     rmse = float(np.sqrt((wrong**2).mean()) / light[on].mean())
-    return Difference(float((apart[either] <= 2).mean()), rmse, int(on.sum()), int((covers != on).sum()))
+    return Difference(
+        float((apart[either] <= 2).mean()), rmse, int(on.sum()), int((covers != on).sum())
+    )

@@ -1,4 +1,6 @@
-"""A card in a page: what it refuses, how it is lost and comes back, what it does while it is slow, what it filters."""
+"""A card in a page: what it refuses, how it is lost and comes back, what it does while it is slow,
+what it filters.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -12,7 +14,17 @@ from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
-from tests.web.card.lab import IDENTITY, TURN, CardScene, Lab, difference, lab_in, plain_light, toned, view_of
+from tests.web.card.lab import (
+    IDENTITY,
+    TURN,
+    CardScene,
+    Lab,
+    difference,
+    lab_in,
+    plain_light,
+    toned,
+    view_of,
+)
 
 SIZE = (48, 48)
 
@@ -20,7 +32,9 @@ SIZE = (48, 48)
 @pytest.fixture(scope="module")
 def bench(make_bench: Make) -> Workbench:
     """The orbital under a sky; ``view_at`` is baked."""
-    bench = make_bench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3, projected=False))
+    bench = make_bench(
+        load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3, projected=False)
+    )
     bench.bake(view_at(bench))
     return bench
 
@@ -52,7 +66,9 @@ def test_a_card_without_targets_of_floats_is_refused(browser: Browser) -> None:
           WebGL2RenderingContext.prototype.getExtension = function (name) {
             return name.startsWith("EXT_color_buffer") ? null : getExtension.call(this, name);
           };""")
-        script = REFUSAL.replace('createElement("canvas"))', 'createElement("canvas"), { software: true })')
+        script = REFUSAL.replace(
+            'createElement("canvas"))', 'createElement("canvas"), { software: true })'
+        )
         refused, reason = lab.ask(script)
         assert refused and "cannot draw into textures of floats: the server draws." in reason
 
@@ -63,7 +79,11 @@ def test_a_card_with_small_textures_refuses_a_volume(lab: Lab, bench: Workbench)
     found = lab.ask(
         """card.device.most3d = given - 1;
         const { document, volume } = card.drawing;
-        try { await card.load(document, [volume.source.buffer]); } catch (error) { return error.message; }""",
+        try {
+          await card.load(document, [volume.source.buffer]);
+        } catch (error) {
+          return error.message;
+        }""",
         longest,
     )
     assert str(longest) in found and "server draws" in found
@@ -98,7 +118,9 @@ def test_the_newest_scene_is_the_one_that_is_drawn(lab: Lab, bench: Workbench) -
 
 LOSE = """const context = card.device.gl.getExtension("WEBGL_lose_context"), said = [];
   card.onlost = () => said.push("lost");
-  const restored = new Promise((done) => { card.onrestored = () => { said.push("restored"); done(); }; });
+  const restored = new Promise((done) => {
+    card.onrestored = () => { said.push("restored"); done(); };
+  });
   const lost = new Promise((done) => card.canvas.addEventListener("webglcontextlost", done));
   context.loseContext();
   await lost;
@@ -113,7 +135,8 @@ def test_a_lost_card_comes_back_with_all_it_had(lab: Lab, bench: Workbench) -> N
     view = view_at(bench)
     card = CardScene(lab, bench.renderer, view, SIZE)
     card.light(view, 0.3, raw=True)
-    before, turned = card.picture(view), card.picture(replace(view, light=TURN))
+    before = card.picture(view)
+    turned = card.picture(replace(view, light=TURN))
     assert lab.ask(LOSE, view_of(view)) == ["lost", False, False, "restored"]
     after = card.picture(view)
     assert np.array_equal(after.light, before.light) and np.array_equal(after.covers, before.covers)
@@ -128,7 +151,9 @@ def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
     listed.append({"at": "0.0.0", "version": "0" * 16})
 
     def lacking(turn: tuple[float, ...] = IDENTITY) -> dict[str, list[str]]:
-        return lab.ask("return card.lacking(given.listed, given.turn);", {"listed": listed, "turn": turn})
+        return lab.ask(
+            "return card.lacking(given.listed, given.turn);", {"listed": listed, "turn": turn}
+        )
 
     names = [f"{each['at']}-{each['version']}" for each in listed[:-1]]
     assert lacking() == {"light": names, "transfer": []}
@@ -143,12 +168,15 @@ def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
 
 @pytest.mark.usefixtures("unfiltered")
 def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Workbench) -> None:
-    """Light of four views goes onto a card that has rows for about one; the newest is whole, and drawn."""
+    """Light of four views goes onto a card that has rows for about one; the newest is whole, and
+    drawn.
+    """
     views = [view_at(bench, azimuth=azimuth) for azimuth in (40.0, 130.0, 220.0, 310.0)]
     card = CardScene(lab, bench.renderer, views[0], SIZE)
     for view in views:
         bench.bake(view)
-    sizes, named = [], []
+    sizes = []
+    named = []
     for view in views:
         seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
         named.append({".".join(map(str, each.at)) for each in seen})
@@ -166,15 +194,19 @@ def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Wor
 
 
 def test_what_lacks_light_is_hatched_where_marks_are_asked_for(lab: Lab, bench: Workbench) -> None:
-    view, other = view_at(bench), view_at(bench, azimuth=75.0)
+    view = view_at(bench)
+    other = view_at(bench, azimuth=75.0)
     bench.bake(other)
     card = CardScene(lab, bench.renderer, view, SIZE)
     card.light(view, 0.3)
-    plain, marked = card.picture(other), card.picture(other, marked=True)
+    plain = card.picture(other)
+    marked = card.picture(other, marked=True)
     changed = np.abs(marked.light - plain.light).max(axis=2) > 1e-6
     assert 0.02 < changed.sum() / plain.covers.sum() < 0.9 and not changed[plain.covers == 0].any()
     same = card.picture(view, marked=True)
-    assert np.array_equal(same.light, card.picture(view).light), "nothing lacks where all light is there"
+    assert np.array_equal(same.light, card.picture(view).light), (
+        "nothing lacks where all light is there"
+    )
     y, x = np.indices(changed.shape)
     veil = np.where((x + y) % 12 < 6, 0.55, 0.15)[..., None]
     expected = (1.0 - veil) * toned(plain.light) + veil * np.array([0.95, 0.42, 0.05])
@@ -199,7 +231,10 @@ def test_a_slow_card_draws_fewer_pixels(lab: Lab, bench: Workbench) -> None:
       card.pace.now = () => time;
       const widths = [];
       for (let i = 0; i < 6; i++) {
-        while (!card.draw(given.view)) { time += given.ms; await new Promise((done) => setTimeout(done, 5)); }
+        while (!card.draw(given.view)) {
+          time += given.ms;
+          await new Promise((done) => setTimeout(done, 5));
+        }
         widths.push(card.last.size[0]);
         time += given.ms;
       }
@@ -225,7 +260,8 @@ def test_a_still_view_is_drawn_in_all_pixels(lab: Lab, bench: Workbench) -> None
     small, large, samples, more = lab.ask(script, view_of(view))
     assert (small, large, more) == ([19, 19], list(SIZE), False) and samples == 17
     again = lab.floats(
-        "return bench.packed(bench.readFloats(card.device.gl, card.drawing.picture.targets[1], 48, 48));"
+        "return bench.packed(bench.readFloats(card.device.gl, card.drawing.picture.targets[1], "
+        "48, 48));"
     )
     np.testing.assert_array_equal(again.reshape(48, 48, 4)[..., :3], whole.light)
 
@@ -234,7 +270,11 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
     """Exposure, tone curve, sRGB and ground, on the canvas itself."""
     from isogi_core.frame.film import develop, ground_of
 
-    bench = make_bench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=LOOSE, projected=False))
+    bench = make_bench(
+        load_scene(
+            "demo:orbital", lights=[CONSTANT], bounces=1, target_error=LOOSE, projected=False
+        )
+    )
     view = view_at(bench)
     frame = bench.bake(view)
     card = CardScene(lab, bench.renderer, view, SIZE)
@@ -242,10 +282,13 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
     for exposure, ground in ((1.0, "dark"), (2.5, "light")):
         card.picture(view, exposure=exposure, ground=ground_of(ground))
         script = """card.drawing.show(card.last.view, card.last.size);
-          const { gl } = card.device, found = new Uint8Array(4 * 48 * 48), rows = new Float32Array(found.length);
+          const { gl } = card.device;
+          const found = new Uint8Array(4 * 48 * 48);
+          const rows = new Float32Array(found.length);
           gl.bindFramebuffer(gl.FRAMEBUFFER, null);
           gl.readPixels(0, 0, 48, 48, gl.RGBA, gl.UNSIGNED_BYTE, found);
-          for (let y = 0; y < 48; y++) rows.set(found.subarray(192 * y, 192 * (y + 1)), 192 * (47 - y));
+          for (let y = 0; y < 48; y++)
+            rows.set(found.subarray(192 * y, 192 * (y + 1)), 192 * (47 - y));
           return bench.packed(rows);"""
         shown = lab.floats(script).reshape(48, 48, 4)[..., :3]
         plain = replace(frame, radiance=plain_light(bench.renderer, view, LOOSE)[0], edges=None)
@@ -258,14 +301,22 @@ TENTH = 0.1
 
 def noisy_bench(make_bench: Make, lattice: dict[str, float]) -> Workbench:
     """A view of the orbital, baked to a tenth."""
-    settings = {"lights": [SKY], "albedo": [0.8, 0.6, 0.4], "bounces": 2, "target_error": TENTH, "projected": False}
+    settings = {
+        "lights": [SKY],
+        "albedo": [0.8, 0.6, 0.4],
+        "bounces": 2,
+        "target_error": TENTH,
+        "projected": False,
+    }
     bench = make_bench(load_scene("demo:orbital", **settings, **lattice))
     bench.bake(replace(bench.view(), width=WIDE[0], height=WIDE[1]))
     return bench
 
 
 @pytest.mark.parametrize("lattice", [{}, {"lattice": 1.5, "chunk": 8}], ids=["plain", "fine"])
-def test_a_turned_light_is_filtered_on_the_card(lab: Lab, make_bench: Make, lattice: dict[str, float]) -> None:
+def test_a_turned_light_is_filtered_on_the_card(
+    lab: Lab, make_bench: Make, lattice: dict[str, float]
+) -> None:
     bench = noisy_bench(make_bench, lattice)
     view = replace(bench.view(), width=WIDE[0], height=WIDE[1])
     card = CardScene(lab, bench.renderer, view, WIDE)
@@ -276,9 +327,12 @@ def test_a_turned_light_is_filtered_on_the_card(lab: Lab, make_bench: Make, latt
     assert found.surface > 500 and found.within >= 0.999 and found.rmse <= 0.002, found
     lab.ask(
         """card.drawing.refold();
-      for (const run of card.drawing.texels.runs) run.raw.forEach((each) => { each.grainy = false; });"""
+      for (const run of card.drawing.texels.runs)
+        run.raw.forEach((each) => { each.grainy = false; });"""
     )
-    assert difference(card.picture(turned), light, on).rmse > 10 * found.rmse, "the filter makes a difference"
+    assert difference(card.picture(turned), light, on).rmse > 10 * found.rmse, (
+        "the filter makes a difference"
+    )
 
 
 @pytest.mark.usefixtures("unfiltered")
@@ -286,4 +340,7 @@ def test_final_light_is_not_filtered(lab: Lab, make_bench: Make) -> None:
     bench = noisy_bench(make_bench, {})
     view = replace(bench.view(), width=WIDE[0], height=WIDE[1])
     CardScene(lab, bench.renderer, view, WIDE).light(view, TENTH, raw=True)
-    assert lab.ask("return [card.drawing.texels.grainy, card.drawing.texels.runs.length > 0];") == [False, True]
+    assert lab.ask("return [card.drawing.texels.grainy, card.drawing.texels.runs.length > 0];") == [
+        False,
+        True,
+    ]

@@ -1,4 +1,6 @@
-"""The shaders in Mesa's compiler, a second one beside the browser's: in a context without window or browser."""
+"""The shaders in Mesa's compiler, a second one beside the browser's: in a context without window or
+browser.
+"""
 
 import ctypes
 import re
@@ -9,9 +11,18 @@ import pytest
 
 from tests.web.card.lab import WEB
 
-SURFACELESS, ES_API, ES3 = 0x31DD, 0x30A0, 0x40
-RENDERABLE, SURFACE, VERSION, END = 0x3040, 0x3033, 0x3098, 0x3038
-VERTEX, FRAGMENT, COMPILED, LINKED, RENDERER = 0x8B31, 0x8B30, 0x8B81, 0x8B82, 0x1F01
+SURFACELESS = 0x31DD
+ES_API = 0x30A0
+ES3 = 0x40
+RENDERABLE = 0x3040
+SURFACE = 0x3033
+VERSION = 0x3098
+END = 0x3038
+VERTEX = 0x8B31
+FRAGMENT = 0x8B30
+COMPILED = 0x8B81
+LINKED = 0x8B82
+RENDERER = 0x1F01
 HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n"
 SCREEN = f"{HEAD}void main() {{ gl_Position = vec4(float(gl_VertexID)); }}"
 
@@ -20,7 +31,10 @@ FOLD = {"RATIOS": 1, "NUMBERS": 41, "COLUMNS": 41, "TERMS": 3, "STRAIGHT": 25, "
 SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "light": ("view.frag.glsl", VIEW),
     "constant light": ("view.frag.glsl", {**VIEW, "RATIOS": 0, "LOBES": 0}),
-    "plain gradient of floats": ("view.frag.glsl", {**VIEW, "VOXELS": "highp sampler3D", "SMOOTH": 0}),
+    "plain gradient of floats": (
+        "view.frag.glsl",
+        {**VIEW, "VOXELS": "highp sampler3D", "SMOOTH": 0},
+    ),
     "local model": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SHADING": 0}),
     "fold": ("fold.frag.glsl", FOLD),
     "fold of irradiance": (
@@ -40,7 +54,8 @@ def integers(*values: int) -> Any:
 def open_context() -> ctypes.CDLL | None:
     """OpenGL ES 3 in software with a context that is current; None where this machine has none."""
     try:
-        egl, gles = ctypes.CDLL("libEGL.so.1"), ctypes.CDLL("libGLESv2.so.2")
+        egl = ctypes.CDLL("libEGL.so.1")
+        gles = ctypes.CDLL("libGLESv2.so.2")
     except OSError:
         return None
     pointer = ctypes.c_void_p
@@ -48,16 +63,24 @@ def open_context() -> ctypes.CDLL | None:
         (egl.eglGetPlatformDisplay, [ctypes.c_uint, pointer, pointer]),
         (egl.eglCreateContext, [pointer] * 4),
     ):
-        function.restype, function.argtypes = pointer, kinds
+        function.restype = pointer
+        function.argtypes = kinds
     egl.eglInitialize.argtypes, egl.eglMakeCurrent.argtypes = [pointer] * 3, [pointer] * 4
     egl.eglChooseConfig.argtypes = [pointer, pointer, pointer, ctypes.c_int, pointer]
-    display, config, count = egl.eglGetPlatformDisplay(SURFACELESS, None, None), pointer(), ctypes.c_int()
+    display = egl.eglGetPlatformDisplay(SURFACELESS, None, None)
+    config = pointer()
+    count = ctypes.c_int()
     if not display or not egl.eglInitialize(display, None, None) or not egl.eglBindAPI(ES_API):
         return None
     wished = integers(RENDERABLE, ES3, SURFACE, 0, END)
     egl.eglChooseConfig(display, wished, ctypes.byref(config), 1, ctypes.byref(count))
-    context = egl.eglCreateContext(display, config, None, integers(VERSION, 3, END)) if count.value else None
-    return gles if context and egl.eglMakeCurrent(display, None, None, context) else None
+    if count.value:
+        context = egl.eglCreateContext(display, config, None, integers(VERSION, 3, END))
+    else:
+        context = None
+    if context and egl.eglMakeCurrent(display, None, None, context):
+        return gles
+    return None
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +90,10 @@ def mesa() -> Iterator[ctypes.CDLL]:
         patch.setenv("LIBGL_ALWAYS_SOFTWARE", "1")
         gles = open_context()
         if gles is None:
-            pytest.skip("no OpenGL ES 3 without a window: install Debian's libegl1, libgles2 and libgl1-mesa-dri")
+            pytest.skip(
+                "no OpenGL ES 3 without a window: install Debian's libegl1, libgles2 and "
+                "libgl1-mesa-dri"
+            )
         yield gles
 
 
@@ -77,7 +103,9 @@ def joined(name: str, seen: set[str]) -> str:
         return ""
     seen.add(name)
     text = (WEB / "card" / "shaders" / name).read_text()
-    return re.sub(r'^#include "([^"]+)"$', lambda found: joined(found[1], seen), text, flags=re.MULTILINE)
+    return re.sub(
+        r'^#include "([^"]+)"$', lambda found: joined(found[1], seen), text, flags=re.MULTILINE
+    )
 
 
 def log_of(gles: ctypes.CDLL, kind: str, number: int) -> str:
@@ -88,7 +116,8 @@ def log_of(gles: ctypes.CDLL, kind: str, number: int) -> str:
 
 def shader_of(gles: ctypes.CDLL, kind: int, text: str) -> int:
     """A shader; fails with the compiler's words where it refuses the text."""
-    shader, done = int(gles.glCreateShader(kind)), ctypes.c_int()
+    shader = int(gles.glCreateShader(kind))
+    done = ctypes.c_int()
     gles.glShaderSource(shader, 1, ctypes.byref(ctypes.c_char_p(text.encode())), None)
     gles.glCompileShader(shader)
     gles.glGetShaderiv(shader, COMPILED, ctypes.byref(done))
@@ -100,8 +129,12 @@ def shader_of(gles: ctypes.CDLL, kind: int, text: str) -> int:
 def test_mesa_compiles_what_browsers_do(mesa: ctypes.CDLL, name: str) -> None:
     file, defines = SHADERS[name]
     head = HEAD + "".join(f"#define {key} {value}\n" for key, value in defines.items())
-    program, done = mesa.glCreateProgram(), ctypes.c_int()
-    for shader in (shader_of(mesa, VERTEX, SCREEN), shader_of(mesa, FRAGMENT, head + joined(file, set()))):
+    program = mesa.glCreateProgram()
+    done = ctypes.c_int()
+    for shader in (
+        shader_of(mesa, VERTEX, SCREEN),
+        shader_of(mesa, FRAGMENT, head + joined(file, set())),
+    ):
         mesa.glAttachShader(program, shader)
     mesa.glLinkProgram(program)
     mesa.glGetProgramiv(program, LINKED, ctypes.byref(done))

@@ -1,4 +1,6 @@
-"""The widget of notebooks in a browser: its card draws what moves, and the kernel has the server's pictures."""
+"""The widget of notebooks in a browser: its card draws what moves, and the kernel has the server's
+pictures.
+"""
 
 import io
 import queue
@@ -26,7 +28,8 @@ window.made = (state, esm) => {
   const listeners = {}, sent = [];
   let changed = {};
   const fire = (event, ...given) => [...(listeners[event] ?? [])].forEach((each) => each(...given));
-  const bytes = (text) => new DataView(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+  const codes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const bytes = (text) => new DataView(codes(text).buffer);
   const put = (name, value) => {
     if (JSON.stringify(state[name]) === JSON.stringify(value) && name !== "picture") return;
     state[name] = value;
@@ -44,20 +47,29 @@ window.made = (state, esm) => {
   window.take = () => sent.splice(0);
   window.give = ({ state: news, message, buffers }) => {
     if (message) fire("msg:custom", message, buffers.map(bytes));
-    else for (const [name, value] of Object.entries(news)) put(name, name === "picture" ? bytes(value) : value);
+    else for (const [name, value] of Object.entries(news))
+      put(name, name === "picture" ? bytes(value) : value);
   };
   return import(URL.createObjectURL(new Blob([esm], { type: "text/javascript" })))
-    .then(async (module) => { window.end = await module.default.render({ model, el: document.body }); });
+    .then(async (module) => {
+      window.end = await module.default.render({ model, el: document.body });
+    });
 };
 """
-"""A widget's model as notebooks have it: events of changes come at once, messages wait in a list."""
+"""A widget's model as notebooks have it: events of changes come at once, messages wait in a
+list.
+"""
 
 
 class Notebook:
-    """A viewer, and a page that shows it; messages go between them where the browser is waited for."""
+    """A viewer, and a page that shows it; messages go between them where the browser is waited
+    for.
+    """
 
     def __init__(self, page: Page, viewer: Any) -> None:
-        self.page, self.viewer, self.moves = page, viewer, 0
+        self.page = page
+        self.viewer = viewer
+        self.moves = 0
         self.way: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self.silent = False
         self.answered: list[str] = []
@@ -68,14 +80,20 @@ class Notebook:
         )
         page.evaluate(f"() => {{ {MODEL} }}")
         page.add_style_tag(content=viewer._css)
-        state = {name: getattr(viewer, name) for name in viewer.keys if not name.startswith("_") and name != "picture"}
+        state = {
+            name: getattr(viewer, name)
+            for name in viewer.keys
+            if not name.startswith("_") and name != "picture"
+        }
         page.evaluate("([state, esm]) => made(state, esm)", [plain(state), viewer._esm])
         self.tell("picture"), self.tell("shown")
 
     def tell(self, name: str) -> None:
         """Have the page know of a part of the viewer's state."""
         value = getattr(self.viewer, name)
-        self.way.put({"state": {name: b64encode(value).decode() if isinstance(value, bytes) else value}})
+        self.way.put(
+            {"state": {name: b64encode(value).decode() if isinstance(value, bytes) else value}}
+        )
 
     def pump(self) -> None:
         """Carry what waits on both sides."""
@@ -91,7 +109,8 @@ class Notebook:
             self.silent = False
         while not self.way.empty():
             self.page.evaluate("give", each := self.way.get())
-            self.answered += [self.asked[each["message"]["number"]]] if "message" in each else []
+            if "message" in each:
+                self.answered += [self.asked[each["message"]["number"]]]
 
     def until(self, done: Callable[[], Any]) -> Any:
         """What ``done`` gives, once that is true."""
@@ -120,7 +139,11 @@ class Notebook:
 
 def plain(state: dict[str, Any]) -> dict[str, Any]:
     """The part of a state that JSON can hold."""
-    return {name: value for name, value in state.items() if isinstance(value, str | float | int | list | dict | None)}
+    return {
+        name: value
+        for name, value in state.items()
+        if isinstance(value, str | float | int | list | dict | None)
+    }
 
 
 CARD = "document.querySelector('.isogi canvas')"
@@ -146,9 +169,13 @@ def notebook(browser: Browser, small_scene: Path, tmp_path: Path) -> Iterator[No
 
 
 def test_the_card_draws_what_a_notebook_moves(notebook: Notebook) -> None:
-    """Knobs reach the kernel, no picture is asked for meanwhile, and the server's takes the card's place at rest."""
-    viewer, page = notebook.viewer, notebook.page
-    before, azimuth = viewer.shown, viewer.azimuth
+    """Knobs reach the kernel, no picture is asked for meanwhile, and the server's takes the card's
+    place at rest.
+    """
+    viewer = notebook.viewer
+    page = notebook.page
+    before = viewer.shown
+    azimuth = viewer.azimuth
     notebook.until(lambda: any(path.startswith("card/light/") for path in notebook.answered))
     notebook.until(lambda: moved(notebook))
     assert viewer.azimuth != azimuth and notebook.moves > 0
@@ -169,7 +196,8 @@ def moved(notebook: Notebook) -> bool:
 
 
 def test_the_kernel_moves_the_view_of_the_page(notebook: Notebook) -> None:
-    viewer, shown = notebook.viewer, notebook.viewer.shown
+    viewer = notebook.viewer
+    shown = notebook.viewer.shown
     before = notebook.shot()
     viewer.azimuth = viewer.azimuth + 100.0
     notebook.until(lambda: viewer.shown > shown and viewer.seen[1] == viewer.azimuth)

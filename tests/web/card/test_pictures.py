@@ -28,7 +28,8 @@ from tests.web.card.lab import (
 pytestmark = pytest.mark.usefixtures("unfiltered")
 
 SIZE = (72, 56)
-WITHIN, RMSE = 0.999, 0.002
+WITHIN = 0.999
+RMSE = 0.002
 
 
 def view_at(bench: Workbench, **settings: Any) -> View:
@@ -45,7 +46,9 @@ def assert_same(found: Difference) -> None:
 def lit_bench(make_bench: Make, demo: str = "orbital", **settings: Any) -> Workbench:
     """A scene whose ``view_at`` is baked."""
     bench = make_bench(
-        load_scene(f"demo:{demo}", **{"bounces": 2, "target_error": LOOSE, "projected": False, **settings})
+        load_scene(
+            f"demo:{demo}", **{"bounces": 2, "target_error": LOOSE, "projected": False, **settings}
+        )
     )
     bench.bake(view_at(bench))
     return bench
@@ -72,7 +75,9 @@ def test_voxels_of_any_kind_and_spacing_are_drawn(lab: Lab, make_bench: Make, ki
     dtype, scale, spacing = KINDS[kind]
     z, y, x = np.mgrid[:24, :30, :36]
     field = 3.0 + np.sin(0.4 * x) + np.cos(0.5 * y) * np.sin(0.6 * z) + 0.05 * x
-    scene = scene_of(make_volume((scale * field).astype(dtype), spacing), 3.9 * scale, target_error=LOOSE)
+    scene = scene_of(
+        make_volume((scale * field).astype(dtype), spacing), 3.9 * scale, target_error=LOOSE
+    )
     bench = make_bench(scene)
     view = view_at(bench, shading="lambert", azimuth=200.0)
     frame = bench.renderer.render(view)
@@ -87,7 +92,9 @@ def test_holes_in_the_values_are_no_surface(lab: Lab, make_bench: Make, solid: s
     field = (8.0 - np.sqrt((x - 13.5) ** 2 + (y - 11.5) ** 2 + (z - 9.5) ** 2)).astype(np.float32)
     field[6:11, 4:9, 12:20] = np.nan
     sign = 1.0 if solid == "above" else -1.0
-    scene = scene_of(make_volume(sign * field, (1.0, 1.0, 1.0), solid=solid), 0.0, target_error=LOOSE)
+    scene = scene_of(
+        make_volume(sign * field, (1.0, 1.0, 1.0), solid=solid), 0.0, target_error=LOOSE
+    )
     bench = make_bench(scene)
     view = view_at(bench, shading="lambert", azimuth=-60.0)
     frame = bench.renderer.render(view)
@@ -137,12 +144,15 @@ def test_without_transfer_a_turned_light_keeps_its_ratios(lab: Lab, under_sky: W
     card.light(view, LOOSE)
     turned = replace(view, light=TURN)
     light, on = plain_light(under_sky.renderer, turned, LOOSE)
-    near, far = difference(card.picture(turned), light, on), difference(card.picture(view), light, on)
+    near = difference(card.picture(turned), light, on)
+    far = difference(card.picture(view), light, on)
     assert near.rmse < 0.5 * far.rmse
 
 
 def test_folded_light_of_several_turns_goes_together(lab: Lab, under_sky: Workbench) -> None:
-    """What was folded by another light, of which there is transfer, is folded once more; the rest is as it came."""
+    """What was folded by another light, of which there is transfer, is folded once more; the rest
+    is as it came.
+    """
     view = view_at(under_sky)
     turned = replace(view, light=TURN)
     card = CardScene(lab, under_sky.renderer, view, SIZE)
@@ -174,7 +184,8 @@ def test_windows_show_the_faces_that_they_open(lab: Lab, under_sky: Workbench, n
     frame = under_sky.renderer.render(view)
     card = CardScene(lab, under_sky.renderer, view, SIZE)
     card.light(view, LOOSE)
-    faces, (light, on) = under_sky.renderer.gbuffer(view).faces, plain_light(under_sky.renderer, view, LOOSE)
+    faces = under_sky.renderer.gbuffer(view).faces
+    (light, on) = plain_light(under_sky.renderer, view, LOOSE)
     light.reshape(-1, 3)[faces.pixels] = frame.radiance.reshape(-1, 3)[faces.pixels]
     on.reshape(-1)[faces.pixels] = True
     shown = card.picture(view)
@@ -196,14 +207,18 @@ def test_texels_that_lack_show_the_mean_around(lab: Lab, under_sky: Workbench) -
     found = difference(card.picture(other), *plain_light(under_sky.renderer, other, LOOSE))
     assert found.rmse < 0.04, found
     lab.ask("""const { texels } = card.drawing;
-      for (let b = 0; b < texels.table.length; b += 4) if (texels.table[b + 3] > 0) texels.table[b + 2] = 0xffffffff;
-      (await import("/web/card/textures.js")).fillTexture(card.device.gl, texels.bricks, texels.table);""")
+      for (let b = 0; b < texels.table.length; b += 4)
+        if (texels.table[b + 3] > 0) texels.table[b + 2] = 0xffffffff;
+      const { fillTexture } = await import("/web/card/textures.js");
+      fillTexture(card.device.gl, texels.bricks, texels.table);""")
     bare = difference(card.picture(other), *plain_light(under_sky.renderer, other, LOOSE))
     assert bare.rmse > 1.3 * found.rmse, "unshadowed light in place of the means of bricks"
 
 
 def test_light_that_grows_replaces_what_was_there(lab: Lab, make_bench: Make) -> None:
-    bench = make_bench(load_scene("demo:orbital", lights=[SKY], bounces=2, target_error=0.05, projected=False))
+    bench = make_bench(
+        load_scene("demo:orbital", lights=[SKY], bounces=2, target_error=0.05, projected=False)
+    )
     view = view_at(bench)
     bench.bake(view, 0.6)
     card = CardScene(lab, bench.renderer, view, SIZE)
@@ -214,8 +229,12 @@ def test_light_that_grows_replaces_what_was_there(lab: Lab, make_bench: Make) ->
 
 
 @pytest.mark.parametrize(("albedo", "most"), [(0.5, 0.02), (0.7, 0.03), (0.3, 0.05), (0.8, 0.08)])
-def test_another_albedo_is_predicted(lab: Lab, make_bench: Make, albedo: float, most: float) -> None:
-    """Without other light: reflected light grows by one more factor, to first order. Its error is what is left."""
+def test_another_albedo_is_predicted(
+    lab: Lab, make_bench: Make, albedo: float, most: float
+) -> None:
+    """Without other light: reflected light grows by one more factor, to first order. Its error is
+    what is left.
+    """
     bench = lit_bench(make_bench, lights=[SKY], albedo=0.6, albedos=[0.2, 0.8])
     view = view_at(bench)
     card = CardScene(lab, bench.renderer, view, SIZE)
@@ -232,7 +251,8 @@ def test_lobes_cast_shadows_while_the_view_moves(lab: Lab, make_bench: Make) -> 
     assert len(light_of(bench.renderer, view).lobes.kinds) > 0
     card = CardScene(lab, bench.renderer, view, SIZE, lobes=True)
     card.light(view, LOOSE)
-    light, on = bench.renderer.render(view, LOOSE).radiance, plain_light(bench.renderer, view, LOOSE)[1]
+    light = bench.renderer.render(view, LOOSE).radiance
+    on = plain_light(bench.renderer, view, LOOSE)[1]
     found = difference(card.picture(view), light, on)
     assert found.within >= 0.98 and found.rmse <= 0.02, found
 
@@ -241,7 +261,8 @@ def test_samples_at_rest_make_edges_smooth(lab: Lab, under_sky: Workbench) -> No
     view = view_at(under_sky)
     card = CardScene(lab, under_sky.renderer, view, SIZE)
     card.light(view, LOOSE)
-    first, rest = card.picture(view), card.picture(view, rest=True)
+    first = card.picture(view)
+    rest = card.picture(view, rest=True)
     assert set(np.unique(first.covers)) == {0.0, 1.0}
     between = (rest.covers > 0.01) & (rest.covers < 0.99)
     assert between.sum() > 0.2 * np.sqrt(first.covers.sum())
@@ -258,9 +279,11 @@ def test_edges_are_smooth_after_three_tenths_of_a_second(lab: Lab, under_sky: Wo
     view = view_at(under_sky)
     card = CardScene(lab, under_sky.renderer, view, SIZE)
     card.light(view, LOOSE)
-    first, rest = card.picture(view), card.picture(view, rest=True)
+    first = card.picture(view)
+    rest = card.picture(view, rest=True)
     assert lab.ask("return card.last.samples - 1;") <= 0.3 * 60
-    on, blends = first.covers > 0.5, (rest.covers > 0.01) & (rest.covers < 0.99)
+    on = first.covers > 0.5
+    blends = (rest.covers > 0.01) & (rest.covers < 0.99)
     steps = [(on != np.roll(on, 1, axis), blends | np.roll(blends, 1, axis)) for axis in (0, 1)]
     stairs = sum(int(step.sum()) for step, _ in steps)
     smooth = sum(int((step & part).sum()) for step, part in steps)
@@ -268,9 +291,12 @@ def test_edges_are_smooth_after_three_tenths_of_a_second(lab: Lab, under_sky: Wo
 
 
 def contrast_of(shown: Shown) -> np.ndarray:
-    """How much pixels differ from those around, of 255 steps; 255 where one of two shows the surface alone."""
+    """How much pixels differ from those around, of 255 steps; 255 where one of two shows the
+    surface alone.
+    """
     on = shown.covers > 0.5
-    codes, most = developed(shown.light, on, 1.0), np.zeros(on.shape)
+    codes = developed(shown.light, on, 1.0)
+    most = np.zeros(on.shape)
     for dy, dx in product((-1, 0, 1), repeat=2):
         beside, there = (np.roll(each, (dy, dx), axis=(0, 1)) for each in (codes, on))
         most = np.maximum(most, np.where(on != there, 255.0, np.abs(codes - beside).max(axis=2)))

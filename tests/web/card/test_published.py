@@ -1,4 +1,6 @@
-"""A published page on a plain file server: what a visitor sees, slides, turns and lights, beside isogi's pictures."""
+"""A published page on a plain file server: what a visitor sees, slides, turns and lights, beside
+isogi's pictures.
+"""
 
 import http.server
 import json
@@ -54,19 +56,28 @@ class Site:
     """A published folder, the scene that it is of, and isogi's own pictures of what it shows."""
 
     def __init__(self, folder: Path, address: str) -> None:
-        self.page, self.address = folder / "page", address
+        self.page = folder / "page"
+        self.address = address
         self.document = json.loads((self.page / "scene.json").read_text())
         self.scene = load_scene(folder / "scene.toml", target_error=LIGHT_TARGET_SHARE * 0.1)
-        self.renderer = Renderer(Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles())
+        self.renderer = Renderer(
+            Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles()
+        )
 
     def picture(self, width: int, height: int, **knobs: Any) -> tuple[np.ndarray, np.ndarray]:
-        """isogi's picture of the page's first view with other ``knobs``, (h, w, 3), and where it is flat."""
+        """isogi's picture of the page's first view with other ``knobs``, (h, w, 3), and where it is
+        flat.
+        """
         start = self.document["scene"]["start"]
-        asked = {name: start[name] for name in ("azimuth", "elevation", "distance", "isovalue")} | knobs
+        asked = {
+            name: start[name] for name in ("azimuth", "elevation", "distance", "isovalue")
+        } | knobs
         texts = {name: repr(value) for name, value in asked.items()}
         target = ",".join(map(repr, start["target"]))
         size = {"width": str(width), "height": str(height)}
-        view = view_of(self.scene, read(FrameParams, {**texts, **size, "target": target}.items()), Settings())  # type: ignore[call-arg]
+        view = view_of(
+            self.scene, read(FrameParams, {**texts, **size, "target": target}.items()), Settings()
+        )  # type: ignore[call-arg]
         exposure = self.document["scene"]["defaults"]["exposure"]
         shown = develop(self.renderer.render(view), exposure, background="light")
         codes = shown.astype(int)
@@ -79,10 +90,21 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A page of the orbital's isovalues 0.01 to 0.02, on a plain file server."""
     folder = tmp_path_factory.mktemp("published")
     (folder / "scene.toml").write_text(SCENE)
-    words = ["-o", str(folder / "page"), "--interactive", "--isovalue", "0.01:0.02", "--background", "light"]
+    words = [
+        "-o",
+        str(folder / "page"),
+        "--interactive",
+        "--isovalue",
+        "0.01:0.02",
+        "--background",
+        "light",
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "WorkerPool", InlinePool)
-        assert run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")]) == 0
+        assert (
+            run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")])
+            == 0
+        )
     handler = partial(Quiet, directory=str(folder / "page"))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     thread = threading.Thread(target=server.serve_forever)
@@ -95,7 +117,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 @pytest.fixture(scope="module")
 def page(browser: Browser, site: Site) -> Iterator[Page]:
-    """The page in a window, lit and drawn, for all tests of it; its console stays free of errors."""
+    """The page in a window, lit and drawn, for all tests of it; its console stays free of
+    errors.
+    """
     complaints: list[str] = []
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     page.set_default_timeout(READY_MS)
@@ -127,7 +151,9 @@ def put(page: Page, knob: str, value: float) -> float:
 
 
 def assert_isogis(shown: np.ndarray, site: Site, **knobs: Any) -> None:
-    """A picture is isogi's, but for rounding, noise, and edges that are smoothed by other samples."""
+    """A picture is isogi's, but for rounding, noise, and edges that are smoothed by other
+    samples.
+    """
     expected, flat = site.picture(shown.shape[1], shown.shape[0], **knobs)
     surface = np.abs(expected - expected[0, 0]).max(axis=2) > 2
     apart = np.abs(shown - expected).max(axis=2)
@@ -148,7 +174,9 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
     assert "isovalues 0.01 to 0.02" in said and "relative error" in said and said.endswith("MB.")
 
 
-@pytest.mark.parametrize(("knob", "value"), [("isovalue", 0.014), ("yaw", 120.0), ("azimuth", 100.0), ("pitch", -40.0)])
+@pytest.mark.parametrize(
+    ("knob", "value"), [("isovalue", 0.014), ("yaw", 120.0), ("azimuth", 100.0), ("pitch", -40.0)]
+)
 def test_what_slides_is_drawn_without_a_request(
     page: Page, site: Site, first: np.ndarray, tmp_path: Path, knob: str, value: float
 ) -> None:
@@ -162,7 +190,9 @@ def test_what_slides_is_drawn_without_a_request(
     assert asked == []
 
 
-def test_a_drag_turns_the_object_and_the_exposure_lightens(page: Page, first: np.ndarray, tmp_path: Path) -> None:
+def test_a_drag_turns_the_object_and_the_exposure_lightens(
+    page: Page, first: np.ndarray, tmp_path: Path
+) -> None:
     drag(page, middle(page.locator("canvas")), 40, 10)
     turned = seen(page, tmp_path)
     assert (np.abs(turned - first).max(axis=2) > 8).mean() > 0.05
@@ -186,7 +216,9 @@ def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site)
     page = browser.new_page()
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
     page.goto(site.address)
-    page.wait_for_function("document.querySelector('[role=status]').textContent.includes('WebGL 2')")
+    page.wait_for_function(
+        "document.querySelector('[role=status]').textContent.includes('WebGL 2')"
+    )
     page.close()
 
 
@@ -202,6 +234,7 @@ def test_a_file_that_is_missing_is_named(browser: Browser, site: Site) -> None:
     page.route("**/light/0.bin", lambda route: route.fulfill(status=404))
     page.goto(site.address)
     page.wait_for_function(
-        "document.querySelector('[role=status]').textContent.includes('light/0.bin')", timeout=READY_MS
+        "document.querySelector('[role=status]').textContent.includes('light/0.bin')",
+        timeout=READY_MS,
     )
     page.close()

@@ -48,7 +48,7 @@ test("every module is reached from a page's first one", () => {
 test("everything that is exported is documented", () => {
   for (const file of modules) {
     const lines = textOf(file).split("\n");
-    assert.ok(lines[0].startsWith("/** "), `${file} does not say what it is`);
+    assert.ok(lines[0].startsWith("/**"), `${file} does not say what it is`);
     const bare = lines.filter((line, i) => line.startsWith("export ") && !lines[i - 1].endsWith("*/"));
     assert.deepEqual(bare, [], file);
   }

@@ -24,19 +24,28 @@ def slab(low, high, side=8):
 
 def passable(walls=(), index=1.5, absorption=0.0, extinction=0.0, albedo=1.0):
     """Some walls, and matter of one grey."""
-    matter = Matter(float(index), np.full(3, float(absorption)), float(extinction), np.full(3, float(albedo)))
+    matter = Matter(
+        float(index), np.full(3, float(absorption)), float(extinction), np.full(3, float(albedo))
+    )
     return Passable(room_of(list(walls)), matter)
 
 
 def gather(field, met, starts, samples, light=None, bounces=0):
-    """What paths bring (g, 3) to ``starts``: points and normals (g, 3), and what is in place of walls' numbers (g,)."""
+    """What paths bring (g, 3) to ``starts``: points and normals (g, 3), and what is in place of
+    walls' numbers (g,).
+    """
     points, normals, walls = (np.array(each, float) for each in starts)
     g = len(points)
-    here, around = np.ascontiguousarray((points / field.spacing).T), np.ascontiguousarray(normals.T)
+    here = np.ascontiguousarray((points / field.spacing).T)
+    around = np.ascontiguousarray(normals.T)
     starts = PathStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
-    rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
-    some, around = SampleRange(0, samples), light or sky(0.0)
-    light_through_matter(Through(field, cells_of(field, 0.0), *met), starts, some, rules, around, sums)
+    rules = PathRules(np.ones((bounces + 1, 3)), 1.0)
+    sums = np.zeros((g, 3))
+    some = SampleRange(0, samples)
+    around = light or sky(0.0)
+    light_through_matter(
+        Through(field, cells_of(field, 0.0), *met), starts, some, rules, around, sums
+    )
     return sums / samples
 
 
@@ -45,13 +54,25 @@ LEAVES = 8
 
 
 def look(field, met, eye, points, light=None, breadth=LEAVES, samples=(NO_SAMPLE,), deep=256):
-    """What is seen from an ``eye`` through ``points`` (n, 3), by a tree of each for all ``samples``: the Leaves."""
+    """What is seen from an ``eye`` through ``points`` (n, 3), by a tree of each for all
+    ``samples``: the Leaves.
+    """
     places = np.repeat(np.ascontiguousarray(points, np.float32), len(samples), axis=0)
     n = len(places)
     weights, ends = np.empty((2, n * breadth, 3), np.float32)
     kinds, sides = np.empty((2, n * breadth), np.int8)
-    leaves = Leaves(np.empty((n, 3), np.float32), weights, ends, kinds, sides, np.empty(n, np.float32))
+    leaves = Leaves(
+        np.empty((n, 3), np.float32), weights, ends, kinds, sides, np.empty(n, np.float32)
+    )
     seeds = np.repeat(np.arange(1, len(points) + 1, dtype=np.uint64), len(samples))
     chances = Chances(seeds, np.tile(np.array(samples, np.int64), len(points)), deep)
-    see_through(surface_of(field, 0.0), met, light or sky(0.0), tuple(map(float, eye)), places, chances, leaves)
+    see_through(
+        surface_of(field, 0.0),
+        met,
+        light or sky(0.0),
+        tuple(map(float, eye)),
+        places,
+        chances,
+        leaves,
+    )
     return leaves

@@ -1,4 +1,6 @@
-"""Paths at interfaces, through glass and in clouds: Snell, Fresnel, Beer, Chandrasekhar, and an analytic ball."""
+"""Paths at interfaces, through glass and in clouds: Snell, Fresnel, Beer, Chandrasekhar, and an
+analytic ball.
+"""
 
 import math
 
@@ -48,23 +50,34 @@ def test_as_much_is_mirrored_the_other_way(angle):
     assert fresnel(-w[2], 1 / 1.5) == pytest.approx(fresnel(math.cos(angle), 1.5))
 
 
-MIDDLE, RADIUS, SIDE = 11.5, 8.0, 24
+MIDDLE = 11.5
+RADIUS = 8.0
+SIDE = 24
 
 
 def test_clear_glass_under_an_even_sky_changes_nothing():
-    """Neither what rays through it bring, nor what a floor under it has, which gives off as much light as the sky."""
-    field, floor = ball(RADIUS, SIDE), wall((0, 0, 0.0), (SIDE, 0, 0), (0, SIDE, 0), 0.0, 1.0)
-    starts = [(MIDDLE, MIDDLE, 0.0), (3.0, 4.0, 0.0), (MIDDLE + 7.9, MIDDLE, 60.0)], [(0, 0, 1.0)] * 2 + [(0, 0, -1.0)]
+    """Neither what rays through it bring, nor what a floor under it has, which gives off as much
+    light as the sky.
+    """
+    field = ball(RADIUS, SIDE)
+    floor = wall((0, 0, 0.0), (SIDE, 0, 0), (0, SIDE, 0), 0.0, 1.0)
+    starts = (
+        [(MIDDLE, MIDDLE, 0.0), (3.0, 4.0, 0.0), (MIDDLE + 7.9, MIDDLE, 60.0)],
+        [(0, 0, 1.0)] * 2 + [(0, 0, -1.0)],
+    )
     found = gather(field, passable([floor]), (*starts, [0, 0, ALONG_RAY]), few(256, 4), sky(1.0))
     np.testing.assert_allclose(found[:2], 1.0, rtol=1e-9)
-    passed = gather(field, passable(), (starts[0][2:], starts[1][2:], [ALONG_RAY]), few(256, 4), sky(1.0))
+    passed = gather(
+        field, passable(), (starts[0][2:], starts[1][2:], [ALONG_RAY]), few(256, 4), sky(1.0)
+    )
     np.testing.assert_allclose(passed, 1.0, rtol=1e-9)
 
 
 @COMPILED
 def test_a_slab_passes_what_fresnel_and_beer_leave():
     """(1 - R)² a / (1 - R² a²), a = exp(-σ d): all rays that are mirrored inside are counted."""
-    mirrored, left = 0.04, math.exp(-0.9)
+    mirrored = 0.04
+    left = math.exp(-0.9)
     below = wall((-50.0, -50.0, -5.0), (100.0, 0, 0), (0, 100.0, 0), 0.0, 1.0, twofold=True)
     met = passable([below], 1.5, 0.3)
     found = gather(slab(2.0, 5.0), met, ([(3.2, 3.4, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 1 << 14)
@@ -73,16 +86,21 @@ def test_a_slab_passes_what_fresnel_and_beer_leave():
 
 
 def analytic_ball(points, samples, lamp, n, seed=1):
-    """E/π at floor ``points`` (g, 2) under a clear ball, of a lamp (half side, height) of radiance 1 that faces down.
+    """E/π at floor ``points`` (g, 2) under a clear ball, of a lamp (half side, height) of radiance
+    1 that faces down.
 
     Rays of a cosine lobe, each refracted or mirrored by chance where it meets the sphere itself.
     """
     draws = np.random.default_rng(seed)
-    middle, found = np.full(3, MIDDLE), []
+    middle = np.full(3, MIDDLE)
+    found = []
     for point in points:
-        r, turn = np.sqrt(draws.random(samples)), 2.0 * np.pi * draws.random(samples)
+        r = np.sqrt(draws.random(samples))
+        turn = 2.0 * np.pi * draws.random(samples)
         w = np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - r**2)], axis=1)
-        o, inside, going = np.tile([*point, 0.0], (samples, 1)), np.zeros(samples, bool), np.ones(samples, bool)
+        o = np.tile([*point, 0.0], (samples, 1))
+        inside = np.zeros(samples, bool)
+        going = np.ones(samples, bool)
         for _ in range(30):
             b = ((o - middle) * w).sum(axis=1)
             c = ((o - middle) ** 2).sum(axis=1) - RADIUS**2
@@ -94,7 +112,8 @@ def analytic_ball(points, samples, lamp, n, seed=1):
                 break
             p = o + t[:, None] * w
             normal = (p - middle) / RADIUS * np.where(inside, -1.0, 1.0)[:, None]
-            cosine, ratio = -(normal * w).sum(axis=1), np.where(inside, 1.0 / n, n)
+            cosine = -(normal * w).sum(axis=1)
+            ratio = np.where(inside, 1.0 / n, n)
             square = 1.0 - (1.0 - cosine**2) / ratio**2
             other = np.sqrt(np.maximum(square, 0.0))
             across = (cosine - ratio * other) / (cosine + ratio * other)
@@ -114,14 +133,18 @@ def analytic_ball(points, samples, lamp, n, seed=1):
 @pytest.mark.slow
 @COMPILED
 def test_a_caustic_is_that_of_an_analytic_ball():
-    half, height = 6.0, 50.0
+    half = 6.0
+    height = 50.0
     corner = (MIDDLE - half, MIDDLE - half, height)
     walls = [
         wall((-50.0, -50.0, 0.0), (124.0, 0, 0), (0, 124.0, 0), 0.5),
         wall(corner, (0, 2 * half, 0), (2 * half, 0, 0), 0.0, 1.0),
     ]
-    points = np.array([[MIDDLE, MIDDLE], [MIDDLE + 1.0, MIDDLE], [MIDDLE + 7.0, MIDDLE + 2.0], [30.0, 2.0]])
-    samples, rays = 1 << 15, 1 << 16
+    points = np.array(
+        [[MIDDLE, MIDDLE], [MIDDLE + 1.0, MIDDLE], [MIDDLE + 7.0, MIDDLE + 2.0], [30.0, 2.0]]
+    )
+    samples = 1 << 15
+    rays = 1 << 16
     starts = np.column_stack([points, np.zeros(4)]), np.tile([0, 0, 1.0], (4, 1)), np.zeros(4)
     found = gather(ball(RADIUS, SIDE), passable(walls), starts, samples)[:, 0]
     true = analytic_ball(points, rays, (half, height), 1.5)
@@ -135,12 +158,19 @@ LEFT = 0.8
 
 
 def half_space():
-    """H at Gauss points of (0, 1), and as a function, by iteration: 1/H = √(1-ϖ) + ϖ/2 ∫ x H(x)/(μ + x) dx."""
+    """H at Gauss points of (0, 1), and as a function, by iteration: 1/H = √(1-ϖ) + ϖ/2 ∫ x H(x)/(μ
+    + x) dx.
+    """
     x, weights = np.polynomial.legendre.leggauss(64)
-    x, weights, h = (x + 1.0) / 2.0, weights / 2.0, np.ones(64)
+    x = (x + 1.0) / 2.0
+    weights = weights / 2.0
+    h = np.ones(64)
 
     def at(mu):
-        return 1.0 / (math.sqrt(1.0 - LEFT) + LEFT / 2.0 * (weights * h * x / (np.add.outer(mu, x))).sum(axis=-1))
+        return 1.0 / (
+            math.sqrt(1.0 - LEFT)
+            + LEFT / 2.0 * (weights * h * x / (np.add.outer(mu, x))).sum(axis=-1)
+        )
 
     for _ in range(200):
         h = at(x)
@@ -151,7 +181,8 @@ def half_space():
 def test_a_half_space_sends_back_what_chandrasekhar_says():
     """1 - H(μ)√(1-ϖ) of an even sky, to the eye at μ; in the mean over a cosine from the inside."""
     x, weights, h, at = half_space()
-    cosines, dark = np.array([1.0, 0.5, 0.25]), math.sqrt(1.0 - LEFT)
+    cosines = np.array([1.0, 0.5, 0.25])
+    dark = math.sqrt(1.0 - LEFT)
     ways = np.column_stack([np.sqrt(1.0 - cosines**2), np.zeros(3), -cosines])
     field = field_of(3.5 - np.mgrid[:8, :8, :8][0])
     met = passable(index=1.0, extinction=50.0, albedo=LEFT)
@@ -163,16 +194,23 @@ def test_a_half_space_sends_back_what_chandrasekhar_says():
 
 
 def test_nothing_is_lost_where_nothing_is_absorbed():
-    """A ball of many mean free paths under an even sky, and a floor that is as bright, give what they get."""
+    """A ball of many mean free paths under an even sky, and a floor that is as bright, give what
+    they get.
+    """
     floor = wall((0, 0, 0.0), (12, 0, 0), (0, 12, 0), 0.0, 1.0)
     met = passable([floor], index=1.0, extinction=few(2.0, 0.5))
-    starts = [(5.5, 5.5, 9.5), (5.5, 1.5, 5.5), (5.5, 5.5, 0.0)], [(0, 0, 1.0), (0, -1.0, 0), (0, 0, 1.0)]
+    starts = (
+        [(5.5, 5.5, 9.5), (5.5, 1.5, 5.5), (5.5, 5.5, 0.0)],
+        [(0, 0, 1.0), (0, -1.0, 0), (0, 0, 1.0)],
+    )
     found = gather(ball(4.0, 12), met, (*starts, [INWARD, INWARD, 0]), few(256, 4), sky(1.0))
     np.testing.assert_allclose(found, 1.0, rtol=1e-9)
 
 
 def test_rays_pass_where_the_mean_free_path_is_long():
     """Then a surface is not seen: what comes from inside is what lies behind."""
-    met = passable([wall((-50, -50, -5.0), (100, 0, 0), (0, 100, 0), 0.0, 3.0, twofold=True)], 1.0, 1e-9)
+    met = passable(
+        [wall((-50, -50, -5.0), (100, 0, 0), (0, 100, 0), 0.0, 3.0, twofold=True)], 1.0, 1e-9
+    )
     found = gather(ball(4.0, 12), met, ([(5.5, 5.5, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 16)
     np.testing.assert_allclose(found, 3.0)

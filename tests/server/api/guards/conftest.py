@@ -12,10 +12,16 @@ from tests.server.api.guards.handshakes import Guarded
 
 @pytest.fixture(scope="session")
 def guarded() -> Guarded:
-    """``guarded(Guard, **options)``: a page, data, what changes it, what tells a body's length, and a socket."""
+    """``guarded(Guard, **options)``: a page, data, what changes it, what tells a body's length, and
+    a socket.
+    """
 
     def app_behind(*guards: Any, **options: Any) -> FastAPI:
-        app = FastAPI(middleware=[Middleware(guard, **(options if n == 0 else {})) for n, guard in enumerate(guards)])
+        app = FastAPI(
+            middleware=[
+                Middleware(guard, **(options if n == 0 else {})) for n, guard in enumerate(guards)
+            ]
+        )
         app.state.changes = 0
 
         def change() -> None:
@@ -33,7 +39,9 @@ def guarded() -> Guarded:
         app.add_api_route("/page", lambda: HTMLResponse("<p>hello"))
         app.add_api_route("/", lambda: HTMLResponse("<p>index"))
         app.add_api_route("/livez", lambda: {"alive": True})
-        app.add_api_route("/data", lambda: JSONResponse({"a": 1}, headers={"Cache-Control": "max-age=5"}))
+        app.add_api_route(
+            "/data", lambda: JSONResponse({"a": 1}, headers={"Cache-Control": "max-age=5"})
+        )
         app.add_api_route("/data", change, methods=["POST", "DELETE"])
         app.add_api_route("/length", length, methods=["POST"])
         app.add_api_websocket_route("/socket", socket)

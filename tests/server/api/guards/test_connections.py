@@ -24,13 +24,22 @@ SLOW = 20
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Running]:
-    with running(head_seconds=1, body_seconds=1, upload_seconds=3, stall_seconds=1, idle_seconds=1) as server:
+    with running(
+        head_seconds=1, body_seconds=1, upload_seconds=3, stall_seconds=1, idle_seconds=1
+    ) as server:
         yield server
 
 
 @pytest.mark.parametrize(
     ("said", "answered"),
-    [(HEAD, 408), (b"G", 408), (b"", 0), (POST, 200), (POST[:-2], 408), (HEAD + b"X: " + b"x" * 200_000, 400)],
+    [
+        (HEAD, 408),
+        (b"G", 408),
+        (b"", 0),
+        (POST, 200),
+        (POST[:-2], 408),
+        (HEAD + b"X: " + b"x" * 200_000, 400),
+    ],
 )
 def test_half_a_request_is_not_waited_for(server: Running, said: bytes, answered: int) -> None:
     """A body that the route does not read is not missed, but it ends the connection too."""
@@ -65,8 +74,11 @@ def drip(server: Running, said: bytes, stop: threading.Event) -> None:
 
 
 @pytest.mark.parametrize("said", [HEAD + b"X: ", POST.replace(b"9", b"9999"), b""])
-def test_dripping_clients_are_closed_and_do_not_keep_others_out(server: Running, said: bytes) -> None:
-    stop, before = threading.Event(), server.closed("head") + server.closed("body")
+def test_dripping_clients_are_closed_and_do_not_keep_others_out(
+    server: Running, said: bytes
+) -> None:
+    stop = threading.Event()
+    before = server.closed("head") + server.closed("body")
     threads = [threading.Thread(target=drip, args=(server, said, stop)) for _ in range(SLOW)]
     for thread in threads:
         thread.start()

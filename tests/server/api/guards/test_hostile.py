@@ -1,4 +1,6 @@
-"""Requests that mean harm, on a real socket: every answer is a documented one, and nothing is given away."""
+"""Requests that mean harm, on a real socket: every answer is a documented one, and nothing is given
+away.
+"""
 
 import json
 import socket
@@ -12,7 +14,21 @@ from server.parameters import FrameParams
 from tests.server.sockets import answer, status
 
 NUMBERS = [
-    *("nan", "NaN", "inf", "-inf", "Infinity", "1e999", "-1e999", "1e-999x", "1_0", "0x10", "1e", "--1", "+-1"),
+    *(
+        "nan",
+        "NaN",
+        "inf",
+        "-inf",
+        "Infinity",
+        "1e999",
+        "-1e999",
+        "1e-999x",
+        "1_0",
+        "0x10",
+        "1e",
+        "--1",
+        "+-1",
+    ),
     *("1,5", " 1", "1 ", "", "null", "true", "[]", "٣", "１", "9" * 40, "-" + "9" * 40),
     "9" * 5000,
 ]
@@ -20,19 +36,57 @@ NUMBERS = [
 
 WORDS = ("shading", "f", "overlay", "strip")
 HOSTS = [
-    *("evil.example", "evil.example:8000", "127.0.0.1.evil.example", "localhost.evil.example", "localhost."),
-    *("127.0.0.1@evil.example", "[::2]", "0.0.0.0", "127.1", "2130706433", "", "127.0.0.1, evil.example"),
+    *(
+        "evil.example",
+        "evil.example:8000",
+        "127.0.0.1.evil.example",
+        "localhost.evil.example",
+        "localhost.",
+    ),
+    *(
+        "127.0.0.1@evil.example",
+        "[::2]",
+        "0.0.0.0",
+        "127.1",
+        "2130706433",
+        "",
+        "127.0.0.1, evil.example",
+    ),
 ]
 SECRET = "nobody reads this"
-CLIMBS = ["..", "%2e%2e", "%2E.", ".%2e", "..;", "%252e%252e", "....", "..%00", "..\\", "%c0%ae%c0%ae"]
+CLIMBS = [
+    "..",
+    "%2e%2e",
+    "%2E.",
+    ".%2e",
+    "..;",
+    "%252e%252e",
+    "....",
+    "..%00",
+    "..\\",
+    "%c0%ae%c0%ae",
+]
 JOINTS = ["/", "%2f", "%5c", "//"]
 
 
 def paths(secret: Path) -> list[str]:
     """40 ways out of the folder of the page's files, and URLs and files as ids of scenes."""
-    steps = [f"/web/{joint.join([climb] * 12)}{joint}{secret}" for climb in CLIMBS for joint in JOINTS]
-    names = [f"file://{secret}", f"file:{secret}", str(secret).replace("/", "%2f"), "s3://bucket/key", "%00", "."]
-    return [*steps, *(f"/v1/scenes/{name}/frame" for name in names), *(f"/v1/scenes/{name}" for name in names)]
+    steps = [
+        f"/web/{joint.join([climb] * 12)}{joint}{secret}" for climb in CLIMBS for joint in JOINTS
+    ]
+    names = [
+        f"file://{secret}",
+        f"file:{secret}",
+        str(secret).replace("/", "%2f"),
+        "s3://bucket/key",
+        "%00",
+        ".",
+    ]
+    return [
+        *steps,
+        *(f"/v1/scenes/{name}/frame" for name in names),
+        *(f"/v1/scenes/{name}" for name in names),
+    ]
 
 
 def said(url: str, *lines: str) -> bytes:
@@ -82,7 +136,11 @@ def test_a_scene_asked_for_by_url_opens_no_connection(live_server: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as trap:
         trap.settimeout(0.3)
         port = trap.getsockname()[1]
-        for name in (f"http:%2f%2f127.0.0.1:{port}%2fa", f"http://127.0.0.1:{port}/a", f"127.0.0.1:{port}"):
+        for name in (
+            f"http:%2f%2f127.0.0.1:{port}%2fa",
+            f"http://127.0.0.1:{port}/a",
+            f"127.0.0.1:{port}",
+        ):
             assert httpx.get(f"{live_server}/v1/scenes/{name}").status_code == 404
         with pytest.raises(TimeoutError):
             trap.accept()
@@ -93,7 +151,13 @@ def test_foreign_pages_change_nothing_here(live_server: str, live_store: Path, h
     before = sorted(live_store.rglob("*"))
     for method in ("POST", "PUT", "DELETE", "PATCH", "OPTIONS"):
         for path in ("/v1/scenes", "/v1/scenes/small/frame", "/v1/scenes/small/prewarm"):
-            told = said(live_server, f"{method} {path} HTTP/1.1", "Host: localhost", header, "Content-Length: 0")
+            told = said(
+                live_server,
+                f"{method} {path} HTTP/1.1",
+                "Host: localhost",
+                header,
+                "Content-Length: 0",
+            )
             assert status(told) == 403
     assert sorted(live_store.rglob("*")) == before
 
@@ -108,7 +172,14 @@ def strict(text: str) -> dict[str, object]:
     return document
 
 
-DOCUMENTS = ("/livez", "/readyz", "/openapi.json", "/v1/scenes", "/v1/scenes/small", "/v1/scenes/small/coverage")
+DOCUMENTS = (
+    "/livez",
+    "/readyz",
+    "/openapi.json",
+    "/v1/scenes",
+    "/v1/scenes/small",
+    "/v1/scenes/small/coverage",
+)
 
 
 @pytest.mark.parametrize("path", DOCUMENTS)
@@ -124,8 +195,18 @@ def test_what_guards_answer_is_documented(live_server: str) -> None:
 
 
 def test_every_response_carries_the_safe_headers(live_server: str) -> None:
-    for path in ("/", "/docs", "/web/main.js", "/livez", "/metrics", "/v1/scenes/small/frame?width=8&height=8", "/no"):
-        headers = httpx.get(f"{live_server}{path}", headers={"Origin": "https://evil.example"}).headers
+    for path in (
+        "/",
+        "/docs",
+        "/web/main.js",
+        "/livez",
+        "/metrics",
+        "/v1/scenes/small/frame?width=8&height=8",
+        "/no",
+    ):
+        headers = httpx.get(
+            f"{live_server}{path}", headers={"Origin": "https://evil.example"}
+        ).headers
         assert headers["x-content-type-options"] == "nosniff", path
         assert headers["referrer-policy"] == "no-referrer", path
         assert headers["cross-origin-opener-policy"] == "same-origin", path

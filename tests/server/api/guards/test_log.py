@@ -14,7 +14,8 @@ from tests.server.sockets import Running, answer, running, small_app, status, wa
 KEY = b"Sec-WebSocket-Key: x3JJHMbDL1EzLkh9GBhXDw==\r\nSec-WebSocket-Version: 13\r\n"
 UPGRADE = b" HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n" + KEY
 CHUNKED = b" HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n"
-OPEN, REFUSED = b"GET /open" + UPGRADE + b"\r\n", b"GET /refused" + UPGRADE + b"\r\n"
+OPEN = b"GET /open" + UPGRADE + b"\r\n"
+REFUSED = b"GET /refused" + UPGRADE + b"\r\n"
 SOON = 5.0
 
 
@@ -69,11 +70,19 @@ def test_what_a_client_breaks_is_no_error(
         assert status(told + answer(client)) == answered
     assert time.monotonic() - begun < SOON
     assert wait_for(lambda: not server.held() and not server.server.server_state.tasks)
-    assert not [record for record in caplog.records if record.levelno >= logging.ERROR or record.exc_info]
+    assert not [
+        record for record in caplog.records if record.levelno >= logging.ERROR or record.exc_info
+    ]
 
 
-def test_a_client_that_leaves_in_its_body_is_no_error(server: Running, caplog: pytest.LogCaptureFixture) -> None:
-    with server.connect(b"POST /v1/volumes HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nhalf"):
+def test_a_client_that_leaves_in_its_body_is_no_error(
+    server: Running, caplog: pytest.LogCaptureFixture
+) -> None:
+    with server.connect(
+        b"POST /v1/volumes HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nhalf"
+    ):
         assert wait_for(lambda: len(server.server.server_state.tasks) == 1)
     assert wait_for(lambda: not server.held() and not server.server.server_state.tasks)
-    assert not [record for record in caplog.records if record.levelno >= logging.ERROR or record.exc_info]
+    assert not [
+        record for record in caplog.records if record.levelno >= logging.ERROR or record.exc_info
+    ]

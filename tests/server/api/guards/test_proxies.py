@@ -11,7 +11,10 @@ from fastapi import Request
 from server.settings import Settings
 from tests.server.sockets import Running, answer, running, small_app, wait_for
 
-FORGED = b"X-Forwarded-For: 203.0.113.7, 198.51.100.2\r\nX-Forwarded-Proto: https\r\nForwarded: for=203.0.113.9\r\n"
+FORGED = (
+    b"X-Forwarded-For: 203.0.113.7, 198.51.100.2\r\nX-Forwarded-Proto: "
+    b"https\r\nForwarded: for=203.0.113.9\r\n"
+)
 ASKED = b"GET /who HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n"
 
 
@@ -40,7 +43,9 @@ def test_no_header_names_the_client_by_default(monkeypatch: pytest.MonkeyPatch) 
         assert who(server, FORGED) == ["127.0.0.1", "http"]
 
 
-@pytest.mark.parametrize(("proxies", "host"), [("127.0.0.1", "198.51.100.2"), ("127.0.0.0/8", "198.51.100.2")])
+@pytest.mark.parametrize(
+    ("proxies", "host"), [("127.0.0.1", "198.51.100.2"), ("127.0.0.0/8", "198.51.100.2")]
+)
 def test_a_proxy_that_is_named_names_the_client(proxies: str, host: str) -> None:
     with telling(trusted_proxies=proxies) as server:
         assert who(server, FORGED) == [host, "https"]
@@ -49,7 +54,11 @@ def test_a_proxy_that_is_named_names_the_client(proxies: str, host: str) -> None
 
 def test_what_the_client_of_a_proxy_forges_does_not_count() -> None:
     with telling(trusted_proxies="127.0.0.1,198.51.100.2") as server:
-        assert who(server, b"X-Forwarded-For: 10.0.0.1, 203.0.113.7\r\n", b"X-Forwarded-For: 198.51.100.2\r\n") == [
+        assert who(
+            server,
+            b"X-Forwarded-For: 10.0.0.1, 203.0.113.7\r\n",
+            b"X-Forwarded-For: 198.51.100.2\r\n",
+        ) == [
             "203.0.113.7",
             "http",
         ]

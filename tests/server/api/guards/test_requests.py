@@ -1,4 +1,6 @@
-"""Request ids, counts and the log; limits on bodies; HEAD; and the headers that every response carries."""
+"""Request ids, counts and the log; limits on bodies; HEAD; and the headers that every response
+carries.
+"""
 
 import logging
 from collections.abc import AsyncIterator
@@ -38,17 +40,24 @@ def count(metrics: Metrics, **labels: str) -> float | None:
 
 @pytest.mark.parametrize("given", ["abc", "A-1_b.c", "x" * 64])
 def test_a_well_formed_id_is_kept(ask: Ask, app: FastAPI, given: str) -> None:
-    assert ask(app, "GET", "/data", headers={"X-Request-ID": given}).headers["x-request-id"] == given
+    assert (
+        ask(app, "GET", "/data", headers={"X-Request-ID": given}).headers["x-request-id"] == given
+    )
 
 
 @pytest.mark.parametrize("given", ["", "a b", "x" * 65, "é", "a\tb", "<script>", None])
 def test_any_other_is_replaced(ask: Ask, app: FastAPI, given: str | None) -> None:
-    headers = {} if given is None else {"X-Request-ID": given.encode("latin-1")}
+    if given is None:
+        headers = {}
+    else:
+        headers = {"X-Request-ID": given.encode("latin-1")}
     numbers = {ask(app, "GET", "/data", headers=headers).headers["x-request-id"] for _ in range(2)}
     assert all(len(number) == 32 for number in numbers) and len(numbers) == 2
 
 
-@pytest.mark.parametrize(("path", "status"), [("/nothing", 404), ("/things/x", 422), ("/things/0", 500)])
+@pytest.mark.parametrize(
+    ("path", "status"), [("/nothing", 404), ("/things/x", 422), ("/things/0", 500)]
+)
 def test_a_problem_names_its_request(ask: Ask, app: FastAPI, path: str, status: int) -> None:
     answer = ask(app, "GET", path, headers={"X-Request-ID": "mine"})
     assert (answer.status_code, answer.json()["request_id"]) == (status, "mine")
@@ -56,7 +65,12 @@ def test_a_problem_names_its_request(ask: Ask, app: FastAPI, path: str, status: 
 
 
 def test_requests_are_counted_by_route_and_status(ask: Ask, app: FastAPI, metrics: Metrics) -> None:
-    for method, path in [("GET", "/things/1"), ("GET", "/things/2"), ("HEAD", "/things/1"), ("GET", "/things/0")]:
+    for method, path in [
+        ("GET", "/things/1"),
+        ("GET", "/things/2"),
+        ("HEAD", "/things/1"),
+        ("GET", "/things/0"),
+    ]:
         ask(app, method, path)
     ask(app, "BREW", "/etc/passwd")
     handshake(app)
@@ -81,13 +95,20 @@ def test_frames_are_counted_with_their_stages(metrics: Metrics) -> None:
 
 def test_what_is_endless_is_counted_without_its_time(metrics: Metrics) -> None:
     metrics.count("WEBSOCKET", "/stream", 101, 3600.0, Headers())
-    metrics.count("GET", "/events", 200, 3600.0, Headers({"content-type": "text/event-stream; charset=utf-8"}))
+    metrics.count(
+        "GET", "/events", 200, 3600.0, Headers({"content-type": "text/event-stream; charset=utf-8"})
+    )
     assert count(metrics, method="WEBSOCKET", route="/stream", status="101") == 1
     for route in ("/stream", "/events"):
-        assert metrics.registry.get_sample_value("isogi_request_seconds_count", {"route": route}) is None
+        assert (
+            metrics.registry.get_sample_value("isogi_request_seconds_count", {"route": route})
+            is None
+        )
 
 
-def test_the_log_tells_the_path_and_never_the_query(ask: Ask, app: FastAPI, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_tells_the_path_and_never_the_query(
+    ask: Ask, app: FastAPI, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "isogi.requests")
     ask(app, "GET", "/things/1", params={"token": "secret"})
     ask(app, "GET", "/nothing%0Aisogi forged")
@@ -98,7 +119,9 @@ def test_the_log_tells_the_path_and_never_the_query(ask: Ask, app: FastAPI, capl
 
 
 def test_head_is_get_without_a_body(ask: Ask, app: FastAPI) -> None:
-    head, get = (ask(app, method, "/page", headers={"X-Request-ID": "mine"}) for method in ("HEAD", "GET"))
+    head, get = (
+        ask(app, method, "/page", headers={"X-Request-ID": "mine"}) for method in ("HEAD", "GET")
+    )
     assert (head.status_code, head.content) == (200, b"")
     assert dict(head.headers) == dict(get.headers)
 
@@ -123,15 +146,21 @@ def test_one_byte_more_is_413(ask: Ask, guarded: Guarded, told: bool) -> None:
 
 def test_a_body_with_two_lengths_is_refused(ask: Ask, guarded: Guarded) -> None:
     headers = {"Content-Length": "1", "Transfer-Encoding": "chunked"}
-    answer = ask(guarded(SmallBodies, limit=LIMIT), "POST", "/length", content=b"x", headers=headers)
+    answer = ask(
+        guarded(SmallBodies, limit=LIMIT), "POST", "/length", content=b"x", headers=headers
+    )
     assert (answer.status_code, answer.headers["connection"]) == (400, "close")
 
 
-@pytest.mark.parametrize(("path", "loads", "caching"), [("/page", True, "no-cache"), ("/data", False, "max-age=5")])
+@pytest.mark.parametrize(
+    ("path", "loads", "caching"), [("/page", True, "no-cache"), ("/data", False, "max-age=5")]
+)
 def test_pages_load_their_files_only_and_data_nothing(
     ask: Ask, guarded: Guarded, path: str, loads: bool, caching: str
 ) -> None:
     headers = ask(guarded(SafeHeaders), "GET", path).headers
     policies = headers["content-security-policy"].split("; ")
     assert policies[0] == "default-src 'none'" and ("script-src 'self'" in policies) == loads
-    assert "unsafe" not in headers["content-security-policy"] and headers["cache-control"] == caching
+    assert (
+        "unsafe" not in headers["content-security-policy"] and headers["cache-control"] == caching
+    )

@@ -15,7 +15,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from tests.server.idle import Idle, idle_server
 from tests.server.sockets import HEAD, answer, running, status, wait_for
 
-GREEDY, OTHER, THIRD = "127.0.0.2", "127.0.0.3", "127.0.0.4"
+GREEDY = "127.0.0.2"
+OTHER = "127.0.0.3"
+THIRD = "127.0.0.4"
 """Addresses that clients on this machine ask from."""
 
 FRAME: dict[str, Any] = {"width": 24, "height": 24}
@@ -34,13 +36,17 @@ def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
 async def asking(server: Idle, address: str) -> AsyncIterator[httpx.AsyncClient]:
     """A client at an address of its own."""
     transport = httpx.AsyncHTTPTransport(local_address=address)
-    async with httpx.AsyncClient(transport=transport, base_url=f"{server.url}/v1", timeout=SOON) as client:
+    async with httpx.AsyncClient(
+        transport=transport, base_url=f"{server.url}/v1", timeout=SOON
+    ) as client:
         yield client
 
 
 async def opened(server: Idle, address: str, stack: AsyncExitStack) -> ClientConnection:
     """A stream from an address."""
-    stream = connect(f"{server.url.replace('http', 'ws')}/v1/scenes/small/stream", local_addr=(address, 0))
+    stream = connect(
+        f"{server.url.replace('http', 'ws')}/v1/scenes/small/stream", local_addr=(address, 0)
+    )
     return await stack.enter_async_context(stream)
 
 
@@ -61,7 +67,13 @@ async def test_a_newcomer_takes_the_idlest_stream_of_the_greediest(server: Idle)
         await asyncio.wait_for(greedy[0].recv(), SOON)
         others = [await opened(server, OTHER, stack) for _ in range(2)]
         assert [await closed(each) for each in greedy[1:3]] == [
-            (1013, f"Another client needed this place, and you have {more} more: ask again in a while.")
+            (
+                1013,
+                (
+                    f"Another client needed this place, and you have {more} more: ask again in a "
+                    "while."
+                ),
+            )
             for more in (3, 2)
         ]
         with pytest.raises(InvalidStatus, match="429"):
@@ -76,7 +88,11 @@ async def test_a_newcomer_takes_the_newest_frame_of_the_greediest(server: Idle) 
     async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
         begun = []
         for number in range(PLACES):
-            begun.append(asyncio.create_task(greedy.get("/scenes/small/frame", params=waiting | {"yaw": number})))
+            begun.append(
+                asyncio.create_task(
+                    greedy.get("/scenes/small/frame", params=waiting | {"yaw": number})
+                )
+            )
             await asyncio.sleep(0.2)
         asked = await other.get("/scenes/small/frame", params={**FRAME, "shading": "lambert"})
         assert asked.status_code == 200
@@ -87,9 +103,14 @@ async def test_a_newcomer_takes_the_newest_frame_of_the_greediest(server: Idle) 
 async def test_a_newcomer_takes_the_newest_job_of_the_greediest(server: Idle) -> None:
     later = {"headers": {"Prefer": "respond-async"}}
     async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
-        asked = [await greedy.get("/scenes/small/frame", params={"yaw": n}, **later) for n in range(PLACES + 1)]
+        asked = [
+            await greedy.get("/scenes/small/frame", params={"yaw": n}, **later)
+            for n in range(PLACES + 1)
+        ]
         assert [each.status_code for each in asked] == [202] * PLACES + [429]
-        assert (await other.get("/scenes/small/frame", params={"yaw": 60}, **later)).status_code == 202
+        assert (
+            await other.get("/scenes/small/frame", params={"yaw": 60}, **later)
+        ).status_code == 202
         jobs = (await other.get("/jobs")).json()["jobs"]
         ended = {job["jobID"]: job["message"] for job in jobs if job["status"] == "dismissed"}
         assert list(ended) == [asked[PLACES - 1].json()["jobID"]]

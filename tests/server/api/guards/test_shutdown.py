@@ -94,7 +94,9 @@ def test_a_request_that_was_on_its_way_is_answered(app: FastAPI) -> None:
 
 @pytest.mark.slow
 def test_a_stop_breaks_off_no_answer(app: FastAPI) -> None:
-    """Each client opens a connection for each request, and finds the port closed, perhaps while it connects."""
+    """Each client opens a connection for each request, and finds the port closed, perhaps while it
+    connects.
+    """
     ends: list[type[Exception]] = []
 
     def go_on(server: Running) -> None:

@@ -24,9 +24,21 @@ VIEW = {"width": 64, "height": 64, "max_error": 0.0001}
 @pytest.fixture
 def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server process that gives its requests a second when it stops, and its address."""
-    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0", "--workers", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "server",
+        "serve",
+        str(small_scene),
+        "--port",
+        "0",
+        "--workers",
+        "1",
+    ]
     command += ["--store", str(tmp_path), "--shutdown-seconds", "1"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout
         yield process, process.stdout.readline().split()[-1]
         process.kill()
@@ -34,12 +46,18 @@ def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Pope
 
 @pytest.mark.slow
 def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -> None:
-    """Some clients keep their connection, others open one each time; one of them waits for light that takes long."""
-    (process, url), ends = serving, Counter[str]()
+    """Some clients keep their connection, others open one each time; one of them waits for light
+    that takes long.
+    """
+    (process, url) = serving
+    ends = Counter[str]()
 
     def go_on(number: int) -> None:
         view = {**VIEW, "azimuth": 60 * number, "wait_ms": 9000 if number == 0 else 0}
-        headers = {"Connection": "close"} if number % 2 else {}
+        if number % 2:
+            headers = {"Connection": "close"}
+        else:
+            headers = {}
         try:
             with httpx.Client(base_url=url, headers=headers, timeout=30) as client:
                 while True:
