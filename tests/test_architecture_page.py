@@ -151,7 +151,3 @@ def test_the_readme_states_measured_figures() -> None:
 def test_a_figure_that_was_not_measured_is_found() -> None:
     value, name, figure = stated(README.read_text(encoding="utf-8"))[0]
     assert not is_measured(f"9{value}", name, figure)
-
-
-def test_the_readme_is_short() -> None:
-    assert len(README.read_text(encoding="utf-8").split()) <= 900

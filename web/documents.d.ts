@@ -1,7 +1,8 @@
 /** The server's documents, from its OpenAPI: written by `make schemas`. */
 
 /**
- * A camera on its orbit: angles in degrees, and the distance from the world's target in radii of the volume.
+ * A camera on its orbit: angles in degrees, and the distance from the world's target in radii
+ * of the volume.
  */
 export interface Camera {
   azimuth: number;
@@ -11,7 +12,8 @@ export interface Camera {
 }
 
 /**
- * A chunk of texels by its place `z.y.x`, how far it is baked, and whether all that the view reads is final.
+ * A chunk of texels by its place `z.y.x`, how far it is baked, and whether all that the view
+ * reads is final.
  */
 export interface CardChunk {
   at: string;
@@ -20,7 +22,8 @@ export interface CardChunk {
 }
 
 /**
- * The chunks that a view reads, most visible first, and how many of them are going to have more light.
+ * The chunks that a view reads, most visible first, and how many of them are going to have more
+ * light.
  */
 export interface CardChunks {
   chunks: Array<CardChunk>;
@@ -28,9 +31,11 @@ export interface CardChunks {
 }
 
 /**
- * Voxels along x, y, z, and the world: `world = rotation · box + origin`, `box = voxel index · spacing`.
+ * Voxels along x, y, z, and the world: `world = rotation · box + origin`, `box = voxel index
+ * · spacing`.
  *
- * Shadow rays start `offset` voxels along the normal, which is that of the B-spline's gradient where `smooth`.
+ * Shadow rays start `offset` voxels along the normal, which is that of the B-spline's gradient
+ * where `smooth`.
  */
 export interface CardGrid {
   size: [number, number, number];
@@ -76,7 +81,8 @@ export interface CardLayer {
 }
 
 /**
- * The unturned light in a `unit` of radiance: the terms, the `sky` without shadows, the least, the lobes.
+ * The unturned light in a `unit` of radiance: the terms, the `sky` without shadows, the
+ * least, the lobes.
  */
 export interface CardLight {
   unit: number;
@@ -104,7 +110,8 @@ export interface CardLinks {
 }
 
 /**
- * An unturned lobe of the light: where it is, two radii of its disc, and what it gives from straight above.
+ * An unturned lobe of the light: where it is, two radii of its disc, and what it gives from
+ * straight above.
  */
 export interface CardLobe {
   towards: [number, number, number];
@@ -113,10 +120,11 @@ export interface CardLobe {
 }
 
 /**
- * What texels keep: `columns` numbers for each channel, from `straight` on of reflected light alone.
+ * What texels keep: `columns` numbers for each channel, from `straight` on of reflected
+ * light alone.
  *
- * `ratios` is whether light is carried to pixels as irradiance ratios, `whole` whether texels keep direct and
- * reflected light as one, and `turns` whether the light may be turned.
+ * `ratios` is whether light is carried to pixels as irradiance ratios, `whole` whether texels
+ * keep direct and reflected light as one, and `turns` whether the light may be turned.
  */
 export interface CardPlan {
   representation: string;
@@ -151,7 +159,8 @@ export interface CardScene {
 }
 
 /**
- * Whether a page may draw a view by itself, `because` of what it may not and the `reason`, else its scene.
+ * Whether a page may draw a view by itself, `because` of what it may not and the `reason`,
+ * else its scene.
  */
 export interface Card {
   format: number;
@@ -163,7 +172,8 @@ export interface Card {
 }
 
 /**
- * Layers of voxels from the `first` to before the `last`, and the address of their codes.
+ * Layers of voxels from the `first` to before the `last`, and the address of their
+ * codes.
  */
 export interface CardSlab {
   first: number;
@@ -172,7 +182,8 @@ export interface CardSlab {
 }
 
 /**
- * The unturned light that some columns meet: harmonics of an order, linear RGB times the albedo, in the unit.
+ * The unturned light that some columns meet: harmonics of an order, linear RGB times the
+ * albedo, in the unit.
  *
  * Those of the square of its luminance say how noisy light is.
  */
@@ -201,7 +212,8 @@ export interface CardValues {
 }
 
 /**
- * Codes of voxels: `voxel = base + gain · code`, but for the code `hole` where a value is missing.
+ * Codes of voxels: `voxel = base + gain · code`, but for the code `hole` where a value is
+ * missing.
  */
 export interface CardVolume {
   type: "uint8" | "uint16" | "float32";
@@ -221,10 +233,11 @@ export interface ChunkCounts {
 }
 
 /**
- * The surface's colours by data: what of, the name of the map, and sRGB at equal steps from `low` to `high`.
+ * The surface's colours by data: what of, the name of the map, and sRGB at equal steps from
+ * `low` to `high`.
  *
- * `outside` is where there is no value. `labels` are those of a segmentation; the `colours` are then those of
- * the labels that are shown.
+ * `outside` is where there is no value. `labels` are those of a segmentation; the `colours`
+ * are then those of the labels that are shown.
  */
 export interface ColourScale {
   name: string;
@@ -237,12 +250,13 @@ export interface ColourScale {
 }
 
 /**
- * How far a view is: chunks, pixels by state, and the `error` of the frame: the total relative RMSE.
+ * How far a view is: chunks, pixels by state, and the `error` of the frame: the total
+ * relative RMSE.
  *
- * Control pixels, `controls` of them, measured it, with a 95 % `interval`; of none it is a prediction, and the
- * interval null. `noise` is the noise in it. 99 % of the pixels have an error below `p99`, with a 95 %
- * `p99_interval`; both are null where that is not measured. `time_left` is null where it is unknown, or no
- * worker is at the view.
+ * Control pixels, `controls` of them, measured it, with a 95 % `interval`; of none it is a
+ * prediction, and the interval null. `noise` is the noise in it. 99 % of the pixels have an
+ * error below `p99`, with a 95 % `p99_interval`; both are null where that is not measured.
+ * `time_left` is null where it is unknown, or no worker is at the view.
  */
 export interface Coverage {
   chunks: ChunkCounts;
@@ -259,7 +273,8 @@ export interface Coverage {
 }
 
 /**
- * Light that a scene may be shown in: what views call it, its name, and its address where it was uploaded.
+ * Light that a scene may be shown in: what views call it, its name, and its address where it
+ * was uploaded.
  */
 export interface Environment {
   id: string;
@@ -268,7 +283,8 @@ export interface Environment {
 }
 
 /**
- * The colours of `overlay=error`: sRGB at equal steps of the logarithm, from the error `low` to `high`.
+ * The colours of `overlay=error`: sRGB at equal steps of the logarithm, from the error
+ * `low` to `high`.
  */
 export interface ErrorScale {
   low: number;
@@ -297,9 +313,8 @@ export interface JobLink {
 /**
  * One job. `progress` is in percent; times are in UTC, null while they are to come.
  *
- * `expires` is when a job that has ended is forgotten; all are when the server stops, and prewarms are taken up
- * when it starts again. `time_left` is null where
- * it is unknown.
+ * `expires` is when a job that has ended is forgotten; all are when the server stops, and
+ * prewarms are taken up when it starts again. `time_left` is null where it is unknown.
  */
 export interface Job {
   jobID: string;
@@ -318,7 +333,8 @@ export interface Job {
 }
 
 /**
- * A label of a segmentation: its value, its name, its colour as sRGB, and whether it is shown.
+ * A label of a segmentation: its value, its name, its colour as sRGB, and whether it is
+ * shown.
  */
 export interface Label {
   value: number;
@@ -328,10 +344,11 @@ export interface Label {
 }
 
 /**
- * One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
+ * One kind of light that each texel keeps: order² numbers for each channel, in multiples of the
+ * scale.
  *
- * Bands from `coarse` on are bytes, where it is not null. Where there are `nodes`, channels are of grey surfaces
- * with these albedos, and light of any other is mixed of theirs.
+ * Bands from `coarse` on are bytes, where it is not null. Where there are `nodes`, channels
+ * are of grey surfaces with these albedos, and light of any other is mixed of theirs.
  */
 export interface Layer {
   kind: string;
@@ -353,7 +370,8 @@ export interface Light {
 }
 
 /**
- * A small bright part of the unturned light: where it stands and its apparent diameter, in degrees.
+ * A small bright part of the unturned light: where it stands and its apparent diameter, in
+ * degrees.
  *
  * `irradiance` is what a surface that faces it receives, linear RGB.
  */
@@ -365,7 +383,8 @@ export interface Lobe {
 }
 
 /**
- * A material that views may ask for by its `kind`: its `numbers` where they give none, each one or linear RGB.
+ * A material that views may ask for by its `kind`: its `numbers` where they give none, each
+ * one or linear RGB.
  *
  * Where this scene cannot be of it `refused` says why; it is null elsewhere.
  */
@@ -376,7 +395,8 @@ export interface Material {
 }
 
 /**
- * Something that this scene does not need, why, and what that saves beside the same plan with it.
+ * Something that this scene does not need, why, and what that saves beside the same plan with
+ * it.
  *
  * S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
  */
@@ -397,11 +417,13 @@ export interface PixelCounts {
 }
 
 /**
- * What is stored per texel for this scene, the errors that are expected of it, and what was left out.
+ * What is stored per texel for this scene, the errors that are expected of it, and what was
+ * left out.
  *
- * `indirect_order` is that of reflected light, null where that has no harmonics; paths go on in `branches` ways
- * from their first hit; `samples` are a texel's most; `lobes` are lit by shadow rays; `errors` are relative.
- * `full_bytes_per_texel` is what S1 keeps. `projected` are isovalues, from one to another, whose views project.
+ * `indirect_order` is that of reflected light, null where that has no harmonics; paths go on in
+ * `branches` ways from their first hit; `samples` are a texel's most; `lobes` are lit by
+ * shadow rays; `errors` are relative. `full_bytes_per_texel` is what S1 keeps. `projected`
+ * are isovalues, from one to another, whose views project.
  */
 export interface Plan {
   representation: string;
@@ -426,11 +448,12 @@ export interface Plan {
 /**
  * What one pixel shows; all but `hit` and `unit` is null where it shows no surface.
  *
- * `position` and the outward unit `normal` are in the world, whose lengths have the `unit`, empty where
- * unknown; `sides` are the sides of a patient on which the coordinates lie, "LAS", empty elsewhere. `voxel` are
- * voxel indices, x first. `value` is the volume's there, null on the `wall` with that number. `light` is linear
- * RGB, `displayed` the same as a picture shows it, sRGB; `state` is final, converging or provisional, and
- * `error` the relative error of this pixel.
+ * `position` and the outward unit `normal` are in the world, whose lengths have the `unit`,
+ * empty where unknown; `sides` are the sides of a patient on which the coordinates lie, "LAS",
+ * empty elsewhere. `voxel` are voxel indices, x first. `value` is the volume's there, null on
+ * the `wall` with that number. `light` is linear RGB, `displayed` the same as a picture
+ * shows it, sRGB; `state` is final, converging or provisional, and `error` the relative error
+ * of this pixel.
  */
 export interface Point {
   hit: boolean;
@@ -448,7 +471,8 @@ export interface Point {
 }
 
 /**
- * An isovalue with a name; `suggested` where it was found in the volume, not given by the scene.
+ * An isovalue with a name; `suggested` where it was found in the volume, not given by the
+ * scene.
  */
 export interface Preset {
   name: string;
@@ -474,7 +498,8 @@ export interface Saving {
 }
 
 /**
- * One scene in the list of scenes; `volume` is the address of its volume where that was uploaded.
+ * One scene in the list of scenes; `volume` is the address of its volume where that was
+ * uploaded.
  */
 export interface SceneLink {
   id: string;
@@ -492,23 +517,27 @@ export interface SceneList {
 }
 
 /**
- * What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
+ * What a client needs to show a scene: facts, histogram, defaults and ranges of every knob,
+ * plan.
  *
- * `environment` is the id of the light that this is about, null for the scene's own; `environments` are those
- * that views may name.
+ * `environment` is the id of the light that this is about, null for the scene's own;
+ * `environments` are those that views may name.
  *
- * `read_only` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
+ * `read_only` is whether the store can only be read, so that nothing more is baked: a note of
+ * the plan says so too.
  *
- * `presets` are isovalues worth a look: the scene's own, else boundaries between materials in its volume. `stops`
- * ascend through the range, and the surface moves about equally far from one to the next; `stops_note` says where
- * they are even instead, and is empty where that is nowhere.
- * `rotating` is whether the light may be turned, `turns` whether that shows: not where the light is the
- * same from all sides. `albedos` are those that a view may ask for, null where it may not. `shines` are the kinds
- * of shine that it may ask for, none where the surface is diffuse. `cuts` is whether planes across the world's axes
- * may cut it: its voxels lie along them. `colours` are those of a surface whose albedo comes from data, null where
- * it has one `albedo`; that is then the most that colours reflect. `surfaces` are pinned beside the one that
- * slides, which lets the share `clear` of rays pass, and of other light its `transmission` through, diffuse.
- * `material` is what this is about, as views spell it, and `materials` are all, with why some of them are refused.
+ * `presets` are isovalues worth a look: the scene's own, else boundaries between materials in
+ * its volume. `stops` ascend through the range, and the surface moves about equally far from one
+ * to the next; `stops_note` says where they are even instead, and is empty where that is
+ * nowhere. `rotating` is whether the light may be turned, `turns` whether that shows: not
+ * where the light is the same from all sides. `albedos` are those that a view may ask for, null
+ * where it may not. `shines` are the kinds of shine that it may ask for, none where the surface
+ * is diffuse. `cuts` is whether planes across the world's axes may cut it: its voxels lie along
+ * them. `colours` are those of a surface whose albedo comes from data, null where it has one
+ * `albedo`; that is then the most that colours reflect. `surfaces` are pinned beside the one
+ * that slides, which lets the share `clear` of rays pass, and of other light its
+ * `transmission` through, diffuse. `material` is what this is about, as views spell it, and
+ * `materials` are all, with why some of them are refused.
  */
 export interface Scene {
   id: string;
@@ -554,10 +583,12 @@ export interface Shares {
 }
 
 /**
- * Area of a surface, and volume of the solid, in squares and cubes of the `unit`, which is empty where unknown.
+ * Area of a surface, and volume of the solid, in squares and cubes of the `unit`, which is
+ * empty where unknown.
  *
- * `area` is 0 where there is no surface. `area_error` and `volume_error` are what the voxels' size leaves open,
- * in the same units. `is_open` is whether the solid reaches a side of the volume, where it is taken to end.
+ * `area` is 0 where there is no surface. `area_error` and `volume_error` are what the
+ * voxels' size leaves open, in the same units. `is_open` is whether the solid reaches a side of
+ * the volume, where it is taken to end.
  */
 export interface Size {
   isovalue: number;
@@ -573,9 +604,9 @@ export interface Size {
 export type Status = "accepted" | "running" | "successful" | "failed" | "dismissed";
 
 /**
- * A pinned isosurface: its `name`, empty where it has none, the `albedo` of both its sides, linear RGB, and the
- * share of rays that passes straight through it, `clear`. Its `transmission`, linear RGB, is what gets through
- * diffuse.
+ * A pinned isosurface: its `name`, empty where it has none, the `albedo` of both its sides,
+ * linear RGB, and the share of rays that passes straight through it, `clear`. Its
+ * `transmission`, linear RGB, is what gets through diffuse.
  */
 export interface Surface {
   isovalue: number;
@@ -586,7 +617,8 @@ export interface Surface {
 }
 
 /**
- * Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light.
+ * Texels and chunks of the lattice, those that some view can show, and shown ones that can hold
+ * no light.
  *
  * A chunk has `chunk` texels along each side.
  */
@@ -609,7 +641,8 @@ export interface TimeLeft {
 }
 
 /**
- * What an upload may be: `limit_bytes` itself, and `free_bytes` of `quota_bytes` that all may take.
+ * What an upload may be: `limit_bytes` itself, and `free_bytes` of `quota_bytes` that all
+ * may take.
  */
 export interface UploadLimits {
   limit_bytes: number;
@@ -620,11 +653,11 @@ export interface UploadLimits {
 /**
  * A volume: voxels and spacing along x, y, z; holes are voxels that are not finite.
  *
- * `affine` brings voxel indices to the world, (3, 4), whose lengths have the `unit`, empty where unknown.
- * `letters` say where the world's axes point in a patient, and `axes` where the voxels' do; empty elsewhere.
- * `bounds` are the least and the greatest world x, y, z. `notes` tell what was done to the file's field,
- * and `read_as` what the file was taken for, empty where it is of no file. It is step `time` of a series of
- * `times`, 0 of 1 where it is none.
+ * `affine` brings voxel indices to the world, (3, 4), whose lengths have the `unit`, empty
+ * where unknown. `letters` say where the world's axes point in a patient, and `axes` where the
+ * voxels' do; empty elsewhere. `bounds` are the least and the greatest world x, y, z. `notes`
+ * tell what was done to the file's field, and `read_as` what the file was taken for, empty where
+ * it is of no file. It is step `time` of a series of `times`, 0 of 1 where it is none.
  */
 export interface Volume {
   name: string;
