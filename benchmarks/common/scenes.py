@@ -25,6 +25,8 @@ VOLUMES = {
     "MNI brain": "mni152_t1_197x233x189_uint8.nhdr",
     "carp": "carp_256x512x256_uint8.nhdr",
     "chest CT": "lidc_chest_256x256x133_uint8.nhdr",
+    "bonsai": "bonsai_256x256x256_uint8.nhdr",
+    "heptane": "heptane_302x302x302_uint8.nhdr",
 }
 """Files of the shared volumes, by what a person calls them."""
 
@@ -139,6 +141,16 @@ SIX = (
 """As unlike each other as the shared volumes are: smooth, porous, thin, coarse and anisotropic
 ones.
 """
+
+
+SEVEN = (
+    *THREE,
+    Subject("bonsai", 40, "noon_grass"),
+    Subject("chest CT", 60, "uffizi"),
+    Subject("carp", 110, "noon_grass"),
+    Subject("heptane", 100, "uffizi"),
+)
+"""Scenes of one cold view each, next to a path tracer."""
 
 
 def three_scenes(target: str | None) -> Iterator[Scene]:

@@ -1,6 +1,7 @@
 """``python -m benchmarks.speed``."""
 
 from benchmarks.common.suite import suite
+from benchmarks.speed.cold import cold
 from benchmarks.speed.cutting import cutting
 from benchmarks.speed.edges import edges
 from benchmarks.speed.film import film
@@ -16,6 +17,7 @@ from benchmarks.speed.rooms import rooms
 main = suite(
     "How fast isogi is, beside its peers where they are installed.",
     frames,
+    cold,
     isovalue,
     first_view,
     rays,
