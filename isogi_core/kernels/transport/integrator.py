@@ -1,11 +1,22 @@
-"""The integrator: one loop for all paths of a wave, all first rays, then all second ones, and so
-on.
+"""The integrator: a wavefront path tracer, ``walk``, which all light transport shares.
 
-Records choose what rays meet, what they gather, and how paths go on. ``scene`` is what rays meet,
-with its ``field``: Open, Coloured, InRoom, Among, or Through. ``source`` is what paths gather: the
-light of Surroundings or of Glows, PathEnds (after how many bounces each path left and in which
-direction, for any light to come), or Strays. ``rules`` say how they go on: PathRules, or a
-PathTree. The module of each record says how it takes the steps of the loop: see ``Choice``.
+A wave holds up to WAVE_PATHS paths. Each stage of the loop handles all paths of the wave before the
+next stage begins: sample directions, intersect, gather light, play Russian roulette, compact, find
+the next vertices. The arrays of a wave fit the second-level cache, and each stage runs in SIMD
+vectors of PATH_WIDTH paths.
+
+The types of three records select the code of each stage when a kernel is compiled (see ``Choice``).
+The module that defines a record also defines its cases.
+
+- ``scene``: the geometry that rays meet, with its ``field``. Open, Coloured, InRoom, Among or
+  Through.
+- ``source``: the quantity that paths gather. Light of Surroundings or of Glows; PathEnds, which
+  hold the number of bounces and the direction of each path that leaves the volume, so that any
+  light can be applied later; or Strays.
+- ``rules``: how paths continue. PathRules, or a PathTree whose paths branch.
+
+Source: Laine, Karras and Aila, "Megakernels Considered Harmful: Wavefront Path Tracing on GPUs",
+2013.
 """
 
 import math
@@ -30,18 +41,24 @@ from isogi_core.kernels.transport.sampling import about, sample_cosine_hemispher
 from isogi_core.kernels.transport.streams import DIRECTIONS, FIRST_ROULETTE_PAIR
 
 WAVE_PATHS = 4096
-"""Paths of a wave: all that is known of them stays in the second-level cache."""
+"""Paths of a wave at most. Their arrays fit the second-level cache."""
 
 
 class Wave(NamedTuple):
-    """The paths of a wave that go on, in the first places of arrays (n,), and room for columns (3
-    n,).
+    """State of the rays of a wave, one entry per path; paths that continue fill the first places.
 
-    ``owners`` are their numbers; ``low``, ``high``, ``samples`` the words that own their random
-    numbers; ``isovalues`` those of their surfaces, ``sides`` where their next rays start, ``signs``
-    the same as float64; ``t`` and ``came`` what these meet; ``hits`` and ``escaped`` the places of
-    those that meet something and of those that do not; ``directions`` are in index space, ``ways``
-    in the world; ``weights`` are room for ``smooth_gradients``.
+    Arrays are (n,); ``directions`` and ``ways`` are (3 n,), to be viewed through ``columns``.
+
+    - ``owners``: number of the path.
+    - ``low``, ``high``, ``samples``: the start's seed in two words, and the sample number. Together
+      they determine all random numbers of the path.
+    - ``isovalues``: isovalue of the surface that the path runs on.
+    - ``sides``, ``signs``: side of the surface that the next ray starts on, as int8 and as float64.
+    - ``t``, ``came``: distance to the intersection, infinite if there is none, and the side that
+      the ray arrives on.
+    - ``hits``, ``escaped``: places of the rays that hit the surface, and of those that escape.
+    - ``directions``, ``ways``: ray directions in index space and in world space.
+    - ``weights``: scratch space of ``gradients``.
     """
 
     owners: Any
@@ -61,9 +78,7 @@ class Wave(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """The ``count`` vertices that a wave's paths are at: room (3 n,) for where rays start, and
-    normals there.
-    """
+    """Current vertices of the ``count`` paths of a wave: ray origins and normals, (3 n,) each."""
 
     points: Any
     normals: Any
@@ -72,13 +87,13 @@ class Vertices(NamedTuple):
 
 @kernel()
 def whole(count):
-    """The places that ``count`` paths take in whole vectors."""
+    """Round a number of paths up to whole SIMD vectors."""
     return (count + PATH_WIDTH - 1) // PATH_WIDTH * PATH_WIDTH
 
 
 @kernel()
 def make_wave(n):
-    """Room for the waves of ``n`` paths."""
+    """Allocate the state of a wave of ``n`` paths."""
     words_of = np.zeros((3, n), np.uint32)
     places = np.empty((3, n), np.int64)
     return Wave(
@@ -101,26 +116,30 @@ def make_wave(n):
 
 @kernel()
 def make_vertices(n):
-    """Room for the vertices of ``n`` paths."""
+    """Allocate the vertices of ``n`` paths."""
     return Vertices(np.zeros(3 * n), np.zeros(3 * n), n)
 
 
 @kernel()
 def columns(room, count):
-    """The (3, n) array that vectors of ``count`` paths make in their room."""
+    """View the first ``count`` paths of a (3 n,) array as (3, count rounded up to whole
+    vectors).
+    """
     n = whole(count)
     return room[: 3 * n].reshape(3, n)
 
 
 @kernel()
 def generate(wave, vertices, starts, origins, first, begin):
-    """Fill the wave with paths ``begin`` … ``begin + vertices.count``; see ``trace_paths``.
+    """Start paths ``begin`` to ``begin + vertices.count`` of the numbering in ``trace_paths``.
 
-    ``origins`` (3, g) are where first rays start, ``first`` the number of the first sample.
+    ``origins`` (3, g) are the origins of first rays, ``first`` is the number of the first sample.
     """
     count = vertices.count
     here = columns(vertices.points, count)
     normals = columns(vertices.normals, count)
+    # Path p is sample first + p // g of start p % g: all starts take a sample before any takes the
+    # next.
     g = starts.isovalues.shape[0]
     i = begin % g
     sample = first + begin // g
@@ -141,11 +160,16 @@ def generate(wave, vertices, starts, origins, first, begin):
 
 @kernel()
 def sample_direction(wave, vertices, bounce, spacing):
-    """Draw ``ways`` and ``directions`` of all paths about their normals, cosine-weighted."""
+    """Sample a cosine-weighted direction about the normal of each path, into ``ways`` and
+    ``directions``.
+
+    Cosine sampling makes irradiance the mean of incident radiance times π (S1, section 4.1).
+    """
     count = vertices.count
     normals = columns(vertices.normals, count)
     ways = columns(wave.ways, count)
     directions = columns(wave.directions, count)
+    # Each bounce draws its pair of random numbers from a dimension of its own.
     dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
         low = load(wave.low, i, PATH_WIDTH)
@@ -159,8 +183,9 @@ def sample_direction(wave, vertices, bounce, spacing):
 
 @kernel()
 def intersect(field, cells, wave, points, count):
-    """Cast the rays from ``points``; what fills up the last vector starts at infinity and meets
-    nothing.
+    """Cast the rays from ``points``, and write ``t`` and ``came`` of the wave.
+
+    Lanes that only fill up the last vector start at infinity, so that they hit nothing.
     """
     n = whole(count)
     origins = columns(points, count)
@@ -171,8 +196,8 @@ def intersect(field, cells, wave, points, count):
 
 @kernel()
 def partition(wave, count):
-    """List the places of rays that hit something, and of those that escape; returns how many
-    hit.
+    """List the places of the rays that hit the surface, and of those that escape; return the
+    number of hits.
     """
     hits = escaped = 0
     for i in range(count):
@@ -186,14 +211,15 @@ def partition(wave, count):
 
 @kernel()
 def russian_roulette(wave, hits, bounce, survival):
-    """Of paths that hit something, but the first time, a share ``survival`` goes on; returns how
-    many.
+    """Continue each path that hit something with probability ``survival``; return the number that
+    continue.
 
-    Each stands for those that do not: its light counts over its chance. Source: Arvo and Kirk,
-    "Particle Transport and Image Synthesis", 1990.
+    The first bounce is never cut. The caller divides the carried weight by the probability. Source:
+    Arvo and Kirk, "Particle Transport and Image Synthesis", 1990.
     """
     if bounce == 0 or survival >= 1.0:
         return hits
+    # Compact the list of hits in place; the random number belongs to path and bounce.
     staying = 0
     dimension = np.uint64(FIRST_ROULETTE_PAIR + bounce)
     for h in range(hits):
@@ -208,7 +234,7 @@ def russian_roulette(wave, hits, bounce, survival):
 
 @kernel()
 def compact(wave, vertices, following):
-    """Move the paths that hit something to the first places, and where they hit it to the vertices
+    """Move the paths that hit something to the first places, and their vertices to
     ``following``.
     """
     count = vertices.count
@@ -216,6 +242,7 @@ def compact(wave, vertices, following):
     origins = columns(vertices.points, count)
     directions = columns(wave.directions, count)
     points = columns(following.points, hits)
+    # A place is read before it is written, as hits are in ascending order: i >= h.
     for h in range(hits):
         i = wave.hits[h]
         put_column(points, h, madd(column(origins, i), wave.t[i], column(directions, i)))
@@ -230,8 +257,9 @@ def compact(wave, vertices, following):
 
 @kernel()
 def mend_normals(field, wave, some, points, normals, ways):
-    """Turn normals of a flat field, of paths ``some`` (first, last), against the ray that hit:
-    ``shading_normal``.
+    """Replace zero normals of the paths ``some`` (first, last) by the direction against their ray.
+
+    A field that is flat at a point has no gradient there: see ``shading_normal``.
     """
     for h in range(some[0], some[1]):
         if normals[0, h] == 0.0 and normals[1, h] == 0.0 and normals[2, h] == 0.0:
@@ -243,16 +271,17 @@ def mend_normals(field, wave, some, points, normals, ways):
 
 @kernel()
 def next_vertex(field, wave, count, following):
-    """Find the normals at the points ``following``, ``shading_normal``, and move these to where
-    rays start, ``launch``.
+    """Compute normals at the points ``following``, and offset these to the origins of the next
+    rays.
 
-    ``count`` rays were cast to get there.
+    ``count`` rays were cast to get there. See ``shading_normal`` and ``launch``.
     """
     hits = following.count
     points = columns(following.points, hits)
     normals = columns(following.normals, hits)
     ways = columns(wave.ways, count)
     for i in range(0, hits, PATH_WIDTH):
+        # Take the gradient of the field at a vector of points, on the side that rays arrive on.
         last = min(i + PATH_WIDTH, hits)
         sign = load(wave.signs, i, PATH_WIDTH)
         p = load_columns(points, i)
@@ -260,13 +289,17 @@ def next_vertex(field, wave, count, following):
         n = to_world_normal(load_columns(normals, i), field.spacing)
         store_columns(normals, i, (n[0] * sign, n[1] * sign, n[2] * sign))
         mend_normals(field, wave, (i, last), points, normals, ways)
+        # Offset the points along the normals, so that rays do not meet the surface that they start
+        # on.
         isovalues = load(wave.isovalues, i, PATH_WIDTH)
         store_columns(points, i, launch(field, isovalues, p, load_columns(normals, i), sign))
 
 
 @kernel()
 def launch_all(field, starts):
-    """Where the first rays start, (3, g): off the surface, see ``launch``, and on a wall."""
+    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``, or on
+    a wall.
+    """
     origins = starts.points.copy()
     for i in range(starts.isovalues.shape[0]):
         if starts.walls[i] < 0.0:
@@ -277,12 +310,11 @@ def launch_all(field, starts):
 
 @kernel(types.void(FIELD_RECORD, REAL_ARRAY, ORIGINS, ORIGINS, REAL_ARRAY, SIDE_ARRAY, ORIGINS))
 def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
-    """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from
-    there.
+    """Replace rays that hit the surface by cosine-distributed rays from their hit points, in place.
 
-    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_batch`` writes them;
-    ``numbers`` (2, n) in [0, 1). They start off the surface as a path's do. Source: S1, section
-    4.1.
+    ``origins`` + t · ``directions`` (3, n) are the hit points; ``isovalues`` (n,) belong to their
+    surfaces; ``t`` and ``came`` (n,) are outputs of ``cast_batch``; ``numbers`` (2, n) are uniform
+    in [0, 1). Source: S1, section 4.1.
     """
     for m in range(origins.shape[1]):
         d = column(directions, m)
@@ -294,8 +326,8 @@ def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
 
 
 class ShadowRays(NamedTuple):
-    """Shadow rays of a wave: room (3 n,) for where they start and what they carry, and how far they
-    reach, (n,).
+    """Shadow rays of a wave: origins (3 n,), the light that each carries (3 n,), and its reach
+    (n,).
     """
 
     starts: Any
@@ -304,10 +336,11 @@ class ShadowRays(NamedTuple):
 
 
 class PathWave(NamedTuple):
-    """The ``rays`` of a wave of paths that gather light, and its ``shadow`` rays.
+    """A wave of paths that gather light: its ``rays`` and ``shadow`` rays.
 
-    (n,) are the walls that vertices stand on, ``own``, and that rays ``met``. ``carried`` (3,
-    paths) is what light at a path's vertex counts in what it has ``gathered`` (channels, paths).
+    ``own`` and ``met`` (n,) are the walls that vertices lie on and that rays hit. ``carried`` (3,
+    paths) is the throughput of each path, ``gathered`` (channels, paths) the light it has
+    collected.
     """
 
     rays: Any
@@ -320,86 +353,86 @@ class PathWave(NamedTuple):
 
 @Choice
 def limits(rules):
-    """How many bounces paths have at most, and in how many branches they go on from what they hit
-    first.
-    """
+    """Return the largest number of bounces of a path, and of branches after its first hit."""
 
 
 @Choice
 def make_state(scene, starts, wave):
-    """The state of a wave in a scene: a record with that ``wave``, and room for what rays need
-    besides.
+    """Make the state of a wave in a scene: a record that holds ``wave`` and scratch space for
+    rays.
     """
 
 
 @Choice
 def launch_starts(scene, starts):
-    """Where first rays start, (3, g)."""
+    """Return the origins of first rays, (3, g)."""
 
 
 @Choice
 def begin_wave(scene, state, vertices, starts, first):
-    """Say on what the first vertices of a wave stand, whose first path has the number ``first``."""
+    """Set the walls or surfaces that the first vertices of a wave lie on; its first path has
+    the number ``first``.
+    """
 
 
 @Choice
 def gather_sources(scene, state, vertices, bounce, source):
-    """Add what rays towards the sources bring to the vertices of a wave."""
+    """Add the light of sources that a vertex samples directly, by shadow rays, to each path."""
 
 
 @Choice
 def meet(scene, state, vertices, bounce):
-    """Cast the rays of a wave, and write what each of them meets first."""
+    """Cast the rays of a wave, and write the first hit of each."""
 
 
 @Choice
 def gather_met(scene, state, vertices, bounce, source):
-    """Gather what the cast rays brought; list the rays whose paths go on from what they hit:
-    returns how many.
+    """Gather the light that rays bring, list the rays whose paths continue, and return their
+    number.
     """
 
 
 @Choice
 def advance(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by the
-    albedo there.
+    """Move the paths that continue to the vertices ``following``, and multiply their throughput
+    by the albedo there.
     """
 
 
 @Choice
 def split(scene, state, vertices, spare, bounce, rules, source):
-    """Let paths that go on from ``vertices`` branch: returns their vertices then, and the ``spare``
-    vertices.
+    """Let the paths at ``vertices`` branch if the rules say so; return their vertices and the
+    ``spare`` ones.
     """
 
 
 @limits.case(PathRules)
 def limits_of_weights(rules):
-    """Paths have as many bounces as there are weights beside the first, and no branches."""
+    """Allow as many bounces as there are weights after the first, and no branches."""
     return rules.weights.shape[0] - 1, 1
 
 
 @split.case()
 def stay_single(scene, state, vertices, spare, bounce, rules, source):
-    """Let no path branch."""
+    """Keep paths single."""
     return vertices, spare
 
 
 @gather_sources.case()
 def gather_nothing(scene, state, vertices, bounce, source):
-    """Cast no rays towards sources: there are none."""
+    """Cast no shadow rays: the source has no light to sample."""
 
 
 @kernel()
 def make_shadow_rays(n):
-    """Room for the shadow rays of a wave of ``n`` paths."""
+    """Allocate the shadow rays of a wave of ``n`` paths."""
     return ShadowRays(np.zeros(3 * n), np.empty(3 * n), np.empty(n))
 
 
 @kernel()
 def make_paths(n, rules, total, gathered):
-    """The waves of ``n`` of ``total`` paths, which carry the first weight, and have ``gathered``
-    nothing yet.
+    """Allocate waves of ``n`` of ``total`` paths with the first weight as throughput; clear
+    ``gathered``.
     """
     gathered[:, :total] = 0.0
     carried = np.empty((3, total))
@@ -417,7 +450,9 @@ def make_paths(n, rules, total, gathered):
 
 @kernel()
 def add_carried(wave, i, light):
-    """Add ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
+    """Add ``light`` that arrives at the vertex of path ``i``, times the path's throughput, to
+    what it gathered.
+    """
     m = wave.rays.owners[i]
     for c in range(3):
         wave.gathered[c, m] += wave.carried[c, m] * light[c]
@@ -425,19 +460,26 @@ def add_carried(wave, i, light):
 
 @kernel()
 def walk(scene, state, vertices, spare, rules, source):
-    """Walk the paths of a wave to their ends, and gather on the way; ``spare`` is room for other
-    vertices.
+    """Trace the paths of a wave to their ends, and gather light on the way.
+
+    ``spare`` is a second set of vertices; the two sets alternate from bounce to bounce.
     """
     rays = state.wave.rays
     (last, _) = limits(rules)
+    # Trace rays from all vertices up to the last bounce.
     for bounce in range(last + 1):
+        # Add direct light at the vertices that is sampled by shadow rays.
         gather_sources(scene, state, vertices, bounce, source)
+        # Sample the direction of the next ray of each path, and find its first hit.
         sample_direction(rays, vertices, bounce, scene.field.spacing)
         meet(scene, state, vertices, bounce)
+        # Add the light of rays that escape or meet an emitter; list the rays that hit the surface.
         hits = gather_met(scene, state, vertices, bounce, source)
+        # End some of the paths at random; those left carry the weight of the others.
         hits = russian_roulette(rays, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:
             return
+        # Compact the remaining paths, and move them to their next vertices.
         following = Vertices(spare.points, spare.normals, hits)
         advance(scene, state, vertices, following, bounce, rules)
         vertices, spare = split(scene, state, following, vertices, bounce, rules, source)
@@ -445,19 +487,19 @@ def walk(scene, state, vertices, spare, rules, source):
 
 @kernel()
 def places_for(total, branches):
-    """The places of a wave, at most WAVE_PATHS or so, for ``total`` paths that go on in this number
-    of ``branches``.
+    """Return the number of places of a wave for ``total`` paths, each with room for its
+    ``branches``.
     """
     return whole(min(WAVE_PATHS // branches, total)) * branches
 
 
 @kernel()
 def trace_paths(scene, starts, samples, rules, source, wave):
-    """Walk a ``SampleRange`` of paths from each of g ``starts``, in waves that fill the places of
-    ``wave``.
+    """Trace a ``SampleRange`` of paths from each of g ``starts``, in waves of the size of ``wave``.
 
-    Path s · g + i is the sample ``first + s`` of start i.
+    Path s · g + i is sample ``first + s`` of start i.
     """
+    # Allocate vertices and state once; all waves use them in turn.
     total = starts.isovalues.shape[0] * samples.count
     n = wave.rays.owners.shape[0]
     most = WAVE_PATHS // limits(rules)[1]
@@ -465,6 +507,7 @@ def trace_paths(scene, starts, samples, rules, source, wave):
     room = make_vertices(n)
     spare = make_vertices(n)
     state = make_state(scene, starts, wave)
+    # Fill a wave with the next paths, and trace them to their ends.
     for first in range(0, total, most):
         vertices = Vertices(room.points, room.normals, min(most, total - first))
         generate(wave.rays, vertices, starts, origins, samples.first, first)
@@ -474,8 +517,8 @@ def trace_paths(scene, starts, samples, rules, source, wave):
 
 @kernel()
 def gather_paths(scene, starts, samples, rules, source, gathered):
-    """Write what each path of ``trace_paths`` gathers to ``gathered`` (channels, at least g ·
-    count).
+    """Write the light that each path of ``trace_paths`` gathers to ``gathered`` (channels, at
+    least g · count).
     """
     total = starts.isovalues.shape[0] * samples.count
     trace_paths(
@@ -490,29 +533,32 @@ def gather_paths(scene, starts, samples, rules, source, gathered):
 
 @kernel()
 def add_paths(scene, starts, samples, rules, source, sums):
-    """Add what a ``SampleRange`` of paths gathers at each of g ``starts`` to its ``sums`` (g,
+    """Add the light that a ``SampleRange`` of paths gathers at each of g ``starts`` to ``sums`` (g,
     channels).
 
-    Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986.
+    Sums grow sample by sample, so that the result does not depend on which starts are traced
+    together. Source: Kajiya 1986.
     """
     g = sums.shape[0]
     last = samples.first + samples.count
     step = max(WAVE_PATHS // max(g, 1), 1)
     gathered = np.empty((sums.shape[1], g * step))
+    # Trace as many samples of all starts at once as fill a wave.
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         gather_paths(scene, starts, some, rules, source, gathered)
+        # Add the paths in the order of their samples.
         for m in range(g * some.count):
             for j in range(sums.shape[1]):
                 sums[m % g, j] += gathered[j, m]
 
 
 class EndWave(NamedTuple):
-    """The ``rays`` of a wave of paths that gather no light, of which ``starting`` ones start and
-    may branch.
+    """A wave of paths that gather no light but record their ends: its ``rays``, and the number of
+    paths ``starting``.
 
-    ``carried`` (3, paths) are the albedos that each has met, multiplied, where these differ from
-    place to place.
+    ``carried`` (3, paths) is the product of the albedos that each path met, if albedo varies over
+    the surface.
     """
 
     rays: Any
@@ -522,41 +568,42 @@ class EndWave(NamedTuple):
 
 @Choice
 def begin_branches(scene, wave, count, source):
-    """Say what the ``count`` branches of a wave have gathered and carry."""
+    """Set the state of ``count`` new branches of a wave from that of their parents."""
 
 
 @begin_branches.case()
 def begin_alike(scene, wave, count, source):
-    """Leave all as it is: branches are known by the paths that they are of."""
+    """Keep the state as it is: the number of a branch identifies its parent."""
 
 
 @limits.case(PathTree)
 def limits_of_tree(rules):
-    """Say how far a ``PathTree`` goes."""
+    """Return the bounces and branches of a ``PathTree``."""
     return rules.bounces, rules.branches
 
 
 @kernel()
 def blocks(branches):
-    """How many parts the ``PathEnds`` have: one of paths as they start, and one for each of their
-    ``branches``.
+    """Return the number of blocks in ``PathEnds``: one for unbranched paths, and one for each
+    branch.
     """
     return 1 if branches == 1 else 1 + branches
 
 
 @kernel()
 def make_ends(starts, count, branches):
-    """Room for the ``PathEnds`` of ``starts`` starts, ``count`` samples each."""
+    """Allocate the ``PathEnds`` of ``starts`` starts, with ``count`` samples each."""
     n = blocks(branches) * starts * count
     return PathEnds(np.zeros(n, np.int64), np.zeros((3, n + PATH_WIDTH)))
 
 
 @kernel()
 def branch(wave, vertices, room, branches, stride):
-    """Let each of the wave's paths go on in a number of ``branches``, from vertices in ``room``,
-    which it returns.
+    """Continue each path of the wave in several ``branches``, from vertices in ``room``, which are
+    returned.
 
-    Branch j of path m is path m + (1 + j) · ``stride``, and draws from sample ``branches`` · s + j.
+    Branch j of path m is path m + (1 + j) · ``stride``, and draws the random numbers of sample
+    ``branches`` · s + j.
     """
     hits = vertices.count
     count = branches * vertices.count
@@ -564,6 +611,7 @@ def branch(wave, vertices, room, branches, stride):
     normals = columns(vertices.normals, hits)
     further = columns(room.points, count)
     around = columns(room.normals, count)
+    # Go backwards, so that each path is read before its place is overwritten by branches.
     for h in range(hits - 1, -1, -1):  # each is read before others are written in its place
         owner = wave.owners[h]
         sample = wave.samples[h]
@@ -588,7 +636,7 @@ def branch(wave, vertices, room, branches, stride):
 
 @split.case(PathTree)
 def branch_once(scene, state, vertices, spare, bounce, rules, source):
-    """Let paths branch that go on from what they hit first."""
+    """Branch the paths that continue from their first hit."""
     if bounce > 0 or rules.branches == 1:
         return vertices, spare
     following = branch(state.wave.rays, vertices, spare, rules.branches, state.wave.starting)
@@ -598,9 +646,7 @@ def branch_once(scene, state, vertices, spare, bounce, rules, source):
 
 @kernel()
 def branch_ends(wave, count, ends):
-    """Say of the wave's ``count`` branches that they have not left, and of the paths that they are
-    of nothing.
-    """
+    """Mark ``count`` branches as unfinished, and their parents as replaced by branches."""
     for owner in wave.rays.owners[:count]:
         ends.bounces[owner % wave.starting] = NO_PATH
         ends.bounces[owner] = -1
@@ -608,17 +654,19 @@ def branch_ends(wave, count, ends):
 
 @begin_branches.case(PathEnds)
 def begin_ends(scene, wave, count, ends):
-    """Say of the wave's branches that they have not left."""
+    """Mark new branches as unfinished."""
     branch_ends(wave, count, ends)
 
 
 @gather_met.case(PathEnds)
 def write_ends(scene, state, vertices, bounce, ends):
-    """Write the ends of paths that leave; returns how many go on."""
+    """Record bounce and direction of the paths that escape; return the number that continue."""
     rays = state.wave.rays
     count = vertices.count
     hits = partition(rays, count)
     ways = columns(rays.ways, count)
+    # A path that escapes after k bounces adds R^k · Y_i(direction) to transfer coefficient i (S1,
+    # eqs. 6 and 8).
     for i in rays.escaped[: count - hits]:
         m = rays.owners[i]
         ends.bounces[m] = bounce
@@ -628,12 +676,13 @@ def write_ends(scene, state, vertices, bounce, ends):
 
 @kernel()
 def trace_ends(scene, starts, samples, tree, ends, carried):
-    """Walk a ``SampleRange`` of paths from each of g ``PathStarts``, as a ``PathTree`` says, to
-    their ends.
+    """Trace a ``SampleRange`` of paths from each of g ``PathStarts`` to their ends, by the rules of
+    a ``PathTree``.
 
-    Isovalues are within the range of the scene's cells. Writes the ``PathEnds`` of at least g ·
-    count paths, and what these have ``carried``.
+    Isovalues lie within the range of the scene's cells. Writes the ``PathEnds`` of at least g ·
+    count paths, and the albedos that these ``carried``.
     """
+    # Mark paths that are not traced as absent, and those that are traced as not yet escaped.
     total = starts.isovalues.shape[0] * samples.count
     ends.bounces[:total] = -1
     ends.bounces[total:] = NO_PATH
