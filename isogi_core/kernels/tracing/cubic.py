@@ -1,8 +1,8 @@
-"""The field along a ray through a cell: a cubic, its turning points and its first crossing of 0.
+"""The trilinear field along a ray through one cell: a cubic, its turning points and first zero.
 
-For single numbers and for vectors alike, to the same bits: ``solid``, ``wanted`` and what crosses
-are truths or masks. Source: references, reliability, section 4: split at the roots of the slope,
-bracket, refine.
+Each kernel takes numbers or SIMD vectors and gives the same bits for both; truth values are masks
+then. The method follows three steps: split the cubic at the roots of its derivative, bracket a
+crossing, refine it (Marmitt et al. 2004).
 """
 
 import math
@@ -11,18 +11,22 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import any_of, divide, not_, where
 
 REFINEMENTS = 48
-"""Steps of Newton's method at most."""
+"""Largest number of Newton steps."""
 
 
 @kernel(exact=True)
 def cubic_along(c, a, d):
-    """Coefficients (A, B, C, D) of f(t) = A t³ + B t² + C t + D along a + t·d in the unit cell.
+    """Return the coefficients (A, B, C, D) of f(t) = A t³ + B t² + C t + D along a + t·d in the
+    unit cell.
 
-    ``c`` = (c000, c100, c010, c110, c001, c101, c011, c111) corner values, first index x.
+    ``c`` = (c000, c100, c010, c110, c001, c101, c011, c111) are corner values, x first.
     """
+    # Write the trilinear field as a polynomial in x, y, z with differences of corners as
+    # coefficients.
     x, y, z = c[1] - c[0], c[2] - c[0], c[4] - c[0]
     xy, xz, yz = c[3] - c[2] - x, c[5] - c[4] - x, c[6] - c[4] - y
     xyz = c[7] - c[6] - c[5] + c[4] - (c[3] - c[2] - c[1] + c[0])
+    # Insert the ray, and sort by powers of t.
     dxy = d[0] * d[1]
     dxz = d[0] * d[2]
     dyz = d[1] * d[2]
@@ -37,16 +41,16 @@ def cubic_along(c, a, d):
 
 @kernel(exact=True)
 def horner(q, t):
-    """Value of the cubic ``q`` = (A, B, C, D) at ``t``."""
+    """Evaluate the cubic ``q`` = (A, B, C, D) at ``t``."""
     return ((q[0] * t + q[1]) * t + q[2]) * t + q[3]
 
 
 @kernel(exact=True)
 def turning_points(q):
-    """Where the cubic's slope 3A t² + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where
-    it does not.
+    """Return the roots of the slope 3A t² + 2B t + C, ascending, clamped to [0, 1]; (1, 1) if there
+    are none.
 
-    The stable quadratic formula: no cancellation, and A = 0 or A = B = 0 fall through.
+    The stable quadratic formula avoids cancellation, and stays finite for A = 0 and for A = B = 0.
     """
     a = 3.0 * q[0]
     b = q[1]
@@ -54,6 +58,7 @@ def turning_points(q):
     disc = b * b - a * c
     turns = disc > 0.0
     s = -(b + math.copysign(math.sqrt(where(turns, disc, 0.0)), b))
+    # Take one root from the sum without cancellation, and the other from the product of the roots.
     r1, r2 = where(a != 0.0, divide(s, a), 1.0), where(s != 0.0, divide(c, s), 1.0)
     r1, r2 = min(max(r1, 0.0), 1.0), min(max(r2, 0.0), 1.0)
     return where(turns, min(r1, r2), 1.0), where(turns, max(r1, r2), 1.0)
@@ -61,17 +66,19 @@ def turning_points(q):
 
 @kernel(exact=True)
 def refine(q, lo, hi, solid, wanted):
-    """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side
+    """Return the zero of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side
     ``solid``.
 
-    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where
-    the values at the ends do not change sign (a root lost to rounding is at ``lo`` then). What is
-    not ``wanted`` is waited for no longer.
+    Newton's method starts from the chord's root and stays in a shrinking bracket, so that it ends
+    even if the values at both ends have one sign: a root that rounding lost is at ``lo`` then.
+    Lanes that are not ``wanted`` are not waited for.
     """
+    # Start at the root of the chord, or at the middle if rounding puts that outside.
     first, last = horner(q, lo), horner(q, hi)
     t = lo + (hi - lo) * divide(first, first - last)
     t = where((lo < t) & (t < hi), t, 0.5 * (lo + hi))
     for _ in range(REFINEMENTS):
+        # Shrink the bracket by the side of the value, then take a Newton step or halve.
         f = horner(q, t)
         stays = (f > 0.0) == solid
         lo, hi = where(stays, t, lo), where(stays, hi, t)
@@ -88,30 +95,34 @@ def refine(q, lo, hi, solid, wanted):
 
 @kernel(exact=True)
 def ends_solid(q):
-    """Whether the cubic is above 0 at t = 1."""
+    """Return whether the cubic is above 0 at t = 1."""
     return q[0] + q[1] + q[2] + q[3] > 0.0
 
 
 @kernel(exact=True)
 def beyond(f, solid, blur):
-    """Whether the values ``f`` lie on the other side than ``solid`` by more than ``blur``."""
+    """Return whether the values ``f`` lie on the other side than ``solid`` by more than
+    ``blur``.
+    """
     return where(solid, -f, f) > blur
 
 
 @kernel(exact=True)
 def first_crossing(q, solid, blur, wanted):
-    """Smallest t in [0, 1] at which the cubic leaves the side ``solid``: (t, whether it is there
-    and ``wanted``).
+    """Return the smallest t in [0, 1] at which the cubic leaves the side ``solid``, and whether
+    there is one.
 
-    Where there is none, t says nothing. Where the cubic turns within ``blur`` of 0 it only touches
+    Lanes that are not ``wanted`` have none. A cubic that turns within ``blur`` of 0 only touches
     the surface, and stays on its side.
     """
+    # Reject cubics whose Bernstein coefficients all lie on the starting side: they have no zero.
     across = ends_solid(q) != solid
     b1 = q[3] + q[2] / 3.0
     b2 = q[3] + (2.0 * q[2] + q[1]) / 3.0
     leaves = wanted & (across | ((b1 > 0.0) != solid) | ((b2 > 0.0) != solid))
     if not any_of(leaves):
         return q[3], leaves
+    # Split at the turning points, and take the first monotone piece that ends on the other side.
     r1, r2 = turning_points(q)
     turns = r1 > 0.0
     one = turns & beyond(horner(q, r1), solid, blur)

@@ -1,8 +1,8 @@
-"""Conservative traversal in float32: rays in SIMD lanes, followed to the first cell that may hold
-the surface.
+"""Conservative traversal in float32: SIMD lanes follow rays to the first cell that may hold the
+surface.
 
-Empty space is skipped by the active-cell map. What float32 cannot prove is left to the float64
-intersection.
+The active-cell map skips empty space. A lane stops at a cell if float32 cannot prove that the field
+keeps its sign there; the float64 intersection decides then (``cast_batch``).
 """
 
 from typing import Any, NamedTuple
@@ -15,12 +15,17 @@ from isogi_core.kernels.tracing.active_cells import BRICK_CELLS, POSITION_ERROR
 from isogi_core.kernels.tracing.ray_stream import STRAY_BIT
 
 MIN_BUSY_LANES = RAY_WIDTH // 2
-"""Fewer lanes than these at work, and the others take the next rays."""
+"""Lanes at work below which idle lanes take the next rays."""
 
 MAX_WAITING_LANES = max(RAY_WIDTH // 3, 1)
-"""Lanes at a cell that may hold the surface before these cells are looked at."""
+"""Lanes that wait at a cell that may hold the surface, from which on these cells are tested."""
 
 MISS = -1
+"""Results of the traversal that name no cell: no hit, or a case that only ``cast`` can decide.
+
+Of 2³¹ voxels neither of the last two is the lowest corner of a cell, so that no cell has these
+codes.
+"""
 UNSURE = -2
 """Results of the traversal that are no cell: the ray meets nothing, or only ``cast`` can decide.
 
@@ -28,17 +33,21 @@ Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is 
 """
 
 HUGE_INVERSE = 1e30
-"""Stands for 1/0: times nothing it is nothing."""
+"""Stands for 1/0, so that its product with 0 is 0."""
 
 
 class Ray(NamedTuple):
-    """What stays the same while lanes follow their rays; all mirrored, f32×N and i32×N.
+    """Constants of the rays that lanes follow, f32×N and i32×N, in mirrored coordinates (all
+    directions ≥ 0).
 
-    ``owner`` the ray's column in the stream; ``o``, ``d`` origin and direction, ``inv`` its
-    reciprocals; ``end`` the way to the exit, ``iso`` the isovalue; ``mirror`` the stream's;
-    ``octant`` where the skips of the direction's octant begin in a word, ``flip`` turns a cell's
-    place in its brick back; ``stride`` and ``base`` lead to cells (see ``linear``); ``limit`` the
-    cells behind the last ones.
+    - ``owner``: column of the ray in the stream.
+    - ``o``, ``d``, ``inv``: origin, direction and its reciprocals.
+    - ``end``, ``iso``: distance to the exit, and isovalue.
+    - ``mirror``: axes that are mirrored, as bits.
+    - ``octant``: shift of the skip distances of the direction's octant in a word of the map.
+    - ``flip``: mask that turns a mirrored cell's place in its brick back.
+    - ``stride``, ``base``: flat addresses of bricks (see ``linear``).
+    - ``limit``: first cell behind the volume along each axis.
     """
 
     owner: Any
@@ -57,25 +66,25 @@ class Ray(NamedTuple):
 
 @kernel()
 def points_along(p, t, d):
-    """The points p + t·d of lanes."""
+    """Return the points p + t·d of all lanes."""
     return fma(t, d[0], p[0]), fma(t, d[1], p[1]), fma(t, d[2], p[2])
 
 
 @kernel()
 def choose_points(mask, a, b):
-    """The vectors a where the mask is set, else b."""
+    """Return the points ``a`` in lanes of the mask, else ``b``."""
     return where(mask, a[0], b[0]), where(mask, a[1], b[1]), where(mask, a[2], b[2])
 
 
 @kernel()
 def linear(c, stride, base):
-    """Place of cell or brick c in a flat array."""
+    """Return the flat address of cell or brick ``c``."""
     return c[0] * stride[0] + c[1] * stride[1] + c[2] * stride[2] + base
 
 
 @kernel()
 def strides_of(mirror, y, z, last):
-    """Strides (x, y, z) and base in a flat array with rows of ``y`` and planes of ``z``, for
+    """Return strides (x, y, z) and base of a flat array with rows of ``y`` and planes of ``z``, for
     mirrored lanes.
 
     ``last`` is the index of the last element along x, y, z.
@@ -87,22 +96,22 @@ def strides_of(mirror, y, z, last):
 
 @kernel()
 def filled(n):
-    """Cells along an axis of ``n`` voxels when the last brick is filled up."""
+    """Return the cells along an axis of ``n`` voxels, rounded up to whole bricks."""
     return (n - 1 + BRICK_CELLS - 1) // BRICK_CELLS * BRICK_CELLS
 
 
 @kernel()
 def last_cell(descends, n):
-    """The cell behind the last one along a mirrored axis of ``n`` voxels; ``descends`` is not 0
-    where it is turned.
+    """Return the cell behind the last one along an axis of ``n`` voxels; ``descends`` is not 0
+    if it is mirrored.
     """
     return where(descends != 0, filled(n), n - 1)
 
 
 @kernel()
 def first_cell(x, descends, limit, n):
-    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels that ends before
-    ``limit``.
+    """Return the cell of the mirrored coordinate ``x`` along an axis of ``n`` voxels that ends
+    before ``limit``.
     """
     lowest = where(descends != 0, filled(n) - (n - 1), 0)
     return min(max(i32(x), lowest), limit - 1)
@@ -110,16 +119,15 @@ def first_cell(x, descends, limit, n):
 
 @kernel()
 def unmirror(c, descends, n):
-    """Cell index in the volume along an axis of ``n`` voxels."""
+    """Return the index in the volume of a mirrored cell along an axis of ``n`` voxels."""
     return min(where(descends != 0, filled(n) - 1 - c, c), n - 2)
 
 
 @kernel()
 def least_node(c, mirror, shape):
-    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the
-    cell.
+    """Return the flat index of the lowest corner of the lanes' cells, which names the cell.
 
-    Cells that stand beyond the last one, to fill up a brick, get the last one's name.
+    Cells beyond the last one, which only fill up a brick, get the last one's name.
     """
     nz, ny, nx = shape
     x = unmirror(c[0], mirror & 1, nx)
@@ -130,15 +138,18 @@ def least_node(c, mirror, shape):
 
 @kernel()
 def look_up(cells, c, ray):
-    """What the active-cell map says of cells ``c``: (active, corner's bits of c, side of the empty
-    cube there).
+    """Look cells ``c`` up in the active-cell map: (active, mask of c's corner, side of the
+    empty cube there).
     """
+    # Read the word of the brick: skip distances of eight octants, or a pointer to its cells.
     top = gather(cells.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     near = (top >> 28) == 0
+    # Read the word of the cell's layer: 16 bits of active cells, and 16 of cells without near ones.
     layer = (top << 2) + ((c[2] ^ (ray.flip >> 4)) & 3)
     word = gather(cells.cells, where(near, layer, 0))
     word = word >> (((c[0] & 3) | ((c[1] & 3) << 2)) ^ (ray.flip & 15))
     close = near & ((word & 0x10000) != 0)
+    # Skip one or two cells within a brick, or up to 15 bricks.
     size = where(near, where(close, 1, 2), ((top >> ray.octant) & 15) << 2)
     keep = where(near, where(close, -1, -2), -4)
     return near & ((word & 1) != 0), keep, size
@@ -146,13 +157,15 @@ def look_up(cells, c, ray):
 
 @kernel()
 def leave(ray, c, low, size):
-    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then, whether that
+    """Return where lanes leave a cube of cells with corner ``low``: (t, next cell, whether it
     is outside).
     """
     n = low[0] + size, low[1] + size, low[2] + size
     tx = (f32(n[0]) - ray.o[0]) * ray.inv[0]
     ty = (f32(n[1]) - ray.o[1]) * ray.inv[1]
     tz = (f32(n[2]) - ray.o[2]) * ray.inv[2]
+    # The nearest of the three far planes is the exit; cells never go backwards, whatever rounding
+    # says.
     t = min(min(tx, ty), tz)
     p = points_along(ray.o, t, ray.d)
     x = where(tx <= t, n[0], max(c[0], i32(p[0])))
@@ -163,16 +176,17 @@ def leave(ray, c, low, size):
 
 @kernel()
 def lerp(a, b, t):
-    """a + t (b - a)."""
+    """Return a + t (b - a)."""
     return fma(t, b - a, a)
 
 
 @kernel()
 def bernstein(v, a, b):
-    """Bernstein coefficients of the trilinear field from ``a`` to ``b`` in the unit cell; ``v`` its
-    corners.
+    """Return the Bernstein coefficients of the trilinear field from ``a`` to ``b`` in the unit cell
+    with corners ``v``.
 
-    By the field's blossom: its values at the corners of the box between a and b, averaged.
+    They are values of the field's blossom: at the corners of the box between a and b, averaged. If
+    all have one sign, the field keeps that sign along the segment.
     """
     x0 = lerp(v[0], v[1], a[0])
     x1 = lerp(v[2], v[3], a[0])
@@ -194,10 +208,9 @@ def bernstein(v, a, b):
 
 @kernel()
 def corner_values(flat, place, turned, sy, sz, iso):
-    """The eight corner values less the isovalue of cells whose lowest x and first y, z corner is at
-    ``place``.
+    """Return the eight corner values less the isovalue of cells with the first corner at ``place``.
 
-    ``turned`` where x is mirrored; ``sy`` and ``sz`` lead to the second corner along y and z.
+    ``turned`` lanes are mirrored in x; ``sy`` and ``sz`` lead to the second corner along y and z.
     """
     a, b = gather_pair(flat, place)
     c, d = gather_pair(flat, place + sy)
@@ -217,9 +230,10 @@ def corner_values(flat, place, turned, sy, sz, iso):
 
 @kernel()
 def certain(volume, cells, ray, c, span, sign, lanes):
-    """Whether the field has ``sign`` for certain in cells ``c`` of the chosen ``lanes``, on the
+    """Return in which of the ``lanes`` the field certainly keeps ``sign`` in cell ``c`` on the
     ``span`` (in, out).
     """
+    # Gather the corners of the cell.
     flat, (_, ny, nx) = volume
     bz, by, bx = cells.shape
     stride, base = strides_of(
@@ -229,6 +243,7 @@ def certain(volume, cells, ray, c, span, sign, lanes):
     place = linear(c, stride, base) + where(turned, -1, 0)
     sy, sz = where(lanes, stride[1], 0), where(lanes, stride[2], 0)
     v = corner_values(flat, where(lanes, place, 0), turned, sy, sz, ray.iso)
+    # Compare the Bernstein coefficients with the margin of float32 errors in this brick.
     corner = f32(c[0]), f32(c[1]), f32(c[2])
     p = ray.o[0] - corner[0], ray.o[1] - corner[1], ray.o[2] - corner[2]
     b = bernstein(v, points_along(p, span[0], ray.d), points_along(p, span[1], ray.d))
@@ -239,14 +254,14 @@ def certain(volume, cells, ray, c, span, sign, lanes):
 
 @kernel()
 def cell_of(word):
-    """The cell of a word of ``put_cells``: its upper 31 bits."""
+    """Return the cell of a word of ``put_cells``: its upper 31 bits."""
     return (word >> 1) & 0x7FFFFFFF
 
 
 @kernel()
 def put_cells(found, entries, owner, cell, sign, t, lanes):
-    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays, and ``t`` to
-    ``entries``.
+    """Write 2 · cell + (1 if solid) of the chosen lanes to ``found`` at their rays, and ``t``
+    to ``entries``.
     """
     word = cell * 2 + where(sign > 0.0, 1, 0)
     chosen = bits(lanes)
@@ -262,7 +277,7 @@ def put_cells(found, entries, owner, cell, sign, t, lanes):
 
 @kernel()
 def put_word(found, owner, word, lanes):
-    """Write ``word`` of the chosen lanes to ``found`` at their rays."""
+    """Write ``word`` to ``found`` at the rays of the chosen lanes."""
     chosen = bits(lanes)
     lane = 0
     while chosen != 0:
@@ -274,7 +289,7 @@ def put_word(found, owner, word, lanes):
 
 @kernel()
 def no_ray():
-    """Lanes that follow nothing yet."""
+    """Return lanes that follow no ray yet."""
     zero = f32(0.0)
     nought = i32(0)
     point = (zero, zero, zero)
@@ -284,11 +299,12 @@ def no_ray():
 
 @kernel()
 def take_rays(records, following, turn, fresh, ray, shape, cells):
-    """The ``ray`` with the stream's rays from ``following`` on in the ``fresh`` lanes; ``turn``
-    numbers them.
+    """Return ``ray`` with rays of the stream from ``following`` on in the ``fresh`` lanes;
+    ``turn`` numbers them.
     """
     nz, ny, nx = shape
     bz, by, bx = cells.shape
+    # Read origin, direction, exit and isovalue of the next rays.
     x = take(records[0], following, fresh)
     y = take(records[1], following, fresh)
     z = take(records[2], following, fresh)
@@ -304,6 +320,7 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
     end = where(fresh, take(records[6], following, fresh), ray.end)
     iso = where(fresh, take(records[7], following, fresh), ray.iso)
     mirror = where(fresh, i32(take(records[9], following, fresh)), ray.mirror)
+    # Derive the addresses that mirrored axes need.
     flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
     stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
     limit = last_cell(mirror & 1, nx), last_cell(mirror & 2, ny), last_cell(mirror & 4, nz)
@@ -313,8 +330,11 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
 
 @kernel()
 def enter(volume, cells, ray, given):
-    """Where rays begin: (cell, the field's sign there, whether that is in doubt); ``given`` the
-    sign, or 0.
+    """Return where rays begin: (cell, sign of the field there, whether it is in doubt); ``given``
+    is the sign, or 0.
+
+    A start is in doubt if the field must be evaluated in an active cell, or contradicts the given
+    sign.
     """
     flat, shape = volume
     nz, ny, nx = shape
@@ -331,12 +351,12 @@ def enter(volume, cells, ray, given):
 
 @kernel()
 def traverse(volume, cells, records, count, found, entries):
-    """Write to ``found`` what each of ``count`` rays meets: UNSURE, or 2 · cell + (1 from a solid
-    side).
+    """Write the first cell that each of ``count`` rays may hit to ``found``, as 2 · cell + (1 from
+    a solid side), or UNSURE.
 
-    ``volume`` (flat voxels, shape), ``cells`` its active-cell map, ``records`` (FIELDS, n) the
-    stream's, see ``ray_stream``. Rays that meet nothing keep what was there. ``entries`` is the way
-    to that cell, in steps of the direction's largest component.
+    ``volume`` is (flat voxels, shape), ``cells`` its active-cell map, ``records`` (FIELDS, n) the
+    stream of rays (see ``ray_stream``). Rays that hit nothing keep their entry. ``entries`` is the
+    distance to that cell, in steps of the direction's largest component.
     """
     shape = volume[1]
     ray = no_ray()
@@ -348,6 +368,7 @@ def traverse(volume, cells, records, count, found, entries):
     following = 0
     slack = POSITION_ERROR * max(shape)
     while True:
+        # Give idle lanes the next rays of the stream, once enough of them are idle.
         idle = ~(walking | waiting)
         if following < count and popcount(idle) > RAY_WIDTH - MIN_BUSY_LANES:
             turn = rank(idle) + following
@@ -360,10 +381,12 @@ def traverse(volume, cells, records, count, found, entries):
             sign = where(fresh, first, sign)
             walking = walking | (fresh & ~doubtful)
             following = min(count, following + popcount(idle))
+        # End if all rays are done.
         if popcount(walking | waiting) == 0:
             if following >= count:
                 return
             continue
+        # Let walking lanes skip empty space until enough of them wait at an active cell.
         while True:
             ahead = popcount(walking)
             if ahead == 0 or popcount(waiting) >= MAX_WAITING_LANES:
@@ -377,6 +400,8 @@ def traverse(volume, cells, records, count, found, entries):
             put_word(found, ray.owner, UNSURE, walking & outside & (out < ray.end - slack))
             walking = walking & ~outside
             t, c = where(walking, out, t), choose_points(walking, after, c)
+        # Test the cells of waiting lanes: those that certainly hold no surface walk on, others are
+        # written.
         if popcount(waiting) >= MAX_WAITING_LANES or popcount(walking) == 0:
             out, after, outside = leave(ray, c, c, i32(1))
             passed = certain(volume, cells, ray, c, (t, out), sign, waiting)

@@ -1,9 +1,13 @@
-"""Radiance transfer of texels (S1, eqs. 6 and 8): their points, their paths, strays, and irradiance
-of fixed light.
+"""Light of texels: their points, radiance transfer (S1, eqs. 6 and 8), irradiance, and projection.
 
-Strays: starts of paths of which one meets a surface outside of a box. What lies outside may be
-taken away, and the paths of all others stay as they are, to the bit: no ray of theirs met anything
-there, and where there is less matter nothing new is in their way.
+A texel is lit on the isosurface through its own point. ``locate_texels`` finds point, normal and
+isovalue; ``bake_texels`` traces paths from there and projects their ends on spherical harmonics;
+``bake_irradiance`` sums the light of an environment that does not turn. ``project_texels`` moves
+texels onto one given isosurface.
+
+``find_strays`` serves cuts: it marks texels that have a path that hits matter outside of a box. If
+matter outside of the box is taken away, the paths of all other texels keep their bits: no ray of
+theirs hit anything there, and less matter blocks no ray.
 """
 
 import math
@@ -82,16 +86,19 @@ TEXEL_PLACES = types.int32[:, ::1]
 
 @kernel()
 def texel_seed(z, y, x, half):
-    """The sequence of a lattice texel and one of its two independent randomisations (half = 0 or
-    1).
+    """Return the seed of a lattice texel for one of its two independent randomisations, half 0 or
+    1.
+
+    The two halves of a texel's samples give an estimate of its noise.
     """
     return mix(mix(mix(z, y), x), half)
 
 
 @kernel(exact=True)
 def hemmed(field, p, n, level):
-    """Whether it is solid RAY_OFFSET_VOXELS above ``p`` along the normal ``n``: light has no room
-    to arrive there.
+    """Return whether the field is solid RAY_OFFSET_VOXELS above ``p`` along the normal ``n``.
+
+    Light has no room to arrive at such a point.
     """
     up = to_index(n, field.spacing)
     return (
@@ -106,18 +113,20 @@ def hemmed(field, p, n, level):
     )
 )
 def locate_texels(field, step, texels, points, normals, isovalues, void):
-    """Where ``texels`` (m, 3; z, y, x) are, ``points`` (3, m), and the surface through each of
-    them.
+    """Find the points of ``texels`` (m, 3; z, y, x), (3, m) in index space, and the isosurface
+    through each.
 
-    ``step`` (3,) voxels per texel along x, y, z. Writes ``normals`` (3, m), the voxel-space
-    isovalue each texel is lit on, a float32, and whether it is void: no gradient there, no number,
-    no side of its own, or hemmed in. Those at the edge of a plateau leave their place: see
-    ``leave_plateau``.
+    ``step`` (3,) holds the voxels per texel along x, y, z. Writes ``normals`` (3, m), the float32
+    isovalue in units of the voxels that each texel is lit on, and whether it is void. A texel is
+    void if it has no gradient, no value or no outer side, or if it is hemmed in. Texels at the edge
+    of a plateau move to its rim: see ``leave_plateau``.
     """
     for m in range(texels.shape[0]):
+        # Evaluate the field and its smoothed gradient (S1, fig. 5) at the texel.
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
         n = normal(field, p)
         v = np.float32(value(field.voxels, p))
+        # Move the texel to the rim of a plateau if it lies on one.
         if not (math.isnan(v) or is_zero(n)):
             p, n, v = leave_plateau(field, p, n)
         void[m] = math.isnan(v) or is_zero(n) or hemmed(field, p, n, v)
@@ -128,32 +137,37 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 @Choice
 def make_carried(scene, paths):
-    """Room (3, n) for what n ``paths`` carry: none where all reflect alike."""
+    """Allocate the albedos (3, n) that n ``paths`` carry; empty if the whole surface reflects
+    alike.
+    """
 
 
 @Choice
 def count_ends(ends, carried, rules, c, counts):
-    """Fill ``counts`` (n,) with what each path counts in channel ``c`` by the ``rules``.
+    """Fill ``counts`` (n,) with the weight of each path in channel ``c`` by the ``rules``.
 
-    Returns which blocks of the ``PathEnds`` count at all, (first, last): the others are left.
+    Returns the range of blocks of the ``PathEnds`` with weights that are not 0, (first, last).
     """
 
 
 @make_carried.case(Open)
 def make_nothing(scene, paths):
-    """No room: all paths reflect alike."""
+    """Allocate nothing: the whole surface reflects alike."""
     return np.ones((3, 0))
 
 
 @limits.case(TransferRules)
 def limits_of_transfer(rules):
-    """Two weights are of no bounces, and of paths that never leave."""
+    """Return the bounces and branches; two weights are of paths without bounces, and of those
+    that never leave.
+    """
     return rules.weights.shape[1] - 2, rules.branches
 
 
 @count_ends.case(TransferRules)
 def count_by_weights(ends, carried, rules, c, counts):
-    """Count each path by the weight of its bounces, and a branch over the number of branches."""
+    """Weight each path by the number of its bounces; branches share the weight of their path."""
+    # Skip blocks of paths whose weights are all 0: the unbranched ones, or the branches.
     weights = rules.weights[c]
     branches = rules.branches
     straight = weights[:2].any()
@@ -161,6 +175,7 @@ def count_by_weights(ends, carried, rules, c, counts):
     first = 0 if straight or branches == 1 else 1
     last = blocks(branches) if reflected else 1
     stride = ends.bounces.shape[0] // blocks(branches)
+    # Weight 0 belongs to paths that never leave, weight k + 1 to those that leave after k bounces.
     for m in range(first * stride, last * stride):
         bounces = ends.bounces[m]
         if bounces != NO_PATH:
@@ -173,14 +188,16 @@ def count_by_weights(ends, carried, rules, c, counts):
 
 @kernel()
 def add_harmonics(ends, counts, order, starts, samples, some, sums):
-    """Add harmonics of this ``order`` of the ends of ``trace_ends`` to ``sums`` (i // PATH_WIDTH,
-    n² PATH_WIDTH).
+    """Add the spherical harmonics of the directions of ``PathEnds`` to ``sums`` (blocks of starts,
+    n² · PATH_WIDTH).
 
-    They are from ``starts`` starts with ``samples`` each, and the blocks that are ``some`` (first,
-    last) of the ``PathEnds``. Lane i % PATH_WIDTH is of start i, and takes its samples in their
-    order, and each one's branches in theirs: the company of a start changes no bit.
+    There are ``starts`` starts; ``samples`` are the samples that each took, and the room for
+    samples; ``some`` (first, last) is the range of blocks of ends. Lane i % PATH_WIDTH of block i
+    // PATH_WIDTH belongs to start i, and takes its samples in order, and the branches of each in
+    order. So the result does not depend on which starts are traced together.
     """
     stride = starts * samples[1]
+    # Evaluate the harmonics of one end of PATH_WIDTH starts at a time.
     for block in range(sums.shape[0]):
         for s in range(samples[0]):
             for j in range(some[0], some[1]):
@@ -191,11 +208,11 @@ def add_harmonics(ends, counts, order, starts, samples, some, sums):
 
 @kernel()
 def project_ends(ends, carried, rules, orders, starts, samples, sums):
-    """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each by its rule: see
+    """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each with its weight by
     ``count_ends``.
 
-    ``samples`` are how many each of the ``starts`` took, and how many there is room for. Source:
-    S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
+    ``samples`` are the samples that each of the ``starts`` took, and the room for samples. Source:
+    S1, eq. 8 with cosine-distributed directions, τ_i = Σ R^k Y_i(ω) / N.
     """
     counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
@@ -205,7 +222,9 @@ def project_ends(ends, carried, rules, orders, starts, samples, sums):
 
 @kernel()
 def exchange(sums, rows, outside, store):
-    """Copy between ``sums`` (see ``project_ends``) and those of ``bake_texels``, ``outside``."""
+    """Copy between the block layout of ``project_ends`` and the sums ``outside`` of
+    ``bake_texels``; ``store`` writes to these.
+    """
     for i in range(2 * rows.shape[0]):
         block = i // PATH_WIDTH
         lane = i % PATH_WIDTH
@@ -221,7 +240,7 @@ def exchange(sums, rows, outside, store):
 
 @kernel()
 def start_halves(place, rows):
-    """The ``PathStarts`` of the ``rows`` and each of their two halves."""
+    """Return the ``PathStarts`` of both halves of each of the ``rows``."""
     texels, points, normals, isovalues = place
     g = 2 * rows.shape[0]
     here = np.empty((3, g))
@@ -239,18 +258,22 @@ def start_halves(place, rows):
 
 @kernel()
 def bake_together(scene, place, rows, samples, rules, orders, out):
-    """``bake_rows`` of a few texels whose paths go together."""
+    """Bake a few texels whose paths fill waves together; arguments as for ``bake_rows``."""
+    # Take starts in pairs, one for each half of a texel's samples.
     g = 2 * rows.shape[0]
     last = samples.first + samples.count
     (bounces, branches) = limits(rules)
     starts = start_halves(place, rows)
+    # Trace as many samples at once as fill a wave.
     step = min(max(WAVE_PATHS // g, 1), samples.count)
     most = orders.max()
     tree = PathTree(bounces, rules.survival, branches)
     ends = make_ends(g, step, branches)
     carried = make_carried(scene, ends.bounces.shape[0])
     sums = np.zeros((orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
+    # Continue the sums of former samples, so that refinement gives the same bits as one long bake.
     exchange(sums, rows, out, False)
+    # Trace the paths to their ends, and project these on spherical harmonics.
     for begin in range(samples.first, last, step):
         some = SampleRange(begin, min(step, last - begin))
         trace_ends(scene, starts, some, tree, ends, carried)
@@ -260,7 +283,7 @@ def bake_together(scene, place, rows, samples, rules, orders, out):
 
 @kernel()
 def bake_rows(scene, place, rows, samples, rules, orders, sums):
-    """Add to ``sums`` what a ``SampleRange`` of paths brings to the ``rows``: see
+    """Add a ``SampleRange`` of paths from the ``rows`` to ``sums``, some texels at a time: see
     ``bake_texels``.
     """
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
@@ -287,20 +310,23 @@ TRANSFER_SUMS = types.float64[:, :, :, ::1]
     )
 )
 def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
-    """Sums of a ``SampleRange`` for the ``rows`` and each of their two halves.
+    """Add a ``SampleRange`` of transfer samples of the ``rows`` to ``sums``, for both halves of
+    each texel.
 
-    ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the
-    latter within the range of ``cells``. The weights (channels, bounces + 2) of the
-    ``TransferRules`` are what a path counts that left after k bounces, at k + 1, or never, at 0.
-    Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1,
-    section 4.1, "for all texels".
+    ``place`` holds the input and output of ``locate_texels``: texels, points, normals and
+    isovalues, which lie within the range of ``cells``. The weights (channels, bounces + 2) of the
+    ``TransferRules`` hold the weight of a path that never leaves at 0, and of one that leaves after
+    k bounces at k + 1. ``sums`` are (m, 2, channels, n²), where n is the greatest of the channels'
+    ``orders``. Source: S1, section 4.1, "for all texels".
     """
     bake_rows(Open(field, cells), place, rows, samples, rules, orders, sums)
 
 
 @kernel()
 def light_together(field, cells, place, rows, samples, rules, light, sums):
-    """``bake_irradiance`` for a few texels whose paths go together."""
+    """Bake the irradiance of a few texels whose paths fill waves together: see
+    ``bake_irradiance``.
+    """
     some = np.empty((2 * rows.shape[0], 3))
     for i in range(some.shape[0]):
         some[i] = sums[rows[i // 2], i % 2]
@@ -322,12 +348,13 @@ def light_together(field, cells, place, rows, samples, rules, light, sums):
     )
 )
 def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
-    """Sums of a ``SampleRange`` of E/π for the ``rows`` and each of their two halves.
+    """Add a ``SampleRange`` of E/π of the ``rows`` to ``sums`` (m, 2, 3), for both halves of each
+    texel.
 
-    ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers
-    these are; the weights (bounces + 1, 3) of the ``PathRules`` are R^k over the chance to get
-    there (see ``russian_roulette``); ``light`` the Surroundings. Adds linear RGB, with all bounces,
-    to ``sums`` (m, 2, 3): times the albedo it is the radiance that leaves the surface.
+    ``place`` and the random numbers are those of ``bake_texels``. The weights (bounces + 1, 3) of
+    the ``PathRules`` are R^k over the probability to get there (see ``russian_roulette``);
+    ``light`` are the Surroundings. The sums are linear RGB with all bounces; times the albedo they
+    are the radiance that leaves the surface.
     """
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
@@ -335,10 +362,10 @@ def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
 
 
 class Confines(NamedTuple):
-    """Where paths may meet surfaces: a ``box`` (2, 3) of index space, its least and its greatest
+    """The ``box`` (2, 3) in index space within which paths may meet surfaces, least and greatest
     corner.
 
-    Paths go on as a ``PathTree`` says: by its ``bounces``, ``survival`` and ``branches``.
+    ``bounces``, ``survival`` and ``branches`` are those of a ``PathTree``.
     """
 
     bounces: int
@@ -348,8 +375,8 @@ class Confines(NamedTuple):
 
 
 class Strays(NamedTuple):
-    """Which of g starts have a path that met something outside of a ``box``, ``marks`` (g,): it
-    ends there.
+    """Marks (g,) of the starts that have a path that hits something outside of a ``box``; such
+    paths end there.
     """
 
     box: Any
@@ -361,7 +388,7 @@ CONFINES_RECORD = record(Confines, types.int64, types.float64, types.int64, REAL
 
 @kernel()
 def is_within(p, box):
-    """Whether the point ``p`` lies in a ``box``."""
+    """Return whether the point ``p`` lies in a ``box``."""
     return (
         box[0, 0] <= p[0] <= box[1, 0]
         and box[0, 1] <= p[1] <= box[1, 1]
@@ -371,8 +398,8 @@ def is_within(p, box):
 
 @gather_met.case(Strays)
 def mark_strays(scene, state, vertices, bounce, strays):
-    """Mark the starts whose rays hit something outside of the box; returns how many go on, of all
-    others.
+    """Mark the starts of rays that hit something outside of the box; return the number of paths
+    that continue.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -391,8 +418,8 @@ def mark_strays(scene, state, vertices, bounce, strays):
 
 @kernel()
 def trace_strays(scene, starts, samples, confines, marks):
-    """Mark which of g ``PathStarts`` stray, ``marks`` (g,), by a ``SampleRange`` of the paths of
-    ``trace_ends``.
+    """Mark the ``PathStarts`` that stray in ``marks`` (g,), by a ``SampleRange`` of the paths
+    of ``trace_ends``.
     """
     tree = PathTree(confines.bounces, confines.survival, confines.branches)
     total = starts.isovalues.shape[0] * samples.count
@@ -412,10 +439,10 @@ def trace_strays(scene, starts, samples, confines, marks):
     )
 )
 def find_strays(field, cells, place, rows, samples, confines, strays):
-    """Mark which of the ``rows`` are ``strays`` (m,), by a ``SampleRange`` of each of their two
+    """Mark the ``rows`` that stray in ``strays`` (m,), by a ``SampleRange`` of both of their
     halves.
 
-    ``place`` is what ``locate_texels`` took and wrote, and the paths are those of ``bake_texels``.
+    ``place`` and the paths are those of ``bake_texels``.
     """
     together = max(WAVE_PATHS // (2 * samples.count), 1)
     for i in range(0, rows.shape[0], together):
@@ -427,11 +454,12 @@ def find_strays(field, cells, place, rows, samples, confines, strays):
 
 
 class ColouredRules(NamedTuple):
-    """What a path counts in each of r rows of sums, and how it goes on: see ``PathTree``.
+    """Weights of a path in each of r rows of sums on a coloured surface, and its ``PathTree``.
 
-    Rows have harmonics of ``orders`` (r,). One that leaves at once counts ``straight`` (r,), and
-    one after k bounces ``reflected`` (r,), times the albedos of what it hit over the chance to get
-    there, as ``mixes`` (r, 3) mix them, or the square of that in rows that are ``squared`` (r,).
+    Rows have harmonics of ``orders`` (r,). A path that leaves at once has the weight ``straight``
+    (r,). A path that leaves after bounces has the weight ``reflected`` (r,), times the product of
+    the albedos that it met over the probability to get there, mixed from RGB by ``mixes`` (r, 3);
+    rows that are ``squared`` (r,) take the square of that product.
     """
 
     orders: Any
@@ -449,8 +477,8 @@ COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float6
 
 
 class Coloured(NamedTuple):
-    """One isosurface of a ``field``, within its active ``cells``, whose albedo the ``colours`` say
-    at each place.
+    """One isosurface of a ``field`` within its active ``cells``, whose albedo ``colours``
+    define at each point.
     """
 
     field: Any
@@ -460,26 +488,27 @@ class Coloured(NamedTuple):
 
 @limits.case(ColouredRules)
 def limits_of_colours(rules):
-    """Say how far paths go by ColouredRules."""
+    """Return the bounces and branches of ColouredRules."""
     return rules.bounces, rules.branches
 
 
 @make_carried.case(Coloured)
 def make_albedos(scene, paths):
-    """Room for the albedos that each path has met, multiplied."""
+    """Allocate the products of the albedos that each path met."""
     return np.ones((3, paths))
 
 
 @advance.case(Coloured)
 def advance_on_colours(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, to carry its albedo over the ``chance`` that they
-    go on.
+    """Move the paths that hit the surface there, and multiply what they carry by albedo over
+    probability.
     """
     rays = state.wave.rays
     carried = state.wave.carried
     chance = rules.survival if bounce > 0 else 1.0
     origins = columns(vertices.points, vertices.count)
     directions = columns(rays.directions, vertices.count)
+    # Multiply by the albedo at the hit point, divided by the probability of Russian roulette.
     for i in rays.hits[: following.count]:
         albedo = albedo_at(
             scene.colours, madd(column(origins, i), rays.t[i], column(directions, i))
@@ -491,9 +520,7 @@ def advance_on_colours(scene, state, vertices, following, bounce, rules):
 
 @begin_branches.case(Coloured, PathEnds)
 def carry_along(scene, wave, count, ends):
-    """Say of the wave's branches that they have not left, and carry what the paths do that they are
-    of.
-    """
+    """Mark new branches as unfinished, and give them what their parents carry."""
     branch_ends(wave, count, ends)
     for owner in wave.rays.owners[:count]:
         put_column(wave.carried, owner, column(wave.carried, owner % wave.starting))
@@ -501,8 +528,8 @@ def carry_along(scene, wave, count, ends):
 
 @kernel()
 def count_path(rules, row, bounces, carried, m):
-    """What path ``m`` counts in a ``row`` of sums that left after its ``bounces``; nothing if it
-    never did.
+    """Return the weight of path ``m`` that left after its ``bounces`` in a ``row`` of sums; 0
+    if it never left.
     """
     if bounces <= 0:
         if bounces == 0:
@@ -515,7 +542,7 @@ def count_path(rules, row, bounces, carried, m):
 
 @count_ends.case(ColouredRules)
 def count_by_albedos(ends, carried, rules, c, counts):
-    """Count each path by the albedos that it met, and a branch over the number of branches."""
+    """Weight each path by the albedos that it met; branches share the weight of their path."""
     paths = ends.bounces.shape[0]
     for m in range(paths):
         counts[m] = count_path(rules, c, ends.bounces[m], carried, m)
@@ -536,7 +563,8 @@ def count_by_albedos(ends, carried, rules, c, counts):
     )
 )
 def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sums):
-    """``bake_texels`` of the same paths on a surface with ``colours``, by ColouredRules.
+    """Add transfer samples on a surface with ``colours``: ``bake_texels`` by ColouredRules, with
+    the same paths.
 
     Adds to ``sums`` (m, 2, r, n²): τ_i = Σ (Π R(x_j)) Y_i(ω) / N over the points x_j that a path
     hits.
@@ -551,20 +579,19 @@ to arrive there; or its own point has no normal.
 """
 
 MAX_BACKTRACK = 0.1
-"""Share of the way between two isovalues that the field may go back on its way from one to the
-other.
-"""
+"""Largest part of the way between two isovalues by which the field may run backwards in between."""
 
 
 @kernel(exact=True)
 def strays(voxels, p, d, level, reach):
-    """How far the field goes back between ``p`` and ``reach`` along ``d``, over its distance from
-    ``level`` at p.
+    """Return how far the field runs backwards from ``p`` to ``reach`` along ``d``, over its
+    distance from ``level``.
     """
     own = value(voxels, p)
     nearest = abs(own - level)
     back = 0.0
     t = STEP_VOXELS
+    # Sample the way in steps; the field should come nearer to the level with each.
     while t < reach:
         away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
         nearest, back, t = min(nearest, away), max(back, away - nearest), t + STEP_VOXELS
@@ -573,12 +600,12 @@ def strays(voxels, p, d, level, reach):
 
 @kernel(exact=True)
 def way_to(field, p, n, level, halvings=HALVINGS):
-    """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero:
-    (direction, voxels).
+    """Return direction and length in voxels of the way from ``p`` to the isosurface ``level`` along
+    the normal ``n``.
 
-    Out of the solid or into it, to where the trilinear field first crosses the level; the direction
-    is of index space, a voxel long, and the way, found by ``halvings`` (see ``crossing``), inf
-    where it does not within MAX_SHIFT_VOXELS.
+    ``n`` is not zero. The direction is a voxel long, in index space, out of the solid or into it.
+    The length goes to the first crossing of the trilinear field, refined by ``halvings`` (see
+    ``crossing``); it is infinite if there is none within MAX_SHIFT_VOXELS.
     """
     d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
     return d, crossing(field.voxels, p, d, level, halvings)
@@ -586,17 +613,18 @@ def way_to(field, p, n, level, halvings=HALVINGS):
 
 @kernel(exact=True)
 def project_point(field, p, level):
-    """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
+    """Move ``p`` along its normal onto the isosurface ``level``; return (verdict, point, normal).
 
-    The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are
-    TEXEL_PROJECTED … NO_SURFACE.
+    Point and normal are those of ``p`` if the verdict is not TEXEL_PROJECTED.
     """
+    # Follow the normal to the first crossing of the level.
     n = normal(field, p)
     if math.isnan(value(field.voxels, p)) or is_zero(n):
         return NO_SURFACE, p, n
     d, t = way_to(field, p, n, level)
     if not t < math.inf:
         return TOO_FAR, p, n
+    # Refuse a crossing on another sheet, with a turned normal, or without room for light.
     there = point_within(field.voxels.shape, p, d, t)
     m = normal(field, there)
     if strays(field.voxels, p, d, level, t) > MAX_BACKTRACK:
@@ -620,10 +648,10 @@ def project_point(field, p, level):
     )
 )
 def project_texels(field, step, level, texels, points, normals, verdicts):
-    """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, a voxel-space isovalue.
+    """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, in units of the voxels.
 
-    ``step`` (3,) voxels per texel along x, y, z. Writes ``points`` and ``normals`` (3, m), and the
-    ``verdicts`` (m,): TEXEL_PROJECTED, or why a texel stays where it is.
+    ``step`` (3,) holds the voxels per texel along x, y, z. Writes ``points`` and ``normals`` (3,
+    m), and the ``verdicts`` (m,): TEXEL_PROJECTED, or the reason why a texel stays in place.
     """
     for m in range(texels.shape[0]):
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
@@ -635,11 +663,11 @@ def project_texels(field, step, level, texels, points, normals, verdicts):
 
 @kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, TEXEL_PLACES, REAL_ARRAY))
 def measure_distances(field, step, level, texels, ways):
-    """Estimate the ``ways`` (m,), in voxels, from ``texels`` (m, 3; z, y, x) to the isosurface
-    ``level``.
+    """Estimate the distances ``ways`` (m,) in voxels from ``texels`` (m, 3; z, y, x) to the
+    isosurface ``level``.
 
-    To first order, |ρ - level| / |∇ρ| with the smoothed gradient; inf where that is zero, and where
-    ρ is not a number.
+    To first order, |ρ - level| / |∇ρ| with the smoothed gradient ∇ρ; infinite if that is zero or ρ
+    is not a number.
     """
     for m in range(texels.shape[0]):
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
