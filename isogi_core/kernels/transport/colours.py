@@ -1,6 +1,4 @@
-"""Colours by data: the albedo of an isosurface from a grid of values or labels and a table, and how
-it is sampled.
-"""
+"""Albedos of an isosurface from a grid of data values or labels and a colour table."""
 
 from typing import Any, NamedTuple
 
@@ -12,25 +10,25 @@ from isogi_core.kernels.tracing.field import VOXEL_ARRAY, clamp_cell, smooth_gra
 from isogi_core.kernels.tracing.vec import length
 
 NO_VALUE = 0
-"""The code of a place without a value."""
+"""Code of a place without a value."""
 
 LAST_CODE = 255
-"""The code of the highest value; 1 is that of the lowest."""
+"""Code of the highest value; the lowest has code 1."""
 
 LABEL_SHARE = 1.0 / 510.0
-"""What a byte of the second label's share counts: it has half at most."""
+"""Unit of the byte that holds the share of the second label; the share is 0.5 at most."""
 
 SLACK = 1e-6
-"""Voxels by which a place may lie outside of a volume and count as on its border."""
+"""Distance in voxels outside of a volume at which a place still counts as on its border."""
 
 
 class Colours(NamedTuple):
-    """The ``codes`` uint8 (nz, ny, nx) of values, or the ``labels`` uint8 (nz, ny, nx, 3); the
-    other has no places.
+    """A grid of ``codes`` uint8 (nz, ny, nx) of values, or of ``labels`` uint8 (nz, ny, nx, 3); the
+    other is empty.
 
-    Places lie ``step`` (3,) voxels apart along x, y, z. A place has two labels, and the second
-    one's share in SHAREs. ``table`` (256, 3) float64 holds the albedo of each code, linear RGB; its
-    first row is that of NO_VALUE.
+    Places lie ``step`` (3,) voxels apart along x, y, z. A place has two labels, and the share of
+    the second in units of LABEL_SHARE. ``table`` (256, 3) float64 holds the linear RGB albedo of
+    each code; its first row belongs to NO_VALUE.
     """
 
     codes: Any
@@ -52,7 +50,7 @@ COLOURS_RECORD = record(
 
 
 def colours_of(places: np.ndarray, step: tuple[float, float, float], table: np.ndarray) -> Colours:
-    """The colours of ``places``: codes (nz, ny, nx), or labels (nz, ny, nx, 3)."""
+    """Make Colours of ``places``: codes (nz, ny, nx), or labels (nz, ny, nx, 3)."""
     if places.ndim == 3:
         codes = places
         labels = NO_LABELS
@@ -64,8 +62,8 @@ def colours_of(places: np.ndarray, step: tuple[float, float, float], table: np.n
 
 @kernel()
 def known_code(codes, p):
-    """The trilinear code at ``p``, in steps of the grid, of the corners that have a value; and the
-    share of these.
+    """Interpolate the codes at ``p``, in steps of the grid, over corners that have a value;
+    return (code, weight of these corners).
     """
     nz, ny, nx = codes.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
@@ -87,10 +85,10 @@ def known_code(codes, p):
 
 @kernel()
 def next_label(labels, p, after):
-    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share;
-    LAST_CODE + 1 if none.
+    """Return the least label above ``after`` at the corners of the cell at ``p``, and its trilinear
+    weight.
 
-    ``p`` is in steps of the grid.
+    ``p`` is in steps of the grid. The label is LAST_CODE + 1 if there is none.
     """
     nz, ny, nx = labels.shape[:3]
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
@@ -117,11 +115,11 @@ def next_label(labels, p, after):
 
 @kernel()
 def label_albedo(colours, p):
-    """The albedo of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over the trilinear shares
-    w of those around.
+    """Blend the albedos of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over their
+    trilinear weights w.
 
-    So a colour goes over to the next one within a quarter of a step, where their shares are equal:
-    on a smooth seam.
+    The power makes one colour change to the next within a quarter of a step, along a smooth seam of
+    equal weights.
     """
     known = 0.0
     total = 0.0
@@ -129,6 +127,7 @@ def label_albedo(colours, p):
     g = 0.0
     b = 0.0
     label, share = next_label(colours.labels, p, NO_VALUE)
+    # Go through the labels of the cell in ascending order.
     while label <= LAST_CODE:
         weight = share**8
         colour = colours.table[label]
@@ -141,6 +140,7 @@ def label_albedo(colours, p):
     else:
         known = 0.0
         part = 0.0
+    # Places without a label have the colour of NO_VALUE.
     rest = 1.0 - known
     outside = colours.table[NO_VALUE]
     return part * r + rest * outside[0], part * g + rest * outside[1], part * b + rest * outside[2]
@@ -148,8 +148,8 @@ def label_albedo(colours, p):
 
 @kernel()
 def albedo_at(colours, p):
-    """The albedo, linear RGB, of the surface at ``p`` in index space: the table between the codes
-    around, or labels.
+    """Return the linear RGB albedo of the surface at ``p`` in index space, from the table by
+    code or labels.
     """
     table = colours.table
     step = colours.step
@@ -188,11 +188,10 @@ def fill_albedos(colours, points, albedos):
     )
 )
 def sample_layer(voxels, matrix, z, step, values):
-    """Sample ``voxels`` at places of a layer ``z`` of another volume, ``step`` (3,) of whose voxels
-    apart: trilinear.
+    """Resample ``voxels`` at layer ``z`` of another grid into ``values`` (ny, nx); NaN outside.
 
-    ``matrix`` (3, 4) is from voxel indices x, y, z of that volume to those of ``voxels``. Fills
-    ``values`` (ny, nx), NaN outside.
+    Places are ``step`` (3,) voxels of the other volume apart. ``matrix`` (3, 4) maps voxel indices
+    x, y, z of that volume to those of ``voxels``. Interpolation is trilinear.
     """
     nz, ny, nx = voxels.shape
     for row in range(values.shape[0]):
@@ -215,11 +214,11 @@ def sample_layer(voxels, matrix, z, step, values):
     )
 )
 def slope_layer(voxels, spacing, z, step, values):
-    """Fill ``values`` (ny, nx) with |∇ρ|, per unit of the world, at places of layer ``z`` that lie
-    ``step`` apart.
+    """Fill ``values`` (ny, nx) with |∇ρ| per world unit at places of layer ``z`` that lie ``step``
+    apart.
 
-    The gradient is smoothed with the tricubic B-spline, as normals are. ``spacing`` (3,) is that of
-    the ``voxels``.
+    The gradient is smoothed with the tricubic B-spline, as normals are (S1, fig. 5). ``spacing``
+    (3,) belongs to the ``voxels``.
     """
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -236,12 +235,12 @@ def slope_layer(voxels, spacing, z, step, values):
     )
 )
 def weigh_labels(codes, mixed, bell, labels):
-    """Fill ``labels`` (nz, ny, nx, 3) of places that are ``mixed``: the two that weigh most around,
+    """Fill ``labels`` (nz, ny, nx, 3) of ``mixed`` places with the two heaviest labels nearby and
     the second's share.
 
-    Each of the ``codes`` (nz, ny, nx) weighs the product of the ``bell`` (2r + 1,) along each axis,
-    in whole numbers, so that sums are the same whichever way round a volume lies; NO_VALUE weighs
-    nothing. The share is that of the second among both, in SHAREs. The outermost places go on
+    Each of the ``codes`` (nz, ny, nx) has the weight of the ``bell`` (2r + 1,) along each axis, in
+    integers, so that sums are equal whichever way round a volume lies. NO_VALUE has no weight. The
+    share is that of the second label among both, in units of LABEL_SHARE. Border places repeat
     beyond the volume.
     """
     nz, ny, nx = codes.shape
@@ -249,6 +248,7 @@ def weigh_labels(codes, mixed, bell, labels):
     weights = np.zeros(LAST_CODE + 1, np.int64)
     for k, j, i in np.argwhere(mixed):
         weights[:] = 0
+        # Sum the weights of all labels within the bell.
         for c in range(len(bell)):
             z = min(max(k + c - reach, 0), nz - 1)
             for b in range(len(bell)):
@@ -257,6 +257,7 @@ def weigh_labels(codes, mixed, bell, labels):
                 for a in range(len(bell)):
                     weights[codes[z, y, min(max(i + a - reach, 0), nx - 1)]] += bell[a] * weight
         weights[NO_VALUE] = 0
+        # Keep the two heaviest.
         first = np.argmax(weights)
         weight = weights[first]
         weights[first] = 0

@@ -1,9 +1,9 @@
-"""Paths that gather only the light of glowing regions, over isosurfaces and walls: see
-``tracing.glow``.
+"""Paths that gather only the light of glowing regions, over one isosurface and walls or among
+several.
 
-Paths that gather the light of glowing regions alone, among several isosurfaces in a room: see
-``glow_paths``. What glows may be behind surfaces that let rays pass: a ray that passes one by
-chance gathers on, and one that is aimed at a region gathers on with the share that passes.
+See ``tracing.glow`` for the emission along a ray. A region may lie behind surfaces that let light
+pass: a ray that passes one at random goes on gathering, and a ray aimed at a region gathers the
+transmitted part.
 """
 
 import math
@@ -39,8 +39,8 @@ from isogi_core.kernels.transport.surface_paths import (
 
 @kernel()
 def cap_of(glows, k, p):
-    """1 - cosα of the cone from ``p`` about the ball about region ``k``; 0 where p is in that
-    ball.
+    """Return 1 - cosα of the cone from ``p`` around the bounding ball of region ``k``; 0 if p
+    is in the ball.
     """
     away = sub(column(glows.centres, k), p)
     square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST_NORMAL)
@@ -51,8 +51,8 @@ def cap_of(glows, k, p):
 
 @kernel()
 def density_towards(glows, k, p, w):
-    """Density, per steradian, of the direction ``w`` from ``p`` when drawn evenly from the cone of
-    ``cap_of``.
+    """Return the density per steradian of direction ``w`` from ``p``, sampled uniformly in the
+    cone of ``cap_of``.
     """
     cap = cap_of(glows, k, p)
     if not cap > 0.0:
@@ -65,8 +65,8 @@ def density_towards(glows, k, p, w):
 
 @kernel()
 def draw_towards(glows, k, p, u, v):
-    """A direction from ``p`` in the cone of ``cap_of``, from (u, v) in [0, 1)²; p must be outside
-    of the ball.
+    """Sample a direction from ``p`` in the cone of ``cap_of`` by (u, v) in [0, 1)²; p lies
+    outside of the ball.
     """
     down = u * cap_of(glows, k, p)
     turn = 2.0 * math.pi * v
@@ -77,11 +77,11 @@ def draw_towards(glows, k, p, u, v):
 
 @kernel()
 def balance_cone(glows, k, p, w, cosine):
-    """Share p_c/(p_c + p_k) of a ray between the two ways in which it is drawn, by cosine and
-    towards region ``k``.
+    """Return the weight p_c/(p_c + p_k) of a ray that cosine sampling and the cone of region ``k``
+    may draw.
 
-    The same share of its radiance is what a ray of either sort adds to E/π. Source: Veach and
-    Guibas 1995, balance heuristic.
+    A ray of either technique adds this part of its radiance to E/π. Source: Veach and Guibas 1995,
+    balance heuristic.
     """
     by_cosine = cosine / math.pi
     return by_cosine / max(by_cosine + density_towards(glows, k, p, w), SMALLEST_NORMAL)
@@ -89,8 +89,9 @@ def balance_cone(glows, k, p, w, cosine):
 
 @kernel()
 def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
-    """Turn the wave's rays towards region ``k``; returns how many; rays from its ball, or from
-    behind, are none.
+    """Turn the rays of the wave towards region ``k``; return the number of rays that can see it.
+
+    Rays from inside the region's ball, or from surfaces turned away, are set to hit nothing.
     """
     shadow = wave.shadow
     rays = wave.rays
@@ -125,8 +126,8 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 
 @kernel()
 def add_glow(wave, vertices, i, k, scene, glows, share):
-    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to
-    its path.
+    """Add the part ``share`` of the light of region ``k`` along the ray from vertex ``i``, up
+    to its end, to its path.
     """
     rays = wave.rays
     count = vertices.count
@@ -144,7 +145,7 @@ def add_glow(wave, vertices, i, k, scene, glows, share):
 
 @gather_sources.case(InRoom, Glows)
 def gather_aimed_glow(scene, state, vertices, bounce, glows):
-    """Add what rays towards each of the regions gather."""
+    """Add the light that rays aimed at each region gather."""
     shadow = state.wave.shadow
     count = vertices.count
     for k in range(glows.rates.shape[0]):
@@ -159,8 +160,8 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 @gather_met.case(Glows)
 def gather_met_glow(scene, state, vertices, bounce, glows):
-    """Add what paths gather of all that glows on the ways that were cast; returns how many go
-    on.
+    """Add the light of all regions along the rays that were cast; return the number of paths
+    that continue.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -172,23 +173,24 @@ def gather_met_glow(scene, state, vertices, bounce, glows):
 
 @kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_in_room(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3
+    """Add E/π of each of k ``glows`` of radiance 1 at each of g ``PathStarts`` to ``sums`` (g, 3
     k).
 
-    All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the
-    ``scene``, which is InRoom, gives off no light, and may have no walls. Rays are drawn by cosine
-    and towards the ball about each region, and both are balanced. Sums grow sample by sample: the
-    company of a start changes no bit. Source: Kajiya 1986, with emission along the way.
+    All reflections are included, as in ``light_in_room``. The ``scene`` is InRoom; its walls, if
+    there are any, emit no light. Rays are sampled by cosine and towards the ball around each
+    region, combined by the balance heuristic. The result does not depend on which starts are traced
+    together. Source: Kajiya 1986, with emission along the way.
     """
     add_paths(scene, starts, samples, rules, glows, sums)
 
 
 @kernel()
 def gather_to_crossings(scene, company, vertices, k, glows, place, going):
-    """Add what pending rays gather of region ``k``, each time what ends at their next crossing: how
+    """Add the light of region ``k`` that pending rays gather up to their next crossing; return how
     many go on.
 
-    Their ``place`` is the bounce and the crossing.
+    ``place`` is the bounce and the number of the crossing. The part of a ray that ends at the
+    crossing adds its light now.
     """
     wave = company.wave
     staying = 0
@@ -209,12 +211,13 @@ def gather_to_crossings(scene, company, vertices, k, glows, place, going):
 
 @gather_sources.case(Among, Glows)
 def gather_aimed_among(scene, state, vertices, bounce, glows):
-    """Add what rays towards each of the regions gather before what ends them, share by share."""
+    """Add the light that rays aimed at each region gather, crossing by crossing."""
     shadow = state.wave.shadow
     count = vertices.count
     for k in range(glows.rates.shape[0]):
         if aim_at_glow(state.wave, vertices, bounce, glows, k, scene.field.spacing) == 0:
             continue
+        # Cast the aimed rays at all surfaces.
         origins = columns(shadow.starts, count)
         going = 0
         origins[:, count:] = math.inf
@@ -224,6 +227,8 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
             shadow.reach[i] = math.inf
             state.pending[going] = i
             going += origins[0, i] < math.inf
+        # Let the rays pass one surface after the other, each time with the part that is
+        # transmitted.
         for crossing in range(MAX_CROSSINGS):
             going = gather_to_crossings(scene, state, vertices, k, glows, (bounce, crossing), going)
             if going == 0:
@@ -234,11 +239,11 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
 
 @kernel(types.void(AMONG_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_among_surfaces(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3
+    """Add E/π of each of k ``glows`` of radiance 1 at each of g ``PathStarts`` to ``sums`` (g, 3
     k).
 
-    Rays meet the surfaces of the ``scene``, which is Among, as those of ``light_among_surfaces``
-    do, and gather as those of ``glow_in_room``; the room about the surfaces gives off no light.
-    Source: Kajiya 1986; a lesion behind clear surfaces as in Beason et al. 2006 (S3).
+    Rays meet the surfaces of the ``scene``, which is Among, as in ``light_among_surfaces``, and
+    gather light as in ``glow_in_room``; walls emit no light. Source: Kajiya 1986; a lesion behind
+    clear surfaces as in Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, glows, sums)

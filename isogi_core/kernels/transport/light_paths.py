@@ -1,4 +1,4 @@
-"""Paths that gather light where they hit, for a light that stays where it is."""
+"""Paths that gather the light of a fixed environment and of lamps at each surface that they hit."""
 
 import math
 from typing import Any, NamedTuple
@@ -41,10 +41,10 @@ from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PU
 
 
 class Open(NamedTuple):
-    """One isosurface of a ``field``, within its active ``cells``, and nothing else that rays meet.
+    """One isosurface of a ``field`` within its active ``cells``: the only thing that rays meet.
 
-    What paths carry by PathRules after k bounces is row k of their weights (bounces + 1, 3): R^k
-    over the chance to get there (see ``russian_roulette``).
+    By PathRules the throughput of a path after k bounces is row k of the weights (bounces + 1, 3):
+    R^k over the probability to get there (see ``russian_roulette``).
     """
 
     field: Any
@@ -55,55 +55,59 @@ OPEN = record(Open, FIELD_RECORD, ACTIVE_CELLS)
 
 
 class Alone(NamedTuple):
-    """The state of a ``wave`` that needs nothing else."""
+    """State of a ``wave`` that needs nothing else."""
 
     wave: Any
 
 
 @Choice
 def cast_wave(scene, state, points, count):
-    """Cast ``count`` rays of a wave from ``points`` to what they meet first."""
+    """Cast ``count`` rays of a wave from ``points`` to their first hits."""
 
 
 @make_state.case()
 def make_alone(scene, starts, wave):
-    """The state of a wave that needs nothing else."""
+    """Make the state of a wave that needs nothing else."""
     return Alone(wave)
 
 
 @launch_starts.case()
 def launch_off(scene, starts):
-    """Where first rays start, (3, g): off the surface, see ``launch``, and on walls."""
+    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``, or on
+    walls.
+    """
     return launch_all(scene.field, starts)
 
 
 @begin_wave.case()
 def begin_in_the_open(scene, state, vertices, starts, first):
-    """Leave the vertices as they are: all stand on the surface."""
+    """Keep the vertices as they are: all lie on the isosurface."""
 
 
 @cast_wave.case()
 def cast_at_surface(scene, state, points, count):
-    """Cast a wave's rays from ``points`` at the isosurface."""
+    """Cast the rays of a wave from ``points`` at the isosurface."""
     intersect(scene.field, scene.cells, state.wave.rays, points, count)
 
 
 @meet.case()
 def meet_nearest(scene, state, vertices, bounce):
-    """Cast the rays of a wave to what they meet first."""
+    """Cast the rays of a wave to their first hits."""
     cast_wave(scene, state, vertices.points, vertices.count)
 
 
 @advance.case()
 def advance_in_the_open(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there."""
+    """Move the paths that hit the surface to their hit points."""
     compact(state.wave.rays, vertices, following)
     next_vertex(scene.field, state.wave.rays, vertices.count, following)
 
 
 @advance.case(Open, PathRules)
 def advance_by_weights(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, to carry the weight of one more bounce."""
+    """Move the paths that hit the surface there, with the weight of one more bounce as
+    throughput.
+    """
     rays = state.wave.rays
     carried = state.wave.carried
     for i in rays.hits[: following.count]:
@@ -113,7 +117,7 @@ def advance_by_weights(scene, state, vertices, following, bounce, rules):
 
 
 NO_START = (math.inf, math.inf, math.inf)
-"""Where rays start that are not to meet anything."""
+"""Origin of rays that are to hit nothing."""
 
 NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
 
@@ -121,9 +125,9 @@ NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
 class Surroundings(NamedTuple):
     """All light that falls on a scene.
 
-    An environment, ``constant`` (3,) plus ``image`` (h, w, 3), turned by ``matrix`` (3, 3); a
-    ``table`` to draw its bright directions by (see ``draw_bright``), empty where that is not worth
-    a ray; ``lamps``.
+    The environment is ``constant`` (3,) plus ``image`` (h, w, 3), turned by ``matrix`` (3, 3).
+    ``table`` samples its bright directions (see ``draw_bright``); it is empty if shadow rays to the
+    environment do not pay. ``lamps`` are LampArrays.
     """
 
     constant: Any
@@ -145,16 +149,16 @@ SURROUNDINGS_RECORD = record(
 
 @kernel()
 def to_world(v, spacing):
-    """An index-space vector in world space."""
+    """Convert an index-space vector to world space."""
     return (v[0] * spacing[0], v[1] * spacing[1], v[2] * spacing[2])
 
 
 @kernel()
 def sample_source(light, source, p, n, u, v):
-    """Direction, distance and E/π of the light that one ``source`` sends to the world point ``p``
-    with normal ``n``.
+    """Sample a ``source`` from the world point ``p`` with normal ``n``: (direction, distance, E/π).
 
-    Source 0 is the environment's bright parts, source k > 0 is lamp k - 1; (u, v) in [0, 1)².
+    Source 0 is the bright part of the environment, source k > 0 is lamp k - 1; (u, v) are uniform
+    in [0, 1)².
     """
     if source > 0:
         return illuminate(light.lamps, source - 1, p, n, u, v)
@@ -167,7 +171,9 @@ def sample_source(light, source, p, n, u, v):
 
 @kernel()
 def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
-    """Turn the wave's rays towards a ``source``; those that it cannot light are to meet nothing."""
+    """Turn the rays of the wave towards a ``source``; rays that it cannot light are set to hit
+    nothing.
+    """
     shadow = wave.shadow
     rays = wave.rays
     count = vertices.count
@@ -177,6 +183,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
+    # Each source and bounce draws from a dimension of its own.
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low = np.uint64(rays.low[i])
@@ -194,12 +201,12 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
 
 @Choice
 def add_sent(scene, state, vertices, bounce):
-    """Add the light of those shadow rays of a wave that reach their source."""
+    """Add the light of the shadow rays of a wave that reach their source."""
 
 
 @add_sent.case()
 def add_unblocked(scene, state, vertices, bounce):
-    """Add the light of those shadow rays that nothing blocks."""
+    """Add the light of the shadow rays that nothing blocks."""
     shadow = state.wave.shadow
     count = vertices.count
     starts = columns(shadow.starts, count)
@@ -212,7 +219,7 @@ def add_unblocked(scene, state, vertices, bounce):
 
 @gather_sources.case(Open, Surroundings)
 def gather_from_outside(scene, state, vertices, bounce, light):
-    """Add what lamps, and the bright parts of a sharp environment, send to the vertices of a
+    """Add the light that lamps and bright parts of the environment send to the vertices of a
     wave.
     """
     first = 0 if light.table[0].shape[0] > 0 else 1
@@ -223,12 +230,15 @@ def gather_from_outside(scene, state, vertices, bounce, light):
 
 @kernel()
 def gather_ends(wave, vertices, light):
-    """Add the environment that paths leave to; returns how many hit something."""
+    """Add the environment's light of rays that escape; return the number of rays that hit
+    something.
+    """
     rays = wave.rays
     count = vertices.count
     normals = columns(vertices.normals, count)
     ways = columns(rays.ways, count)
     hits = partition(rays, count)
+    # Weight radiance against shadow rays to the environment by the balance heuristic.
     for i in rays.escaped[: count - hits]:
         w = column(ways, i)
         cosine = dot(column(normals, i), w)
@@ -240,17 +250,18 @@ def gather_ends(wave, vertices, light):
 
 @gather_met.case(Open, Surroundings)
 def gather_environment(scene, state, vertices, bounce, light):
-    """Add the environment that paths leave to; returns how many go on."""
+    """Add the environment's light of rays that escape; return the number of paths that continue."""
     return gather_ends(state.wave, vertices, light)
 
 
 @kernel(types.void(OPEN, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_in_the_open(scene, starts, samples, rules, light, sums):
-    """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
+    """Add the light of a ``SampleRange`` of paths at each of g ``PathStarts`` to ``sums`` (g, 3).
 
-    The ``scene`` is Open, ``light`` the Surroundings. What is gathered after k bounces counts row k
-    of the weights (bounces + 1, 3) of the ``rules``: R^k for E/π, R^(k + 1) for what leaves, over
-    the chance to get there (see ``russian_roulette``). Sums grow sample by sample, so that their
-    bits do not depend on in how many goes. Source: S1, figure 2; the reference of figures 7 and 11.
+    The ``scene`` is Open, ``light`` are the Surroundings. Light gathered after k bounces has row k
+    of the weights (bounces + 1, 3) of the ``rules``: R^k for E/π, or R^(k + 1) for radiance that
+    leaves, over the probability to get there (see ``russian_roulette``). Sums grow sample by
+    sample, so that their bits do not depend on how the samples are split into calls. Source: S1,
+    figure 2; the reference of figures 7 and 11.
     """
     add_paths(scene, starts, samples, rules, light, sums)

@@ -1,5 +1,5 @@
-"""Lights: a constant and a latitude-longitude image infinitely far away, and lamps that stay in
-place.
+"""Light sources: an environment (constant plus lat-long image) at infinity, and lamps in the
+scene.
 """
 
 import math
@@ -24,8 +24,8 @@ from isogi_core.kernels.transport.sampling import (
 
 @kernel()
 def turn_back(matrix, w):
-    """The world direction ``w`` as seen by a light turned by ``matrix`` (3, 3): its transpose times
-    w.
+    """Return the world direction ``w`` in the frame of a light turned by ``matrix`` (3, 3):
+    matrixᵀ w.
     """
     return (
         matrix[0, 0] * w[0] + matrix[1, 0] * w[1] + matrix[2, 0] * w[2],
@@ -36,8 +36,8 @@ def turn_back(matrix, w):
 
 @kernel()
 def turn(matrix, d):
-    """The world direction of what a light turned by ``matrix`` (3, 3) sees in direction ``d``: the
-    matrix times d.
+    """Return the direction ``d`` of a light's frame, turned by ``matrix`` (3, 3), in the world:
+    matrix d.
     """
     return (
         matrix[0, 0] * d[0] + matrix[0, 1] * d[1] + matrix[0, 2] * d[2],
@@ -48,8 +48,8 @@ def turn(matrix, d):
 
 @kernel()
 def glow(constant, image, row, column):
-    """Linear RGB radiance of a constant and an image (h, w, 3) at a place in fractions of its
-    height and width.
+    """Return the linear RGB radiance of a constant plus image (h, w, 3) at ``row`` and
+    ``column`` in [0, 1).
     """
     y = min(int(row * image.shape[0]), image.shape[0] - 1)
     x = min(int(column * image.shape[1]), image.shape[1] - 1)
@@ -62,8 +62,8 @@ def glow(constant, image, row, column):
 
 @kernel()
 def radiance(constant, image, matrix, w):
-    """Linear RGB radiance that arrives from world direction ``w``; ``image`` (h, w, 3) is turned by
-    ``matrix``.
+    """Return the linear RGB radiance from world direction ``w``; ``image`` (h, w, 3) is turned
+    by ``matrix``.
     """
     row, column = direction_to_latlong(turn_back(matrix, w))
     return glow(constant, image, row, column)
@@ -71,9 +71,9 @@ def radiance(constant, image, matrix, w):
 
 @kernel()
 def draw_bright(table, matrix, u, v):
-    """A world direction towards the bright parts of a turned environment, from (u, v) in [0, 1)².
+    """Sample a world direction in proportion to a turned environment's image by (u, v) in [0, 1)².
 
-    ``table`` is the two cumulative arrays of ``sample_piecewise_2d`` over its image.
+    ``table`` holds the two cumulative arrays of ``sample_piecewise_2d``.
     """
     row, column = sample_piecewise_2d(table[0], table[1], u, v)
     return turn(matrix, latlong_to_direction(row, column))
@@ -81,12 +81,12 @@ def draw_bright(table, matrix, u, v):
 
 @kernel()
 def balance_image(table, row, column, cosine):
-    """Share p_c/(p_c + p_e) of a direction, at a place of the image, between the two ways in which
-    it is drawn.
+    """Return the weight p_c/(p_c + p_e) of a direction that cosine sampling and ``draw_bright`` may
+    draw.
 
-    p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the
-    radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, the balance
-    heuristic.
+    ``row`` and ``column`` are its place in the image. p_c is the density of cosine sampling, p_e
+    that of ``draw_bright``. A ray of either technique adds this part of the radiance to E/π.
+    Source: Veach and Guibas 1995, balance heuristic.
     """
     drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(
         latlong_jacobian(row), SMALLEST_NORMAL
@@ -97,10 +97,10 @@ def balance_image(table, row, column, cosine):
 
 @kernel()
 def arriving(constant, image, matrix, table, w, cosine):
-    """What a ray in world direction ``w``, at ``cosine`` to the normal, adds to E/π by the
-    environment it reaches.
+    """Return the contribution to E/π of the environment in world direction ``w``, at ``cosine`` to
+    the normal.
 
-    The radiance, and with a ``table`` that is not empty its share by ``balance_image``.
+    It is the radiance, times its weight by ``balance_image`` if ``table`` is not empty.
     """
     row, column = direction_to_latlong(turn_back(matrix, w))
     light = glow(constant, image, row, column)
@@ -111,11 +111,11 @@ def arriving(constant, image, matrix, table, w, cosine):
 
 @kernel()
 def unshadowed_irradiance(order, lobe, light, n, basis, c):
-    """Unoccluded irradiance over π at unit normal ``n``: Σ A_l/π ℓ_lm Y_lm(n), clamped to 0, for
-    channel ``c``.
+    """Return unoccluded irradiance over π of channel ``c``: Σ A_l/π ℓ_lm Y_lm(n), at least 0.
 
     ``lobe`` (n²) holds A_l/π per coefficient, ``light`` (3, n²) the turned environment, ``basis``
-    (n²) the harmonics of ``n`` (see ``evaluate``). Source: Ramamoorthi and Hanrahan 2001.
+    (n²) the harmonics of the unit normal ``n`` (see ``evaluate``). Source: Ramamoorthi and Hanrahan
+    2001.
     """
     total = 0.0
     for i in range(order * order):
@@ -125,7 +125,7 @@ def unshadowed_irradiance(order, lobe, light, n, basis, c):
 
 @kernel()
 def unshadowed(order, lobe, light, n, basis):
-    """Irradiance over π, linear RGB, of a point with normal ``n`` that nothing shadows. Overwrites
+    """Return unoccluded irradiance over π, linear RGB, at the normal ``n``. Overwrites
     ``basis``.
     """
     evaluate(order, n[0], n[1], n[2], basis)
@@ -138,7 +138,7 @@ def unshadowed(order, lobe, light, n, basis):
 
 @kernel()
 def fog(depth, near, far):
-    """Share of the surface seen through fog that begins at ``near``: exp(-(2u)²), u = (depth -
+    """Return the transmittance of fog that begins at ``near``: exp(-(2u)²), u = (depth -
     near)/(far - near).
     """
     u = max(depth - near, 0.0) / max(far - near, 1e-30)
@@ -153,12 +153,14 @@ NO_LIGHT = (0.0, 0.0, 0.0)
 
 
 class LampArrays(NamedTuple):
-    """k >= 0 lamps, all in the world.
+    """k ≥ 0 lamps in world space.
 
-    ``kinds`` int8 (k,); ``places`` float64 (k, 3): the unit direction towards a directional lamp,
-    the position of a point, the corner of an area; ``edges`` (k, 2, 3): two radii of a directional
-    lamp's disc, as long as the sine of its half angle, zeros, the edges of an area; ``colours`` (k,
-    3) linear RGB over π: irradiance, intensity, radiance.
+    - ``kinds`` int8 (k,): DIRECTIONAL, POINT or AREA.
+    - ``places`` float64 (k, 3): unit direction towards a directional lamp, position of a point,
+      corner of an area.
+    - ``edges`` (k, 2, 3): two radii of a directional lamp's disc, as long as the sine of its half
+      angle; zeros for a point; the edges of an area.
+    - ``colours`` (k, 3): irradiance, intensity or radiance over π, linear RGB.
     """
 
     kinds: Any
@@ -179,16 +181,17 @@ LAMPS = record(
 
 @kernel()
 def row(vectors, m):
-    """Row ``m`` of a (k, 3) array as a tuple."""
+    """Return row ``m`` of a (k, 3) array as a tuple."""
     return vectors[m, 0], vectors[m, 1], vectors[m, 2]
 
 
 @kernel()
 def draw_from_disc(towards, edges, u, v):
-    """A direction to the disc of a directional lamp, and its cosine to the disc's axis ``towards``.
+    """Sample a direction to the disc of a directional lamp, and return it with its cosine to the
+    axis ``towards``.
 
-    Its density per steradian is that cosine over the disc's projected area: even radiance E/area
-    then gives a surface that faces the lamp E, without noise.
+    The density per steradian is that cosine over the projected area of the disc, so that uniform
+    radiance E/area gives a surface that faces the lamp exactly E.
     """
     x, y = sample_disc(u, v)
     across = madd(scale(row(edges, 0), x), y, row(edges, 1))
@@ -198,10 +201,11 @@ def draw_from_disc(towards, edges, u, v):
 
 @kernel()
 def illuminate(lamps, k, p, n, u, v):
-    """What lamp ``k`` sends to the world point ``p`` with normal ``n``, were nothing between.
+    """Sample the light of lamp ``k`` at the world point ``p`` with normal ``n``, without shadows.
 
-    Returns the unit direction towards it, its distance and an estimate of E/π, linear RGB, from (u,
-    v) in [0, 1)²: E cosθ/π, I cosθ/(π r²), or L A cosθ cosθ'/(π r²) (Veach 1997, section 8.2).
+    Returns the unit direction towards the lamp, its distance, and an estimate of E/π, linear RGB,
+    by (u, v) in [0, 1)²: E cosθ/π, I cosθ/(π r²), or L A cosθ cosθ'/(π r²) (Veach 1997, section
+    8.2).
     """
     place = row(lamps.places, k)
     edges = lamps.edges[k]

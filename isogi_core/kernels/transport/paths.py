@@ -1,6 +1,4 @@
-"""Records of path tracing: where paths start, which samples are taken, by what rules, and how paths
-end.
-"""
+"""Records of path tracing: starts of paths, ranges of samples, rules of continuation, and ends."""
 
 from typing import Any, NamedTuple
 
@@ -10,13 +8,13 @@ from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, record
 
 
 class PathStarts(NamedTuple):
-    """g starts of paths on an isosurface or a wall: ``points`` in index space and world
-    ``normals``, (3, g) float64.
+    """g starts of paths on an isosurface or a wall.
 
-    They are columns, as vectors of a wave are. ``isovalues`` (g,) float64, normalised, are those of
-    the surface that paths meet; ``seeds`` (g,) uint64 of the sequences that they draw from.
-    ``walls`` (g,) float64 are numbers of walls, or NO_WALL on the isosurface, where rays start
-    outside.
+    - ``points``, ``normals``: (3, g) float64; points in index space, normals in the world.
+    - ``isovalues``: (g,) float64, normalised; the surface that the paths meet.
+    - ``seeds``: (g,) uint64, of the random sequences.
+    - ``walls``: (g,) float64, numbers of walls, or NO_WALL on the isosurface, where rays start
+      outside.
     """
 
     points: Any
@@ -30,17 +28,17 @@ PATH_STARTS = record(PathStarts, REAL_ROWS, REAL_ROWS, REAL_ARRAY, types.uint64[
 
 
 class SampleRange(NamedTuple):
-    """``count`` samples of each sequence from number ``first`` on."""
+    """The samples ``first`` to ``first + count`` of each random sequence."""
 
     first: int
     count: int
 
 
 class PathRules(NamedTuple):
-    """What a path's light counts, and which paths go on: ``weights`` float64 (see the kernel), and
-    ``survival``.
+    """``weights`` (float64, see each kernel) of the light that paths gather, and the ``survival``
+    probability.
 
-    That is the chance with which a path that has hit twice goes on from a hit: see
+    A path that has hit twice or more continues with the probability ``survival``: see
     ``russian_roulette``.
     """
 
@@ -49,9 +47,7 @@ class PathRules(NamedTuple):
 
 
 class TransferRules(NamedTuple):
-    """``PathRules`` of paths that go on from the first surface that they hit in a number of
-    ``branches``.
-    """
+    """``PathRules`` of paths that split into a number of ``branches`` at their first hit."""
 
     weights: Any
     survival: float
@@ -59,12 +55,12 @@ class TransferRules(NamedTuple):
 
 
 class PathTree(NamedTuple):
-    """How paths go on: from ``bounces`` hits at most, with the chance ``survival`` (see
-    ``russian_roulette``), and from the first one in ``branches`` ways.
+    """Rules of paths that split: at most ``bounces`` hits, ``survival`` per hit, ``branches`` at
+    the first one.
 
-    What comes straight is soon known, and what was reflected takes many more paths: branches bring
-    these without first rays of their own. Source: splitting, Arvo and Kirk, "Particle Transport and
-    Image Synthesis", 1990.
+    Direct light converges with few paths, reflected light needs many more: branches add reflected
+    light without further first rays. See ``russian_roulette`` for survival. Source: splitting, Arvo
+    and Kirk, "Particle Transport and Image Synthesis", 1990.
     """
 
     bounces: int
@@ -73,12 +69,13 @@ class PathTree(NamedTuple):
 
 
 class PathEnds(NamedTuple):
-    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3,
-    n), or zeros.
+    """Ends of n paths: ``bounces`` int64 (n,) before they left the volume, and world ``directions``
+    (3, n).
 
-    In front are the paths as they start; where they branch, those of the first branches follow,
-    those of the second, and so on, as many each. ``NO_PATH`` stands for a path that branched, and
-    for branches of one that did not.
+    Paths that never leave have bounces -1 and zero directions. The first block holds paths as they
+    start; if they branch, blocks of the first branches, of the second and so on follow, each of the
+    same size. ``NO_PATH`` marks a path that was replaced by its branches, and the branches of a
+    path that did not split.
     """
 
     bounces: Any
@@ -86,7 +83,7 @@ class PathEnds(NamedTuple):
 
 
 NO_PATH = -2
-"""The bounces of what is no path."""
+"""``PathEnds.bounces`` of an entry that is no path."""
 
 
 SAMPLE_RANGE = record(SampleRange, types.int64, types.int64)

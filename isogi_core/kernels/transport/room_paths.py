@@ -1,5 +1,5 @@
-"""Paths in a room: they wander over an isosurface and walls, and gather the light of luminaires and
-of all else.
+"""Paths over an isosurface and walls, which gather the light of luminaires and of the
+surroundings.
 """
 
 import math
@@ -53,17 +53,19 @@ from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 
 SHADOWED_SHARE = 1.0 - 1e-9
-"""Share of the way to a luminaire on which something may shadow it."""
+"""Part of the way to a luminaire on which geometry may block it; the rest is the luminaire
+itself.
+"""
 
 
 class Room(NamedTuple):
-    """The ``walls`` of a scene, and how they and the isosurface reflect; all in the world, linear
-    RGB, float64.
+    """The ``walls`` of a scene and the reflection of walls and isosurface; world space, linear RGB,
+    float64.
 
-    Of k walls ``corners`` (k, 3), ``edges`` (k, 2, 3), unit ``normals`` (k, 3) of their fronts,
-    ``areas`` (k,), ``albedos`` and ``radiances`` that they give off (k, 3); both are of the front,
-    and of the back where ``twofold`` (k,) is 1. The isosurface has the ``colours``, or the
-    ``albedo`` (3,) where there are none.
+    Of k walls: ``corners`` (k, 3), ``edges`` (k, 2, 3), unit ``normals`` (k, 3) of their fronts,
+    ``areas`` (k,), ``albedos`` and emitted ``radiances`` (k, 3). Both belong to the front, and to
+    the back if ``twofold`` (k,) is 1. The isosurface has the ``colours``, or the ``albedo`` (3,) if
+    there are none.
     """
 
     walls: Any
@@ -94,8 +96,8 @@ ROOM_RECORD = record(
 
 
 class InRoom(NamedTuple):
-    """One isosurface of a ``field``, within its active ``cells``, and the walls of a ``room`` about
-    it.
+    """One isosurface of a ``field`` within its active ``cells``, and the walls of a ``room``
+    around it.
     """
 
     field: Any
@@ -108,11 +110,12 @@ IN_ROOM = record(InRoom, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD)
 
 @kernel()
 def balance_area(room, k, cosine, slope, distance):
-    """Share p_c/(p_c + p_a) of a ray to wall ``k`` between the two ways in which it is drawn.
+    """Return the weight p_c/(p_c + p_a) of a ray to wall ``k`` that both cosine and area sampling
+    may draw.
 
-    By cosine p_c = cosθ/π, by area p_a = r²/(A |slope|), the slope being that of the ray to the
-    wall's normal. The same share of the radiance is what a ray of either sort adds to E/π. Source:
-    Veach and Guibas 1995, balance heuristic.
+    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|), where slope is
+    the cosine to the wall's normal. A ray of either technique adds this part of the radiance to
+    E/π. Source: Veach and Guibas 1995, balance heuristic.
     """
     by_cosine = cosine / math.pi
     by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST_NORMAL)
@@ -121,15 +124,18 @@ def balance_area(room, k, cosine, slope, distance):
 
 @kernel()
 def lit_from(room, k, slope):
-    """Whether a ray with this component along the normal of wall ``k`` meets a side that is lit."""
+    """Return whether a ray with this component along the normal of wall ``k`` meets a side that
+    emits.
+    """
     return slope < 0.0 or room.twofold[k] > 0.0
 
 
 @kernel()
 def sample_luminaire(room, k, p, n, u, v):
-    """Direction, distance and E/π of what the luminaire ``k`` sends to the world point ``p`` with
-    normal ``n``.
+    """Sample luminaire ``k`` from the world point ``p`` with normal ``n``: (direction,
+    distance, E/π).
     """
+    # Pick a point on the wall; reject it if it is behind the surface or shows a dark side.
     away = sub(
         madd(madd(row(room.corners, k), u, row(room.edges[k], 0)), v, row(room.edges[k], 1)), p
     )
@@ -150,7 +156,7 @@ def sample_luminaire(room, k, p, n, u, v):
 
 @kernel()
 def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
-    """Turn the wave's rays towards the luminaire ``k``, which draws the random numbers of a
+    """Turn the rays of the wave towards luminaire ``k``, with the random numbers of a
     ``source``.
     """
     shadow = wave.shadow
@@ -180,7 +186,9 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
 
 @cast_wave.case(InRoom)
 def cast_among_walls(scene, state, points, count):
-    """Cast a wave's rays from ``points`` to what they meet first, the isosurface or a wall."""
+    """Cast the rays of a wave from ``points`` to their first hits, on the isosurface or on a
+    wall.
+    """
     wave = state.wave
     rays = state.wave.rays
     n = whole(count)
@@ -192,8 +200,8 @@ def cast_among_walls(scene, state, points, count):
 
 @gather_sources.case(Surroundings)
 def gather_from_all(scene, state, vertices, bounce, light):
-    """Add what lamps, bright parts of a sharp environment, and luminaires send to the vertices of a
-    wave.
+    """Add the light of lamps, bright parts of the environment, and luminaires at the vertices
+    of a wave.
     """
     room = scene.room
     lamps = light.lamps.kinds.shape[0]
@@ -208,16 +216,18 @@ def gather_from_all(scene, state, vertices, bounce, light):
 
 @gather_met.case(Surroundings)
 def gather_all_met(scene, state, vertices, bounce, light):
-    """Add the environment that paths leave to, and luminaires that they meet: returns how many go
-    on.
+    """Add the light of rays that escape and of luminaires that they hit; return the number of
+    paths that continue.
     """
     return gather_walls(state.wave, vertices, gather_ends(state.wave, vertices, light), scene.room)
 
 
 @kernel()
 def gather_walls(wave, vertices, hits, room):
-    """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how
-    many.
+    """Add the light of luminaires among the first ``hits`` hits; return the number of paths that
+    continue.
+
+    A path ends on the back of a wall that reflects on its front only.
     """
     rays = wave.rays
     staying = 0
@@ -242,7 +252,7 @@ def gather_walls(wave, vertices, hits, room):
 
 @kernel()
 def surface_albedo(room, p):
-    """The albedo of the isosurface in a room at ``p``, in index space."""
+    """Return the albedo of the isosurface at ``p`` in index space."""
     if room.colours.table.shape[0] > 0:
         return albedo_at(room.colours, p)
     return room.albedo[0], room.albedo[1], room.albedo[2]
@@ -250,8 +260,8 @@ def surface_albedo(room, p):
 
 @kernel()
 def carry(wave, vertices, hits, chance, room):
-    """Multiply what paths carry by the albedo of what they hit, over the ``chance`` that they go
-    on.
+    """Multiply throughputs by the albedo of what paths hit, over the ``chance`` that they
+    continue.
     """
     rays = wave.rays
     count = vertices.count
@@ -271,8 +281,8 @@ def carry(wave, vertices, hits, chance, room):
 
 @kernel()
 def stand_on_walls(wave, vertices, following, room):
-    """Put the vertices ``following`` that are on walls there, with the normals of the sides that
-    were met.
+    """Put the vertices ``following`` that lie on walls there, with the normal of the side that
+    was hit.
     """
     rays = wave.rays
     count = vertices.count
@@ -299,7 +309,7 @@ def stand_on_walls(wave, vertices, following, room):
 
 @advance.case(InRoom)
 def advance_in_room(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to where they hit the isosurface or a wall."""
+    """Move the paths that continue to their hit points on the isosurface or on a wall."""
     rays = state.wave.rays
     count = vertices.count
     chance = rules.survival if bounce > 0 else 1.0
@@ -313,7 +323,7 @@ def advance_in_room(scene, state, vertices, following, bounce, rules):
 
 @kernel()
 def begin_on_walls(wave, starts, first, count):
-    """Say where the first ``count`` vertices of a wave stand, whose first path has the number
+    """Set the walls of the first ``count`` vertices of a wave, whose first path has the number
     ``first``.
     """
     g = starts.walls.shape[0]
@@ -325,28 +335,29 @@ def begin_on_walls(wave, starts, first, count):
 
 @begin_wave.case(InRoom)
 def begin_in_room(scene, state, vertices, starts, first):
-    """Say where the vertices of a wave stand, on the isosurface or on walls."""
+    """Set the vertices of a wave, on the isosurface or on walls."""
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
 @kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_in_room(scene, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected,
-    to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, all reflections included, to
+    ``sums`` (g, 3).
 
-    The ``scene`` is InRoom. Each bounce counts the albedo of what it hit, of the room or of the
-    isosurface, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the
-    others are not read. ``light`` are the Surroundings: lamps and what lies outside. Luminaires are
-    drawn by area and by cosine, and both are balanced. Sums grow sample by sample: the company of a
-    start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
+    The ``scene`` is InRoom. Each bounce multiplies by the albedo of the wall or the isosurface that
+    it hits, and all light has the first of the weights (bounces + 1, 3) of the ``rules``; the other
+    weights are not read. ``light`` are the Surroundings: lamps and environment. Luminaires are
+    sampled by area and by cosine, combined by the balance heuristic. Sums grow sample by sample, so
+    that the result does not depend on which starts are traced together. Source: Kajiya 1986; Veach
+    and Guibas 1995.
     """
     add_paths(scene, starts, samples, rules, light, sums)
 
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))
 def fill_seeds(words, seeds):
-    """Fill ``seeds`` (g,) with the sequences that belong to rows of ``words`` (g, 2 or more), mixed
-    one by one.
+    """Fill ``seeds`` (g,) with the seeds of the rows of ``words`` (g, 2 or more), by mixing the
+    words in order.
     """
     for i in range(words.shape[0]):
         seed = np.uint64(words[i, 0])
