@@ -1,5 +1,8 @@
-"""The active-cell map: for a range of isovalues, which cells may hold the surface, and how far rays
-may skip.
+"""The active-cell map: cells that may hold the surface of a range of isovalues, and how far rays
+may skip empty space.
+
+The volume is divided into bricks of BRICK_CELLS³ cells. A brick without active cells has a skip
+distance for each octant of directions (see ``skips``); any other has a bit for each cell.
 """
 
 import math
@@ -22,12 +25,12 @@ from isogi_core.kernels.tracing.skips import fill_skips
 
 BRICK_CELLS = 4
 POSITION_ERROR = 2.0**-20
-"""How far a float32 ray strays from the true one, over the longest side; twice what rounding can
-do.
+"""Largest deviation of a float32 ray from the true one, over the longest side of the volume;
+twice the rounding error.
 """
 
 VALUE_ERROR = 2.0**-19
-"""Rounding of a float32 trilinear value, over the largest magnitude in it."""
+"""Rounding error of a float32 trilinear value, over the largest magnitude of its corners."""
 
 WORD_ARRAY = types.int32[::1]
 EMPTY = types.boolean[::1]
@@ -36,11 +39,12 @@ EMPTY = types.boolean[::1]
 class ActiveCells(NamedTuple):
     """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
 
-    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK_CELLS,
-    less than 2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a
-    marked brick along z: bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell
-    of its aligned 2³ block is marked. ``margins`` float32 (bricks): values nearer to zero than this
-    have no certain sign there; ``shape`` bricks along z, y, x.
+    - ``tops`` int32 (bricks): the place of a brick with active cells in ``cells`` / BRICK_CELLS,
+      less than 2²⁸; else its skip distances (see ``fill_skips``).
+    - ``cells`` int32: one word for each layer of such a brick along z. Bit i = y % 4 * 4 + x % 4
+      marks an active cell, bit 16 + i a cell whose aligned 2³ block has one.
+    - ``margins`` float32 (bricks): values nearer to 0 have no certain sign in float32.
+    - ``shape``: bricks along z, y, x.
     """
 
     tops: Any
@@ -50,7 +54,7 @@ class ActiveCells(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Bytes that belong to these isovalues alone."""
+        """Bytes that belong to this range of isovalues alone."""
         return self.tops.nbytes + self.cells.nbytes
 
 
@@ -61,41 +65,46 @@ ACTIVE_CELLS = record(
 
 @plain
 def brick_shape(shape):
-    """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
+    """Return the bricks along (z, y, x) of a volume of ``shape`` voxels."""
     return blocks_along(shape, BRICK_CELLS)
 
 
 @kernel(types.void(VOXEL_ARRAY, types.int64, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, size, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x), which serve
-    every isovalue.
+    """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x); they
+    serve every isovalue.
     """
     nz, ny, nx = voxels.shape
+    # A float32 position may lie in a neighbouring cell, so that ranges take in one cell around each
+    # block.
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
     find_ranges(voxels, size, 1, low, high)
     least = low.reshape(low.size)
     most = high.reshape(high.size)
     margin = margins.reshape(margins.size)
+    # The margin bounds the error of a float32 value by those of its position and of its rounding.
     for b in range(margin.shape[0]):
         largest = max(abs(least[b]), abs(most[b]))
         margin[b] = stray * (most[b] - least[b]) + VALUE_ERROR * largest
 
 
 GROUP = 4
-"""Bricks along x that are marked together, in loops of fixed length that compilers turn into
-vectors.
+"""Bricks along x that are marked together, so that loops have a fixed length and become SIMD
+code.
 """
 
 GROUP_CELLS = GROUP * BRICK_CELLS
 """Cells along x in a group."""
 
 MAX_FINE_BRICKS = 1 << 21
-"""Bricks up to which each has ranges of its own, 24 MB; in larger volumes each macrocell has."""
+"""Number of bricks up to which each has its own ranges, 24 MB; larger volumes have ranges of
+macrocells.
+"""
 
 
 @kernel()
 def below(level):
-    """The largest float32 that is not above ``level``."""
+    """Return the largest float32 that is not above ``level``."""
     near = np.float32(level)
     if near > level:
         return np.nextafter(near, -SINGLE_INFINITY)
@@ -116,16 +125,16 @@ def copy_voxels(voxels, i0, j0, k0, block):
 
 @kernel()
 def at(flat, place):
-    """``flat[place]``; that it does not count from the end need not be asked."""
+    """Return ``flat[place]`` without a check for negative places."""
     return flat[np.uint64(place)]
 
 
 @kernel()
 def mark_layer(flat, place, row, plane, levels, marks):
-    """Write the ``marks`` (GROUP_CELLS,) of a layer of cells; their first voxel is ``flat[place]``.
+    """Write the ``marks`` (GROUP_CELLS,) of a layer of cells whose first voxel is ``flat[place]``.
 
-    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4
-    of a cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
+    ``row`` and ``plane`` are the steps to the next voxel along y and z. Bit 4 y + x % 4 of a mark
+    is set unless all corners of the cell are above ``levels[0]`` or all below ``levels[1]``.
     """
     marks[:] = 0
     for r in range(BRICK_CELLS):
@@ -147,9 +156,8 @@ def mark_layer(flat, place, row, plane, levels, marks):
 
 @kernel()
 def mark_group(block, levels, marks, words, empty, b, count):
-    """Write words of the ``count`` bricks from ``b`` on, and which are ``empty``.
-
-    Their voxels are a ``block`` (flat, place, row, plane): see ``mark_layer``.
+    """Write the words of the ``count`` bricks from ``b`` on, and clear ``empty`` of those with
+    active cells; ``block`` is (flat, place, row, plane) of ``mark_layer``.
     """
     flat, place, row, plane = block
     for c in range(BRICK_CELLS):
@@ -164,10 +172,8 @@ def mark_group(block, levels, marks, words, empty, b, count):
 
 @kernel()
 def set_levels(margins, first, count, side, iso_low, iso_high, levels):
-    """Write, for each cell along ``count`` blocks from ``first`` on, the ``levels`` beyond which it
-    is certain.
-
-    Blocks have ``side`` bricks along each side.
+    """Write the ``levels`` beyond which cells are certainly solid or outside, for ``count``
+    blocks of ``side``³ bricks from ``first`` on.
     """
     for m in range(count):
         solid = below(iso_high + margins[first + m])
@@ -178,10 +184,8 @@ def set_levels(margins, first, count, side, iso_low, iso_high, levels):
 
 @kernel()
 def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
-    """List in ``groups`` the first bricks (j * bx + i) of the groups of layer ``k`` that may hold
-    the surface.
-
-    Returns how many there are.
+    """List the first bricks (j * bx + i) of the groups of layer ``k`` that may hold the surface
+    in ``groups``; return their number.
     """
     low, high, margins = ranges
     _, by, bx = shape
@@ -200,8 +204,8 @@ def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
 
 @kernel()
 def block_at(k, j, i, side, shape):
-    """Place of the block of ``side``³ bricks that brick (k, j, i) is in; there are ``shape`` bricks
-    along z, y, x.
+    """Return the place of the block of ``side``³ bricks that holds brick (k, j, i), of
+    ``shape`` bricks along z, y, x.
     """
     _, by, bx = shape
     return ((k // side) * (-(-by // side)) + j // side) * (-(-bx // side)) + i // side
@@ -209,13 +213,13 @@ def block_at(k, j, i, side, shape):
 
 @kernel()
 def across(i, side, bx):
-    """Blocks along x in the group of bricks that begins at ``i``, of ``bx``."""
+    """Return the blocks along x in the group of bricks that begins at ``i``, of ``bx`` bricks."""
     return -(-min(GROUP, bx - i) // side)
 
 
 @kernel()
 def prefetch_group(flat, place, row, plane):
-    """Have the voxels of a group come nearer, the first at ``place``."""
+    """Prefetch the voxels of a group into the cache; the first is at ``place``."""
     last = flat.shape[0] - 1
     for c in range(BRICK_CELLS + 1):
         for r in range(BRICK_CELLS + 1):
@@ -242,11 +246,11 @@ REAL_NUMBER = types.float64
     )
 )
 def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
-    """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are
+    """Write the ``words`` of the bricks in layers ``first`` to ``last`` - 1 along z, and which are
     ``empty``.
 
-    Only bricks are looked into whose ``ranges`` (low, high, margins), of blocks of ``side``³
-    bricks, hold ``isovalues`` from the lowest to the highest; the words of others stay.
+    Only bricks whose ``ranges`` (low, high, margins), of blocks of ``side``³ bricks, meet the
+    ``isovalues`` (lowest, highest) are looked into; the words of the others keep their values.
     """
     iso_low, iso_high = isovalues
     nz, ny, nx = voxels.shape
@@ -258,6 +262,7 @@ def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
     groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
     empty[:] = True
     for k in range(first, last):
+        # Skip groups of bricks whose ranges exclude the surface.
         for n in range(find_groups(ranges, side, iso_low, iso_high, k, shape, groups)):
             j = groups[n] // bx
             i = groups[n] % bx
@@ -265,6 +270,7 @@ def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
             j0 = j * BRICK_CELLS
             k0 = k * BRICK_CELLS
             b = (k - first) * by * bx + groups[n]
+            # Prefetch the voxels of the next group while this one is marked.
             ahead = groups[n + 1]
             prefetch_group(
                 flat,
@@ -279,6 +285,8 @@ def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
             place = (k0 * ny + j0) * nx + i0
             row = nx
             plane = ny * nx
+            # Copy groups at the volume's faces, with the faces repeated, so that loops need no
+            # bounds.
             if i0 + GROUP_CELLS >= nx or j0 + BRICK_CELLS >= ny or k0 + BRICK_CELLS >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
                 source = block
@@ -292,7 +300,9 @@ def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
 
 @kernel()
 def mark_blocks(cells, first):
-    """Add the bits of 2³ blocks to the words of the brick at ``first``."""
+    """Set the upper bits of the words of the brick at ``first``: cells whose aligned 2³ block
+    has an active cell.
+    """
     for k in range(0, BRICK_CELLS, 2):
         pair = cells[first + k] | cells[first + k + 1]
         along_x = (pair | pair >> 1) & 0x5555
@@ -305,7 +315,7 @@ def mark_blocks(cells, first):
 
 @kernel(types.void(WORD_ARRAY, EMPTY, WORD_ARRAY))
 def pack_bricks(words, empty, cells):
-    """Put the ``words`` of bricks that are not ``empty`` together in ``cells``."""
+    """Copy the ``words`` of bricks that are not ``empty`` to ``cells``, one after the other."""
     first = 0
     for b in range(empty.shape[0]):
         if not empty[b]:
@@ -317,8 +327,8 @@ def pack_bricks(words, empty, cells):
 
 @kernel(types.void(EMPTY, types.UniTuple(types.int64, 3), WORD_ARRAY))
 def number_bricks(empty, shape, tops):
-    """Write the places of bricks that are not ``empty`` among each other to ``tops``, and the skips
-    of the others.
+    """Write the places of bricks that are not ``empty`` in ``cells`` to ``tops``, and the skip
+    distances of the others.
     """
     marked = 0
     for b in range(empty.shape[0]):
@@ -329,11 +339,10 @@ def number_bricks(empty, shape, tops):
 
 
 class BlockRanges(NamedTuple):
-    """What serves every isovalue of a volume: the ranges of its blocks, which have ``side``³
-    bricks.
+    """Ranges of the blocks of a volume, of ``side``³ bricks each; they serve every isovalue.
 
-    ``low``, ``high`` and ``margins`` (blocks,) float32 are of the voxels in and around each;
-    ``of_bricks`` (bricks,) are the margins of each brick's block.
+    ``low``, ``high`` and ``margins`` (blocks,) float32 belong to the voxels in and around each
+    block; ``of_bricks`` (bricks,) are the margins of each brick's block.
     """
 
     low: np.ndarray
@@ -344,9 +353,8 @@ class BlockRanges(NamedTuple):
 
 
 def measure_ranges(voxels, fine=MAX_FINE_BRICKS):
-    """Low, high and margins (3; blocks along z, y, x) of a volume's bricks, see ``fill_ranges``.
-
-    Of its macrocells where there are more than ``fine`` bricks.
+    """Return low, high and margins (3; blocks along z, y, x) of the bricks of a volume, or of
+    its macrocells if it has more than ``fine`` bricks.
     """
     if math.prod(brick_shape(voxels.shape)) <= fine:
         size = BRICK_CELLS
@@ -358,10 +366,10 @@ def measure_ranges(voxels, fine=MAX_FINE_BRICKS):
 
 
 def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
-    """The ranges of a volume's blocks, from what ``measure_ranges`` ``measured`` where that was
-    done before.
+    """Return the BlockRanges of a volume, from the result of ``measure_ranges`` if it is given as
+    ``measured``.
 
-    ``take(count, dtype)`` makes the array of what is kept for each of many bricks.
+    ``take(count, dtype)`` allocates the array with one number for each brick.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     if measured is None:
@@ -382,12 +390,12 @@ def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
 
 
 def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
-    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's
+    """Make the map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's
     ``block_ranges``.
 
-    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
-    Words of bricks without marks take memory for one part alone. ``take(count, dtype)`` makes the
-    arrays of what is kept.
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the work on many threads.
+    Words of empty bricks take memory for one part only. ``take(count, dtype)`` allocates the arrays
+    that are kept.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     empty = np.empty(bz * by * bx, np.bool_)
@@ -395,6 +403,7 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
     packed = {}
     ends = (float(lowest), float(highest))
 
+    # Mark the layers of a part, and keep only the words of bricks with active cells.
     def _mark(first, last):
         own = empty[first * layer : last * layer]
         words = np.zeros(BRICK_CELLS * len(own), np.int32)
@@ -402,6 +411,7 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
         packed[first] = take(BRICK_CELLS * (len(own) - np.count_nonzero(own)), np.int32)
         pack_bricks(words, own, packed[first])
 
+    # Mark all parts, join them, and number the bricks.
     run(_mark, bz) if run else _mark(0, bz)
     cells = joined(packed, take)
     tops = take(len(empty), np.int32)
@@ -410,10 +420,10 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
 
 
 def joined(packed, take):
-    """The ``packed`` words of parts, by their first layers, as one array; each part goes once it is
-    copied.
+    """Join the ``packed`` words of parts in the order of their first layers; each part is freed
+    once it is copied.
 
-    At least one brick of zeros, as lanes read there that read nothing.
+    There is at least one brick of zeros, which idle SIMD lanes read.
     """
     cells = take(max(sum(map(len, packed.values())), BRICK_CELLS), np.int32)
     end = 0

@@ -20,18 +20,19 @@ VOXEL_ARRAY = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
 
 RAY_OFFSET_VOXELS = 0.3
-"""Start of illumination rays above the surface, in voxels along the normal, by default (S1, section
-4.1.1).
+"""Default offset of illumination rays above the surface, in voxels along the normal (S1,
+section 4.1.1).
 """
 
 
 class Field(NamedTuple):
-    """What a ray needs of a volume.
+    """A volume as rays need it.
 
-    ``voxels`` float32 (nz, ny, nx); ``low`` and ``high`` float32 (mz, my, mx), the smallest and
-    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z.
-    ``smooth`` is whether normals are of the smoothed gradient, or of the plain one; rays leave a
-    surface from ``offset`` voxels above it.
+    - ``voxels`` float32 (nz, ny, nx).
+    - ``low``, ``high`` float32 (mz, my, mx): smallest and largest voxel of each macrocell.
+    - ``spacing``: world length of a voxel step along x, y, z.
+    - ``smooth``: whether normals come from the smoothed gradient, or from the plain one.
+    - ``offset``: voxels above the surface at which rays start.
     """
 
     voxels: Any
@@ -55,17 +56,16 @@ FIELD_RECORD = record(
 
 @kernel()
 def clamp_cell(x, n):
-    """Index of the cell along one axis of ``n`` voxels that holds coordinate ``x``; the last face
-    belongs to it.
+    """Return the cell along an axis of ``n`` voxels that holds coordinate ``x``; the last face
+    belongs to the last cell.
     """
     return floor_within(x, n - 2)
 
 
 @kernel(exact=True)
 def value(voxels, p):
-    """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x).
-
-    Takes vectors of points too.
+    """Return the trilinear value at ``p`` (index space), float64: the field ρ(x) of S1, section
+    4.1. Takes vectors of points as well.
     """
     nz, ny, nx = voxels.shape
     i = floor_within(p[0], nx - 2)
@@ -82,8 +82,8 @@ def value(voxels, p):
 
 @kernel(exact=True)
 def gradient(voxels, p):
-    """Gradient of the trilinear field at ``p``, per voxel step along x, y, z. Source: S1, figure 5,
-    'gradient'.
+    """Return the gradient of the trilinear field at ``p``, per voxel step along x, y, z (S1,
+    figure 5, "gradient").
     """
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
@@ -104,8 +104,8 @@ def gradient(voxels, p):
 
 @kernel(exact=True)
 def bspline(f):
-    """The four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1, 2. They sum
-    to 1.
+    """Return the four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1,
+    2. They sum to 1.
     """
     g = 1.0 - f
     return (
@@ -118,21 +118,23 @@ def bspline(f):
 
 @kernel(exact=True)
 def bspline_slope(f):
-    """Derivatives of the four cubic B-spline weights at fraction ``f``. They sum to 0."""
+    """Return the derivatives of the four cubic B-spline weights at fraction ``f``. They sum to
+    0.
+    """
     g = 1.0 - f
     return (-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f)
 
 
 @kernel(exact=True)
 def blend(w, a, b, c, d):
-    """The sum of four numbers, or fours of them, with weights ``w``."""
+    """Return the sum of four numbers, or of four tuples, with weights ``w``."""
     return w[0] * a + w[1] * b + (w[2] * c + w[3] * d)
 
 
 @kernel(exact=True)
 def blend_cube(voxels, cell, weights, slopes):
-    """Σ over 4×4×4 voxels about ``cell`` (i, j, k) with ``weights``, and ``slopes`` along x, along
-    y, along z.
+    """Return the three sums over 4×4×4 voxels around ``cell`` (i, j, k) with ``weights``, and
+    ``slopes`` along one axis each.
 
     Voxels beyond the border repeat the border's.
     """
@@ -146,6 +148,7 @@ def blend_cube(voxels, cell, weights, slopes):
     k0 = max(k - 1, 0)
     k2 = k + 1
     k3 = min(k + 2, nz - 1)
+    # Blend rows along y, in each of four planes: values and slopes.
     a = four(voxels, k0, j0, i)
     b = four(voxels, k0, j, i)
     c = four(voxels, k0, j2, i)
@@ -166,6 +169,7 @@ def blend_cube(voxels, cell, weights, slopes):
     c = four(voxels, k3, j2, i)
     d = four(voxels, k3, j3, i)
     v3, s3 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    # Blend the planes along z, then the four columns along x.
     x = blend(wz, v0, v1, v2, v3)
     y = blend(wz, s0, s1, s2, s3)
     z = blend(sz, v0, v1, v2, v3)
@@ -178,9 +182,8 @@ def blend_cube(voxels, cell, weights, slopes):
 
 @kernel(exact=True)
 def smooth_gradient(voxels, p):
-    """Gradient of the field smoothed with the tricubic B-spline over 4×4×4 voxels, per voxel step.
-
-    Voxels beyond the border repeat the border's. Source: S1, section 4.1.1 and figure 5.
+    """Return the gradient of the field smoothed with the tricubic B-spline over 4×4×4 voxels,
+    per voxel step (S1, section 4.1.1 and figure 5).
     """
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
@@ -192,8 +195,8 @@ def smooth_gradient(voxels, p):
 
 @kernel(exact=True)
 def put_weights(p, n, out):
-    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` to rows of
-    ``out``, vectors all.
+    """Write B-spline weights, slopes and cells of the coordinates ``p`` to rows of ``out``; all
+    are vectors.
     """
     i = floor_within(p, n - 2)
     for a, w in enumerate(bspline(p - i)):
@@ -205,16 +208,17 @@ def put_weights(p, n, out):
 
 @kernel()
 def four_at(rows, first, lane):
-    """Element ``lane`` of four rows."""
+    """Return element ``lane`` of four rows."""
     return rows[first, lane], rows[first + 1, lane], rows[first + 2, lane], rows[first + 3, lane]
 
 
 @kernel()
 def smooth_gradients(voxels, points, first, lanes, w, out):
-    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of
-    ``out``.
+    """Write ``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n), from ``first`` on, to
+    the same columns of ``out``.
 
-    n is whole vectors; ``w`` (3, 9, PATH_WIDTH) is room for cells, weights and slopes.
+    n is a multiple of the vector width; ``w`` (3, 9, PATH_WIDTH) is scratch space for cells,
+    weights and slopes.
     """
     nz, ny, nx = voxels.shape
     p = load_columns(points, first)
@@ -230,7 +234,9 @@ def smooth_gradients(voxels, points, first, lanes, w, out):
 
 @kernel()
 def gradients(field, points, first, lanes, w, out):
-    """The gradients that normals are of, as ``smooth_gradients`` takes and writes them."""
+    """Write the gradients that normals derive from: ``smooth_gradients``, or plain gradients if
+    the field says so.
+    """
     if field.smooth:
         smooth_gradients(field.voxels, points, first, lanes, w, out)
     else:
@@ -240,16 +246,14 @@ def gradients(field, points, first, lanes, w, out):
 
 @kernel(exact=True)
 def to_index(v, spacing):
-    """A world vector in index space."""
+    """Convert a world vector to index space."""
     return (v[0] / spacing[0], v[1] / spacing[1], v[2] / spacing[2])
 
 
 @kernel(exact=True)
 def to_world_normal(g, spacing):
-    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says
-    nothing.
-
-    Takes vectors of gradients too.
+    """Return the unit outward world normal of a gradient per voxel step; (0, 0, 0) if the
+    gradient is 0 or no number. Takes vectors as well.
     """
     x, y, z = -g[0] / spacing[0], -g[1] / spacing[1], -g[2] / spacing[2]
     size = math.sqrt(x * x + y * y + z * z)
@@ -260,11 +264,10 @@ def to_world_normal(g, spacing):
 
 @kernel()
 def normal(field, p):
-    """Unit outward world normal of the isosurface through ``p``, from the smoothed gradient where
-    ``field`` says so.
+    """Return the unit outward world normal of the isosurface through ``p``.
 
-    Falls back to the cell's own gradient where the smoothed one is zero or not a number, and is
-    (0, 0, 0) where that is zero too: on a plateau there is no surface.
+    It comes from the smoothed gradient, or from the plain one if the field says so or the smoothed
+    one is 0 or no number. It is (0, 0, 0) if both are: a plateau has no surface.
     """
     n = (0.0, 0.0, 0.0)
     if field.smooth:

@@ -1,7 +1,7 @@
-"""Skips: how far a ray may go from an empty brick, for each octant of directions.
+"""Skip distances: how far a ray may go from an empty brick, for each octant of directions.
 
-A skip is the side of the largest cube of empty bricks that begins at a brick and lies ahead in its
-octant. Cubes grow by one brick at a time, those of 64 bricks along x at once: a bit for each.
+A skip distance is the side of the largest cube of empty bricks that begins at the brick and lies
+ahead in the octant. Cubes grow by one brick at a time, for 64 bricks along x at once: one bit each.
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ No skip is 0, so that words of skips are those whose uppermost four bits are not
 """
 
 LONGEST_SKIP = 2**SKIP_BITS - 1
-"""Longest skip, in bricks."""
+"""Longest skip distance, in bricks."""
 
 WORD_BRICKS = 64
-"""Bricks along x whose bits are in one word."""
+"""Bricks along x whose bits share a word."""
 
 NO_BITS = np.uint64(0)
 ALL_BITS = np.uint64(2**WORD_BRICKS - 1)
@@ -55,15 +55,15 @@ def write_bits(empty, hollow, outside):
 
 @kernel()
 def flip(bits, others):
-    """Flip those ``bits`` that are set in ``others``; both are flat."""
+    """Flip the ``bits`` that are set in ``others``; both are flat."""
     for q in range(bits.size):
         bits[q] ^= others[q]
 
 
 @kernel()
 def find_empty_pairs(cubes, dy, dz, first, last, rows):
-    """Write to ``rows`` which ``cubes`` from ``first`` to ``last`` are empty with those next along
-    y, z, and both.
+    """Write which ``cubes`` from ``first`` to ``last`` are empty together with their neighbours
+    along y, z and both to ``rows``.
     """
     a = cubes[first:last]
     b = cubes[first + dy : last + dy]
@@ -75,9 +75,8 @@ def find_empty_pairs(cubes, dy, dz, first, last, rows):
 
 @kernel()
 def meet_next(rows, following, descended, outside, larger):
-    """Write to ``larger`` which of ``rows`` are empty with the next along x, or lie ``outside``.
-
-    ``following`` are the words beside, on the side where x goes on.
+    """Write which of ``rows`` are empty together with their neighbour along x, or lie
+    ``outside``, to ``larger``; ``following`` are the neighbouring words.
     """
     if descended:
         for q in range(larger.size):
@@ -89,10 +88,10 @@ def meet_next(rows, following, descended, outside, larger):
 
 @kernel()
 def enlarge(cubes, octant, outside, steps, rows, larger):
-    """Write to ``larger`` which cubes of one more brick are empty: those whose eight ``cubes`` are,
-    one at each corner.
+    """Write which cubes that are one brick larger are empty to ``larger``: those whose eight corner
+    ``cubes`` are.
 
-    ``steps`` lead to the next word along y and z; ``rows`` are of use meanwhile. All are flat.
+    ``steps`` lead to the next word along y and z; ``rows`` is scratch space. All arrays are flat.
     """
     along_y, along_z = steps
     dx = octant & 1
@@ -110,8 +109,8 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
 
 @kernel()
 def write_octant(sides, octant, shape, tops):
-    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (SKIP_BITS, z, y, words) are the
-    bits of each.
+    """Add the skip distances of an octant to ``tops`` (bricks,); ``sides`` (SKIP_BITS, z, y,
+    words) hold their bits.
     """
     bz, by, bx = shape
     one = np.uint64(1)
@@ -137,18 +136,18 @@ def write_octant(sides, octant, shape, tops):
 
 @kernel()
 def fill_skips(empty, tops):
-    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep
-    their word.
+    """Write the skip distances of the ``empty`` bricks (z, y, x) to ``tops`` (bricks,); other
+    bricks keep their word.
 
-    A side is the number of cubes that are empty, as each lies in the next. Bit p of a number tells
-    whether the multiples of 2^p up to it are an odd many, so that each cube flips the bits whose
-    2^p divides its own side.
+    As each cube lies in the next, a skip distance is the number of cubes that are empty. It is
+    counted in binary: bit p of the count flips with each cube whose side is a multiple of 2^p.
     """
     bz, by, bx = empty.shape
     flat = empty.reshape(empty.size)
     for b in range(tops.size):
         if flat[b]:
             tops[b] = 0
+    # Pack the bricks into words, with a border of empty ones that counts as outside.
     shape = (bz + 2, by + 2, -(-bx // WORD_BRICKS) + 2)
     hollow = np.empty(shape, np.uint64)
     outside = np.empty(shape, np.uint64)
@@ -162,6 +161,7 @@ def fill_skips(empty, tops):
     cubes = np.empty(count, np.uint64)
     rows = np.empty(count, np.uint64)
     larger = np.full(count, ALL_BITS)
+    # Grow the cubes of each octant brick by brick, and count those that are empty.
     for octant in range(2**3):
         bits[:] = NO_BITS
         for b in range(count):

@@ -185,24 +185,24 @@ def glow_in_room(scene, starts, samples, rules, glows, sums):
 
 
 @kernel()
-def gather_to_crossings(scene, company, vertices, k, glows, place, going):
+def gather_to_crossings(scene, state, vertices, k, glows, place, going):
     """Add the light of region ``k`` that pending rays gather up to their next crossing; return how
     many go on.
 
     ``place`` is the bounce and the number of the crossing. The part of a ray that ends at the
     crossing adds its light now.
     """
-    wave = company.wave
+    wave = state.wave
     staying = 0
     (bounce, crossing) = place
     for j in range(going):
-        i = company.pending[j]
-        before = company.passed[i]
-        company.pending[staying] = i
-        on = goes_on(scene.surfaces, company, i, bounce, crossing, True)
+        i = state.pending[j]
+        before = state.passed[i]
+        state.pending[staying] = i
+        on = goes_on(scene.surfaces, state, i, bounce, crossing, True)
         staying += on
         if on:
-            ends = before - company.passed[i]
+            ends = before - state.passed[i]
         else:
             ends = before
         add_glow(wave, vertices, i, k, scene, glows, ends)

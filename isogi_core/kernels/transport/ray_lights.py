@@ -1,5 +1,5 @@
-"""Lights that single rays are drawn towards, and what rays bring of them: panels, discs, and a
-sharp environment.
+"""Lights that single rays are aimed at: panels, discs and a sharp environment, and the light
+that rays bring from them.
 """
 
 import math
@@ -35,10 +35,11 @@ from isogi_core.kernels.transport.sampling import (
 
 
 class Panels(NamedTuple):
-    """k >= 0 flat lamps and luminaires: ``corners`` (k, 3), ``edges`` (k, 2, 3).
+    """k ≥ 0 flat lamps and luminaires: ``corners`` (k, 3), ``edges`` (k, 2, 3), ``radiances`` (k,
+    3).
 
-    Both sides have the ``radiances`` (k, 3) where ``twofold`` (k,) is 1. Lamps among them are no
-    walls where rays end, which ``clear`` (k,) says by 1.
+    Both sides emit if ``twofold`` (k,) is 1. Lamps do not end rays as walls do: ``clear`` (k,) is 1
+    for these.
     """
 
     corners: Any
@@ -49,7 +50,7 @@ class Panels(NamedTuple):
 
 
 class Discs(NamedTuple):
-    """k >= 0 far discs, see ``LampArrays``, with their ``radiances`` (k, 3)."""
+    """k ≥ 0 discs at infinity, see ``LampArrays``, with their ``radiances`` (k, 3)."""
 
     towards: Any
     edges: Any
@@ -57,11 +58,11 @@ class Discs(NamedTuple):
 
 
 class ShineLights(NamedTuple):
-    """All light that rays may bring: ``around`` has lamps without an extent alone, the others are
-    panels and discs.
+    """All light that rays of shine may bring.
 
-    Where rays end on something they are expected to bring the radiance ``ambient``. Each ray is
-    chosen of ``ways``.
+    ``around`` has only lamps without an extent; the others are panels and discs. A ray that ends on
+    a surface is expected to bring the radiance ``ambient``. Each ray is the best of ``ways``
+    candidates.
     """
 
     around: Any
@@ -79,8 +80,8 @@ SHINE_LIGHTS = record(ShineLights, SURROUNDINGS_RECORD, PANELS, DISCS, types.flo
 
 @kernel()
 def panel_met(panels, k, p, w):
-    """How far the ray from the world point ``p`` along ``w`` is from panel ``k``, inf where that is
-    dark or missed; and its density when drawn by area, per steradian.
+    """Return the distance of panel ``k`` along ``w`` from the world point ``p``, infinite if it
+    is dark or missed, and its density per steradian under area sampling.
     """
     u, v = row(panels.edges[k], 0), row(panels.edges[k], 1)
     across = cross(u, v)
@@ -100,7 +101,7 @@ def panel_met(panels, k, p, w):
 
 @kernel()
 def disc_met(discs, k, w):
-    """The density of the direction ``w`` when drawn from disc ``k``, 0 beside it; see
+    """Return the density of direction ``w`` when sampled from disc ``k``; 0 outside of it. See
     ``draw_from_disc``.
     """
     towards = row(discs.towards, k)
@@ -115,7 +116,7 @@ def disc_met(discs, k, w):
 
 @kernel()
 def count_lights(lights):
-    """How many lights rays may be drawn towards."""
+    """Return the number of lights that rays may be aimed at."""
     if lights.around.table[0].shape[0] > 0:
         bright = 1
     else:
@@ -125,7 +126,7 @@ def count_lights(lights):
 
 @kernel()
 def draw_light(lights, which, p, a, b):
-    """A world direction from ``p`` towards light number ``which``, from (a, b) in [0, 1)²."""
+    """Sample a world direction from ``p`` towards light number ``which`` by (a, b) in [0, 1)²."""
     around = lights.around
     panels = lights.panels
     bright = 1 if around.table[0].shape[0] > 0 else 0
@@ -143,8 +144,8 @@ def draw_light(lights, which, p, a, b):
 
 @kernel(inline=True)
 def expect_along(lights, p, w):
-    """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and
-    the density of ``draw_light`` over all of them, each as often.
+    """Return the linear RGB radiance along ``w`` from ``p`` without occlusion, and the density
+    of ``draw_light`` over all lights, chosen uniformly.
     """
     around = lights.around
     panels = lights.panels
@@ -176,9 +177,7 @@ def expect_along(lights, p, w):
 
 @kernel()
 def lamps_before(lights, p, w, t):
-    """What a ray from ``p`` along ``w`` that ends on something at ``t`` brings of the lamps before
-    that.
-    """
+    """Return the light of lamps before ``t`` along the ray from ``p`` in direction ``w``."""
     panels = lights.panels
     (r, g, b) = NO_LIGHT
     for k in range(panels.corners.shape[0]):

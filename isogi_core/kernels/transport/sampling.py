@@ -1,13 +1,12 @@
-"""Directions of rays: densities to draw them from, each with `sample_x`, `x_pdf` and `invert_x`,
-and refraction.
+"""Sampling of directions: densities with ``sample_x``, ``x_pdf`` and ``invert_x``, and refraction.
 
-Uniform numbers come in as arguments, so sampling is a pure function; `invert_x` gives them back.
-Local directions have z along the normal. Densities are per steradian, or per unit area of the
-square. What has no branch takes vectors of numbers too.
+Uniform random numbers are arguments, so that sampling is a pure function; ``invert_x`` returns
+them. Local directions have z along the normal. Densities are per steradian, or per unit area of the
+square. Kernels without branches take vectors of numbers as well.
 
 At a smooth dielectric interface directions are unit vectors of the world; ``n`` is the normal on
 the side that light comes from, and ``ratio`` the index of refraction on the other side over that on
-this one. Source: Born and Wolf, "Principles of Optics", section 1.5.
+this side. Source: Born and Wolf, "Principles of Optics", section 1.5.
 """
 
 import math
@@ -181,8 +180,8 @@ def latlong_jacobian(row):
 
 @kernel()
 def find_interval(cdf, u):
-    """The last i <= len(cdf) - 2 with cdf[i] <= u; an interval of no width is never found for u <
-    1.
+    """Return the last i <= len(cdf) - 2 with cdf[i] <= u; an interval without width is never
+    found for u < 1.
     """
     low = 0
     high = cdf.shape[0] - 1
@@ -252,8 +251,8 @@ def _height(cdf, place):
 
 @kernel()
 def refracted_cosine(cosine, ratio):
-    """Cosine of the refracted ray to the normal, by Snell's law, where the other one's is
-    ``cosine``; 0 where all of the light is mirrored.
+    """Return the cosine of the refracted ray to the normal by Snell's law, for a ray at
+    ``cosine``; 0 under total reflection.
     """
     square = 1.0 - (1.0 - cosine * cosine) / (ratio * ratio)
     return math.sqrt(square) if square > 0.0 else 0.0
@@ -261,8 +260,8 @@ def refracted_cosine(cosine, ratio):
 
 @kernel()
 def fresnel(cosine, ratio):
-    """Share of unpolarised light that is mirrored, from its ``cosine`` to the normal: ½ (r_s² +
-    r_p²), 1 beyond the critical angle.
+    """Return the reflectance of unpolarised light at ``cosine`` to the normal: ½ (r_s² + r_p²),
+    1 beyond the critical angle.
     """
     other = refracted_cosine(cosine, ratio)
     if not other > 0.0:
@@ -274,14 +273,12 @@ def fresnel(cosine, ratio):
 
 @kernel()
 def mirror(w, n, cosine):
-    """The direction in which ``w`` is mirrored at ``cosine`` = -w·n."""
+    """Return the mirror direction of ``w`` at ``cosine`` = -w·n."""
     return normalize(madd(w, 2.0 * cosine, n))
 
 
 @kernel()
 def refract(w, n, cosine, ratio):
-    """The direction in which ``w`` goes on behind the interface, at ``cosine`` = -w·n, up to the
-    critical angle.
-    """
+    """Return the refracted direction of ``w`` at ``cosine`` = -w·n, up to the critical angle."""
     other = refracted_cosine(cosine, ratio)
     return normalize(madd(scale(w, 1.0 / ratio), cosine / ratio - other, n))

@@ -1,8 +1,8 @@
-"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight
-through it.
+"""Paths among several isosurfaces: each surface reflects light, transmits it diffusely, or lets
+rays pass straight.
 
-What meets a surface leaves it on the side it came from, or, diffuse too, on the other. Walls let
-nothing through.
+A ray that hits a surface leaves it on the side it came from or, by diffuse transmission, on the
+other side; with the probability ``clear`` it passes straight through. Walls are opaque.
 """
 
 import math
@@ -38,17 +38,16 @@ from isogi_core.kernels.transport.room_paths import ROOM_RECORD, begin_on_walls,
 from isogi_core.kernels.transport.streams import LEAVING, MAX_CROSSINGS, PAIRS_PER_PURPOSE, PASSING
 
 NO_SURFACE = -1
-"""The number of no surface: of what is a wall, or nothing."""
+"""Number of no surface, for hits on walls and for misses."""
 
 
 class Surfaces(NamedTuple):
-    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has
-    for itself.
+    """s isosurfaces; paths start on the first one, whose isovalue each start defines for itself.
 
-    Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues``
-    (s,), of which the first is not read, the ``albedos`` (s, 3) of both its sides, and the share
-    ``clears`` (s,) of rays that passes. Of what falls on either side the share ``transmissions``
-    (s, 3) leaves the other, diffuse.
+    Of each: the ``cells`` that may hold it (MAX_SURFACES records, of which only s are read);
+    ``isovalues`` (s,), of which the first is not read; ``albedos`` (s, 3) of both sides; the share
+    ``clears`` (s,) of rays that pass straight; the share ``transmissions`` (s, 3) of light that
+    leaves the other side, diffusely.
     """
 
     cells: Any
@@ -69,7 +68,7 @@ SURFACES_RECORD = record(
 
 
 class Among(NamedTuple):
-    """The ``surfaces`` of a ``field`` that rays meet, and their ``room``."""
+    """The ``surfaces`` of a ``field`` that rays meet, and the walls of their ``room``."""
 
     field: Any
     surfaces: Any
@@ -79,14 +78,15 @@ class Among(NamedTuple):
 AMONG_RECORD = record(Among, FIELD_RECORD, SURFACES_RECORD, ROOM_RECORD)
 
 
-class Company(NamedTuple):
-    """A ``wave`` of paths among s surfaces in a room.
+class AmongState(NamedTuple):
+    """State of a ``wave`` of paths among s surfaces in a room.
 
-    (n,) the ``own`` isovalues of the surfaces that paths started on, and the numbers of those that
-    vertices stand ``on`` and that rays ``met``, or NONE. For each surface and ray the way ``t`` to
-    it, and the side that it ``came`` from, (s, n). ``end`` (n,) is the way to the wall that a ray
-    meets at last. ``passed`` (n,) is the share of a shadow ray's light that gets through,
-    ``pending`` (n,) the rays that go on.
+    - ``own`` (n,): isovalue of the surface that each path started on.
+    - ``on``, ``met`` (n,): surface that the vertex lies on, and that the ray hit, or NO_SURFACE.
+    - ``t``, ``came`` (s, n): distance of each ray to each surface, and the side it arrives on.
+    - ``end`` (n,): distance to the first wall.
+    - ``passed`` (n,): share of a shadow ray's light that gets through.
+    - ``pending`` (n,): rays that have further surfaces to cross.
     """
 
     wave: Any
@@ -101,47 +101,49 @@ class Company(NamedTuple):
 
 
 @kernel()
-def cast_at_all(scene, company, origins, count):
-    """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that
-    end them.
-    """
+def cast_at_all(scene, state, origins, count):
+    """Cast the rays of a wave from ``origins`` at each surface, and at the walls that stop them."""
     surfaces = scene.surfaces
-    wave = company.wave
+    wave = state.wave
     n = whole(count)
     isovalues = np.empty(n)
     sides = np.empty(n, np.int8)
     directions = columns(wave.rays.directions, count)
+    # Find the first hit on each surface; a ray is given its side on the surface that it starts on.
     for k in range(surfaces.clears.shape[0]):
         for i in range(n):
             if k == 0:
-                isovalues[i] = company.own[i]
+                isovalues[i] = state.own[i]
             else:
                 isovalues[i] = surfaces.isovalues[k]
-            if company.on[i] == k:
+            if state.on[i] == k:
                 sides[i] = wave.rays.sides[i]
             else:
                 sides[i] = UNKNOWN_SIDE
         rays = Rays(isovalues, origins, directions, sides)
-        cast_batch(scene.field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
-    company.end[:n] = math.inf
-    meet_walls(scene.room.walls, origins, directions, wave.own[:n], company.end[:n], wave.met[:n])
+        cast_batch(scene.field, surfaces.cells[k], rays, state.t[k, :n], state.came[k, :n])
+    # Find the first wall.
+    state.end[:n] = math.inf
+    meet_walls(scene.room.walls, origins, directions, wave.own[:n], state.end[:n], wave.met[:n])
 
 
 @kernel()
-def cast_past(scene, company, k, origins, count, going):
-    """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from
-    there.
+def cast_past(scene, state, k, origins, count, going):
+    """Cast the pending rays among the first ``going`` that have just passed surface ``k`` on
+    from there.
     """
+    # List the rays whose last crossing was on surface k.
     n = whole(going)
-    directions = columns(company.wave.rays.directions, count)
+    directions = columns(state.wave.rays.directions, count)
     some = np.empty(n, np.int64)
     size = 0
     for j in range(going):
-        if company.met[company.pending[j]] == k:
-            some[size] = company.pending[j]
+        if state.met[state.pending[j]] == k:
+            some[size] = state.pending[j]
             size += 1
     if size == 0:
         return
+    # Start them at their crossing, on the other side of the surface.
     rays = Rays(np.empty(size), np.empty((3, size)), np.empty((3, size)), np.empty(size, np.int8))
     t = np.empty(size)
     came = np.empty(size, np.int8)
@@ -149,34 +151,35 @@ def cast_past(scene, company, k, origins, count, going):
         i = some[j]
         d = column(directions, i)
         if k == 0:
-            rays.isovalues[j] = company.own[i]
+            rays.isovalues[j] = state.own[i]
         else:
             rays.isovalues[j] = scene.surfaces.isovalues[k]
-        put_column(rays.origins, j, madd(column(origins, i), company.t[k, i], d))
+        put_column(rays.origins, j, madd(column(origins, i), state.t[k, i], d))
         put_column(rays.directions, j, d)
-        rays.sides[j] = -company.came[k, i]
+        rays.sides[j] = -state.came[k, i]
     cast_batch(scene.field, scene.surfaces.cells[k], rays, t, came)
+    # Distances are from the rays' origins, so that crossings of all surfaces compare.
     for j in range(size):
-        company.t[k, some[j]] += t[j]
-        company.came[k, some[j]] = came[j]
+        state.t[k, some[j]] += t[j]
+        state.came[k, some[j]] = came[j]
 
 
 @kernel()
-def nearest_surface(company, i):
-    """The surface that ray ``i`` meets next; the first of those at the same place, and 0 where it
-    meets none.
+def nearest_surface(state, i):
+    """Return the surface that ray ``i`` crosses next, the first of several at one place; 0 if
+    there is none.
     """
     best = 0
-    for k in range(1, company.t.shape[0]):
-        if company.t[k, i] < company.t[best, i]:
+    for k in range(1, state.t.shape[0]):
+        if state.t[k, i] < state.t[best, i]:
             best = k
     return best
 
 
 @kernel()
 def happens(rays, i, number, chance):
-    """Whether path ``i`` of a wave draws what has this ``chance``, by its pair of random numbers of
-    this ``number``.
+    """Return whether path ``i`` of a wave takes an event of probability ``chance``, by its
+    random pair ``number``.
     """
     low = np.uint64(rays.low[i])
     high = np.uint64(rays.high[i])
@@ -186,8 +189,8 @@ def happens(rays, i, number, chance):
 
 @kernel()
 def passes(rays, i, bounce, crossing, clear):
-    """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by
-    chance.
+    """Return whether ray ``i`` of a path passes the surface at this ``crossing``, at random by
+    ``clear``.
     """
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
@@ -195,61 +198,65 @@ def passes(rays, i, bounce, crossing, clear):
 
 
 @kernel()
-def goes_on(surfaces, company, i, bounce, crossing, aimed):
-    """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches,
-    with what it brings.
+def goes_on(surfaces, state, i, bounce, crossing, aimed):
+    """Handle the next crossing of ray ``i``; return whether the ray continues past it.
+
+    An ``aimed`` ray continues up to its reach with the light that is transmitted; other rays pass
+    at random, or stop.
     """
-    rays = company.wave.rays
-    k = nearest_surface(company, i)
+    rays = state.wave.rays
+    k = nearest_surface(state, i)
     if aimed:
-        reach = company.wave.shadow.reach[i]
+        reach = state.wave.shadow.reach[i]
     else:
         reach = math.inf
-    walled = company.end[i] <= company.t[k, i]
+    walled = state.end[i] <= state.t[k, i]
     if walled:
-        rays.t[i] = company.end[i]
+        rays.t[i] = state.end[i]
     else:
-        rays.t[i] = company.t[k, i]
-    rays.came[i] = company.came[k, i]
-    company.met[i] = NO_SURFACE if walled else k
+        rays.t[i] = state.t[k, i]
+    rays.came[i] = state.came[k, i]
+    state.met[i] = NO_SURFACE if walled else k
     if rays.t[i] >= reach or (walled and not aimed):
         return False
     if aimed:
-        company.passed[i] *= 0.0 if walled else surfaces.clears[k]
-        return company.passed[i] > 0.0
+        state.passed[i] *= 0.0 if walled else surfaces.clears[k]
+        return state.passed[i] > 0.0
     return passes(rays, i, bounce, crossing, surfaces.clears[k])
 
 
 @kernel()
-def follow_rays(scene, company, room, bounce, count, aimed):
-    """Follow a wave's rays from the points in ``room`` to the surfaces that stop them.
+def follow_rays(scene, state, room, bounce, count, aimed):
+    """Follow the rays of a wave from the points in ``room`` to the surfaces that stop them.
 
-    Writes how far that is, and from which side they met which surface, or which wall. ``aimed``
-    rays go no farther than they reach, and bring the share ``passed`` of their light.
+    Writes distance, side, surface and wall of each hit. ``aimed`` rays end at their reach, and keep
+    the share ``passed`` of their light.
     """
+    # Find the first crossing of each ray with each surface.
     origins = columns(room, count)
     origins[:, count:] = math.inf
-    company.passed[:count] = 1.0
-    cast_at_all(scene, company, origins, count)
+    state.passed[:count] = 1.0
+    cast_at_all(scene, state, origins, count)
     for i in range(count):
-        company.pending[i] = i
+        state.pending[i] = i
     going = count
+    # Handle the nearest crossing of each pending ray, and find the next one of rays that pass.
     for crossing in range(MAX_CROSSINGS):
         staying = 0
         for j in range(going):
-            i = company.pending[j]
-            company.pending[staying] = i
-            staying += goes_on(scene.surfaces, company, i, bounce, crossing, aimed)
+            i = state.pending[j]
+            state.pending[staying] = i
+            staying += goes_on(scene.surfaces, state, i, bounce, crossing, aimed)
         going = staying
         if going == 0:
             break
         for k in range(scene.surfaces.clears.shape[0]):
-            cast_past(scene, company, k, origins, count, going)
+            cast_past(scene, state, k, origins, count, going)
     for j in range(going):
-        company.passed[company.pending[j]] = 0.0
+        state.passed[state.pending[j]] = 0.0
     for i in range(count):
-        if company.met[i] != NO_SURFACE:
-            company.wave.met[i] = NO_WALL
+        if state.met[i] != NO_SURFACE:
+            state.wave.met[i] = NO_WALL
 
 
 @add_sent.case(Among)
@@ -278,17 +285,18 @@ def meet_among(scene, state, vertices, bounce):
 
 
 @kernel()
-def choose_side(surfaces, company, h, k, vertex, chance):
-    """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission:
-    whether by that.
+def choose_side(surfaces, state, h, k, vertex, chance):
+    """Choose at random whether path ``h`` leaves its ``vertex`` on surface ``k`` on the other side;
+    return whether it does.
 
-    Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever
-    counts more than three times that. What it carries counts over that chance, and over the
+    The probability of each side is its share of the light that leaves, so that no colour of the
+    throughput grows more than threefold. The throughput is divided by that probability, and by the
     ``chance`` to get there.
     """
-    rays = company.wave.rays
-    carried = company.wave.carried
+    rays = state.wave.rays
+    carried = state.wave.carried
     m = rays.owners[h]
+    # Sum the light that each side would send on.
     back = 0.0
     through = 0.0
     for c in range(3):
@@ -298,6 +306,7 @@ def choose_side(surfaces, company, h, k, vertex, chance):
         share = through / (through + back)
     else:
         share = 0.0
+    # Choose a side, and divide by its probability.
     other = share > 0.0 and happens(rays, h, LEAVING + vertex, share)
     if other:
         counts = surfaces.transmissions[k]
@@ -310,30 +319,32 @@ def choose_side(surfaces, company, h, k, vertex, chance):
 
 
 @kernel()
-def stand_on(scene, company, following, count, bounce, chance):
-    """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its
-    isovalue, and the side that paths leave; of a wall, what these carry. ``count`` rays were cast,
-    and hits were followed with a ``chance``.
+def stand_on(scene, state, following, count, bounce, chance):
+    """Set surface, isovalue and side of the vertices ``following``, which rays of a ``bounce`` hit.
+
+    ``count`` rays were cast; hits were continued with the probability ``chance``. The throughput of
+    paths on walls is multiplied by the albedo there.
     """
-    rays = company.wave.rays
-    carried = company.wave.carried
+    rays = state.wave.rays
+    carried = state.wave.carried
     ways = columns(rays.ways, count)
     surfaces = scene.surfaces
     walls = scene.room.albedos
     for h in range(following.count):
         i = rays.hits[h]
-        k = int(company.met[i])
-        company.own[h] = company.own[i]
-        company.on[h] = k
+        k = int(state.met[i])
+        state.own[h] = state.own[i]
+        state.on[h] = k
         rays.t[h] = rays.t[i]
         if k <= 0:
-            rays.isovalues[h] = company.own[h]
+            rays.isovalues[h] = state.own[h]
         else:
             rays.isovalues[h] = surfaces.isovalues[k]
+        # Reflect at a wall, or choose a side of the surface.
         if k == NO_SURFACE:
             for c in range(3):
-                carried[c, rays.owners[h]] *= walls[int(company.wave.met[i]), c] / chance
-        elif choose_side(surfaces, company, h, k, bounce + 1, chance):
+                carried[c, rays.owners[h]] *= walls[int(state.wave.met[i]), c] / chance
+        elif choose_side(surfaces, state, h, k, bounce + 1, chance):
             rays.sides[h] = -rays.sides[h]
             rays.signs[h] = -rays.signs[h]
             put_column(
@@ -342,23 +353,26 @@ def stand_on(scene, company, following, count, bounce, chance):
 
 
 @kernel()
-def start_on_either_side(scene, company, vertices, starts):
-    """Have paths leave the surface that they start on, on one of its sides, each counting its share
-    of what leaves.
+def start_on_either_side(scene, state, vertices, starts):
+    """Let paths leave their first surface on one of its sides, each with its share of the light
+    that leaves.
     """
     surfaces = scene.surfaces
-    rays = company.wave.rays
+    rays = state.wave.rays
     g = starts.isovalues.shape[0]
     through = surfaces.transmissions[0]
     origins = columns(vertices.points, vertices.count)
     normals = columns(vertices.normals, vertices.count)
     for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
         m = rays.owners[h]
-        if company.on[h] == NO_SURFACE:
+        if state.on[h] == NO_SURFACE:
             continue
+        # Estimates are per unit of albedo plus transmission, as E of both sides is weighted by
+        # these.
         for c in range(3):
-            company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST_NORMAL)
-        if choose_side(surfaces, company, h, 0, 0, 1.0):
+            state.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST_NORMAL)
+        # Move the start of a path that leaves on the other side.
+        if choose_side(surfaces, state, h, 0, 0, 1.0):
             n = scale(column(normals, h), -1.0)
             start = column(starts.points, m % g)
             rays.sides[h] = SOLID_SIGN
@@ -368,7 +382,7 @@ def start_on_either_side(scene, company, vertices, starts):
 
 @advance.case(Among)
 def advance_among(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to where they hit surfaces or walls."""
+    """Move the paths that continue to their hit points on surfaces or walls."""
     rays = state.wave.rays
     count = vertices.count
     compact(rays, vertices, following)
@@ -378,20 +392,22 @@ def advance_among(scene, state, vertices, following, bounce, rules):
 
 
 @make_state.case(Among)
-def make_company(scene, starts, wave):
-    """The company of a ``wave`` of paths among surfaces."""
+def make_among(scene, starts, wave):
+    """Make the state of a ``wave`` of paths among surfaces."""
     n = wave.own.shape[0]
     s = scene.surfaces.clears.shape[0]
     numbers = np.zeros((3, n))
     places = np.zeros((3, n), np.int64)
     met = (numbers[0], places[0], places[1])
     ways = (np.empty((s, n)), np.empty((s, n), np.int8))
-    return Company(wave, *met, *ways, numbers[1], numbers[2], places[2])
+    return AmongState(wave, *met, *ways, numbers[1], numbers[2], places[2])
 
 
 @begin_wave.case(Among)
 def begin_among(scene, state, vertices, starts, first):
-    """Say where the vertices of a wave stand, and put them on either side of the surface."""
+    """Set the surfaces and walls of the first vertices, and choose the sides that paths leave
+    on.
+    """
     wave = state.wave
     begin_on_walls(wave, starts, first, vertices.count)
     for h in range(wave.own.shape[0]):
@@ -405,18 +421,23 @@ def begin_among(scene, state, vertices, starts, first):
     types.void(AMONG_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS)
 )
 def light_among_surfaces(scene, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected,
-    to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, all reflections included, to
+    ``sums`` (g, 3).
 
-    The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance
-    ``clear``, or meets a diffuse one there: of a thin shell that is lit on either side. Light of
-    shadow rays is multiplied by the ``clear`` of all that they cross. Each bounce counts the albedo
-    of what it hit, or its transmission where it goes on from the other side, over the chance of
-    that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the
-    others are not read. Where the surface of the starts has a transmission t beside its albedo a, E
-    is that of both its sides by their shares in what leaves, (a E_own + t E_other) / (a + t).
-    ``light`` are the Surroundings, and luminaires are balanced as in ``light_in_room``. Sums grow
-    sample by sample: the company of a start changes no bit. Source: Kajiya 1986; clear shells as in
-    Beason et al. 2006 (S3).
+    The ``scene`` is Among, ``light`` are the Surroundings.
+
+    - A ray that hits a surface passes straight through with the probability ``clear``, else it
+      meets a diffuse, thin shell lit from both sides.
+    - Light of shadow rays is multiplied by the ``clear`` of all surfaces that they cross.
+    - Each bounce multiplies by the albedo of what it hit, or by its transmission if the path
+      continues on the other side, over the probability of that side.
+    - All light has the first of the weights (bounces + 1, 3) of the ``rules``; the others are not
+      read.
+    - If the surface of the starts has albedo a and transmission t, E is that of both sides weighted
+      by what leaves, (a E_own + t E_other) / (a + t).
+    - Luminaires are combined by the balance heuristic as in ``light_in_room``.
+
+    The result does not depend on which starts are traced together. Source: Kajiya 1986; clear
+    shells as in Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, light, sums)

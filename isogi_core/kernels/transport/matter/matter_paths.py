@@ -1,5 +1,5 @@
-"""Paths among walls about matter that light passes: they wander over walls, and their rays pass
-what they meet.
+"""Paths among walls around refracting matter: vertices lie on walls, and rays between them pass
+through matter.
 """
 
 import math
@@ -48,8 +48,8 @@ its inner normal; and one from anywhere whose ray goes along its ``normal``."""
 
 
 class Through(NamedTuple):
-    """An isosurface of a ``field``, within its active ``cells``, whose ``matter`` light passes, and
-    its ``room``.
+    """An isosurface of a ``field`` within its active ``cells``, whose ``matter`` light passes,
+    and its ``room``.
     """
 
     field: Any
@@ -62,7 +62,7 @@ THROUGH_RECORD = record(Through, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD, MATTER
 
 
 class Crossing(NamedTuple):
-    """The state of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its
+    """State of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its
     paths.
     """
 
@@ -73,21 +73,21 @@ class Crossing(NamedTuple):
 
 @make_state.case(Through)
 def make_crossing(scene, starts, wave):
-    """The state of a ``wave`` whose rays pass matter."""
+    """Make the state of a ``wave`` whose rays pass matter."""
     return Crossing(wave, make_passage(wave.own.shape[0]), starts)
 
 
 @launch_starts.case(Through)
 def launch_through(scene, starts):
-    """Where first rays start, (3, g): the very points."""
+    """Return the origins of first rays, (3, g): the points themselves."""
     return starts.points
 
 
 @begin_wave.case(Through)
 def begin_through(scene, state, vertices, starts, first):
-    """Say where the vertices of a wave stand, whose first path has the number ``first``.
+    """Set the walls of the first vertices of a wave, whose first path has the number ``first``.
 
-    Those that are on no wall lose their normals: nothing is sent straight to them.
+    Vertices on no wall lose their normals, so that no shadow ray lights them.
     """
     wave = state.wave
     g = starts.walls.shape[0]
@@ -101,7 +101,7 @@ def begin_through(scene, state, vertices, starts, first):
 
 @kernel()
 def first_way(rays, starts, k, i):
-    """The first way of path ``i`` of a wave, which starts at ``k``, on no wall."""
+    """Return the first direction of path ``i`` of a wave, which starts at ``k``, on no wall."""
     n = column(starts.normals, k)
     if starts.walls[k] == ALONG_RAY:
         return n
@@ -113,9 +113,9 @@ def first_way(rays, starts, k, i):
 
 
 @kernel()
-def set_out(wave, vertices, passage, starts, bounce):
-    """Put the wave's rays at the start of their passage; the first ones of paths that start on no
-    wall too.
+def enter_passage(wave, vertices, passage, starts, bounce):
+    """Start the passage of the wave's rays; first rays of paths that start on no wall get their
+    direction here.
     """
     rays = wave.rays
     count = vertices.count
@@ -138,8 +138,10 @@ def set_out(wave, vertices, passage, starts, bounce):
 
 
 @kernel()
-def arrive(wave, passage, count):
-    """Write where rays of a passage came to the wave's: 0 on a wall, inf for those that left."""
+def leave_passage(wave, passage, count):
+    """Write the walls that rays of a passage ended on to the wave: distance 0 on a wall,
+    infinite for rays that left.
+    """
     rays = wave.rays
     for i in range(count):
         wave.met[i] = passage.met[i]
@@ -151,8 +153,8 @@ def arrive(wave, passage, count):
 
 @kernel()
 def gather_passed_ends(wave, vertices, passage, escaped, light):
-    """Add the environment that the ``escaped`` paths leave to: all of it where no shadow ray could
-    bring it.
+    """Add the environment's light of ``escaped`` paths; all of it if no shadow ray could bring
+    it.
     """
     normals = columns(vertices.normals, vertices.count)
     for i in wave.rays.escaped[:escaped]:
@@ -168,8 +170,8 @@ def gather_passed_ends(wave, vertices, passage, escaped, light):
 
 @kernel()
 def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
-    """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how
-    many.
+    """Add the light of luminaires that paths hit; return the number of paths that hit a
+    reflecting side.
     """
     rays = wave.rays
     staying = 0
@@ -197,8 +199,8 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
 
 @kernel()
 def stand_at_ends(wave, passage, following, room, chance):
-    """Put the vertices ``following`` on the walls that were met, whose albedo over the ``chance``
-    paths now carry.
+    """Put the vertices ``following`` on the walls that were hit; multiply by albedo over
+    ``chance``.
     """
     rays = wave.rays
     hits = following.count
@@ -218,29 +220,27 @@ def stand_at_ends(wave, passage, following, room, chance):
 
 @cast_wave.case(Through)
 def cast_past_matter(scene, state, points, count):
-    """Cast a wave's shadow rays from ``points`` to what they meet first: matter stops them as walls
-    do.
-    """
+    """Cast the shadow rays of a wave from ``points``: matter blocks them as walls do."""
     cast_among_walls(scene, state, points, count)
 
 
 @meet.case(Through)
 def meet_through(scene, state, vertices, bounce):
-    """Follow the rays of a wave through matter to where they meet walls or leave."""
+    """Follow the rays of a wave through matter to walls or out of the scene."""
     wave = state.wave
     passage = state.passage
     count = vertices.count
-    set_out(wave, vertices, passage, state.starts, bounce)
+    enter_passage(wave, vertices, passage, state.starts, bounce)
     pass_matter(
         scene.field, scene.cells, scene.room.walls, scene.matter, wave, passage, bounce, count
     )
-    arrive(wave, passage, count)
+    leave_passage(wave, passage, count)
 
 
 @gather_met.case(Through, Surroundings)
 def gather_met_through(scene, state, vertices, bounce, light):
-    """Add the environment that paths leave to, and luminaires that they meet: returns how many go
-    on.
+    """Add the environment's light and that of luminaires; return the number of paths that
+    continue.
     """
     wave = state.wave
     passage = state.passage
@@ -252,7 +252,7 @@ def gather_met_through(scene, state, vertices, bounce, light):
 
 @advance.case(Through)
 def advance_through(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to where they met walls."""
+    """Move the paths that continue to the walls that they hit."""
     compact(state.wave.rays, vertices, following)
     stand_at_ends(
         state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0
@@ -265,14 +265,17 @@ def advance_through(scene, state, vertices, following, bounce, rules):
     )
 )
 def light_through_matter(scene, starts, samples, rules, light, sums):
-    """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
+    """Add the light of a ``SampleRange`` of paths at each of g ``PathStarts`` to ``sums`` (g, 3).
 
-    The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by
-    walls. Of one that goes INWARD it is the radiance of the solid side over π and cosines there,
-    B/π, of one ALONG_RAY a way the radiance that arrives from there. Rays meet the isosurface as
-    ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed and scattered. So what
-    arrives through it of luminaires and of what lies outside, caustics, comes by chance alone, and
-    lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``.
-    Source: Kajiya 1986; Beason et al. 2006 (S3).
+    The ``scene`` is Through. The result depends on the start:
+
+    - on a wall: E/π with all reflections by walls;
+    - INWARD: radiance of the solid side, averaged over π and cosines there, B/π;
+    - ALONG_RAY: radiance that arrives along the start's normal.
+
+    Rays meet the isosurface as ``Matter`` does: they refract and reflect by Fresnel, are absorbed
+    and scattered. Light that luminaires and the environment send through it (caustics) is found by
+    chance alone, and lamps that no ray can hit cast shadows. Bounces, weights and sums are as in
+    ``light_in_room``. Source: Kajiya 1986; Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, light, sums)

@@ -1,7 +1,7 @@
-"""The way of a wave's rays through matter: refracted, mirrored, scattered by chance until they meet
-a wall or leave.
+"""The way of a wave's rays through matter: refraction, reflection and scattering up to a wall or
+out of the scene.
 
-What is random there belongs to the path, the bounce and the step, as all random numbers do.
+Random numbers belong to the path, the bounce and the step.
 """
 
 import math
@@ -26,11 +26,12 @@ from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS_PER
 
 
 class Matter(NamedTuple):
-    """What fills the solid side of an isosurface; lengths are the world's.
+    """The matter on the solid side of an isosurface; lengths are the world's.
 
-    Its ``index`` of refraction; the ``absorption`` (3,) per unit of length, linear RGB; how often
-    light is scattered, ``extinction`` per unit of length, evenly to all sides, and the share of it
-    that goes on then, ``albedo`` (3,).
+    - ``index``: index of refraction.
+    - ``absorption`` (3,): absorption per unit of length, linear RGB.
+    - ``extinction``: scattering events per unit of length; scattering is isotropic.
+    - ``albedo`` (3,): share of light that goes on from a scattering event.
     """
 
     index: float
@@ -43,7 +44,7 @@ MATTER_RECORD = record(Matter, types.float64, REAL_ARRAY, types.float64, REAL_AR
 
 
 class Passable(NamedTuple):
-    """What rays meet that pass an isosurface: the ``room`` about it, and the ``matter`` behind
+    """What rays meet that pass an isosurface: the ``room`` around it, and the ``matter`` behind
     it.
     """
 
@@ -56,11 +57,11 @@ PASSABLE = record(Passable, ROOM_RECORD, MATTER_RECORD)
 
 @kernel()
 def way_inside(shape, o, d, side, came, reach):
-    """Part (near, far) of the ray o + t·d, t up to ``reach``, in what is solid; (0, 0) where it is
-    outside.
+    """Return the part (near, far) of the ray o + t·d, t up to ``reach``, inside of the matter; (0,
+    0) if it is outside.
 
-    ``side`` is where it starts, and ``came`` the side that it met the surface from, both UNKNOWN
-    where that is not known. Faces of the volume's box, of ``shape``, let light pass as it goes.
+    ``side`` is the side of its start, ``came`` the side from which it hit the surface; either may
+    be UNKNOWN. Faces of the volume's box of ``shape`` voxels do not refract.
     """
     if side != SOLID_SIGN and came != SOLID_SIGN:
         return 0.0, 0.0
@@ -72,18 +73,18 @@ def way_inside(shape, o, d, side, came, reach):
 
 @kernel()
 def transmitted(matter, way):
-    """Share of light, linear RGB, that absorption leaves over a ``way``: Beer's law."""
+    """Return the share of light, linear RGB, that absorption leaves over a ``way``: Beer's law."""
     a = matter.absorption
     return math.exp(-a[0] * way), math.exp(-a[1] * way), math.exp(-a[2] * way)
 
 
 @kernel()
 def meet_interface(field, matter, p, w, came):
-    """Where the unit way ``w`` meets the surface at ``p``: (share mirrored, mirrored way, way that
-    goes on).
+    """Return what happens to the unit direction ``w`` at the interface at ``p``: (reflectance,
+    reflected, refracted direction).
 
-    The normal is that of shading. Where it is turned away from the ray, as at outlines of smoothed
-    normals, the ray grazes: all of it is passed on.
+    The normal is the shading normal. If it points away from the ray, as at outlines of smoothed
+    normals, the ray grazes and passes entirely.
     """
     n = shading_normal(field, p, came, w)
     cosine = -dot(n, w)
@@ -100,29 +101,31 @@ def meet_interface(field, matter, p, w, came):
 
 @kernel()
 def dimmed(light, shares):
-    """The product of two colours."""
+    """Return the product of two colours."""
     return light[0] * shares[0], light[1] * shares[1], light[2] * shares[2]
 
 
 @kernel()
 def brightest(light):
-    """The greatest of three channels."""
+    """Return the greatest of three channels."""
     return max(light[0], light[1], light[2])
 
 
 @kernel()
 def parted(light, share):
-    """What is mirrored of a ``light``, and what goes on."""
+    """Split a ``light`` into the reflected ``share`` and the rest."""
     return scale(light, share), scale(light, 1.0 - share)
 
 
 class Passage(NamedTuple):
-    """Rays of a wave on their way, (n,) or (3, n) each: ``origins`` in index space, unit world
-    ``ways``, ``sides``.
+    """Rays of a wave on their way through matter, (n,) or (3, n) each.
 
-    ``own`` are the walls that they start on, ``straight`` is 1 as long as nothing turned them.
-    ``pending`` (n,) int64 are those that go on. At the end ``met`` are the walls that they meet at
-    ``origins``, or NO_WALL.
+    - ``origins``, ``ways``, ``sides``: index-space origins, unit world directions, and sides of the
+      starts.
+    - ``own``: walls that rays start on.
+    - ``met``: walls that rays end on at ``origins``, or NO_WALL.
+    - ``straight``: 1 as long as a ray keeps its direction.
+    - ``pending`` int64: rays that are still on their way.
     """
 
     origins: Any
@@ -136,7 +139,7 @@ class Passage(NamedTuple):
 
 @kernel()
 def make_passage(n):
-    """Room for ``n`` rays."""
+    """Allocate the passage of ``n`` rays."""
     origins = np.zeros((3, n))
     ways = np.zeros((3, n))
     numbers = np.zeros((3, n))
@@ -147,8 +150,8 @@ def make_passage(n):
 
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
-    """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step
-    has two.
+    """Return pair ``second`` (0 or 1) of the random numbers of ray ``i`` at a ``step`` of its
+    way.
     """
     rays = wave.rays
     dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS_PER_PURPOSE + bounce)
@@ -159,7 +162,7 @@ def draw(wave, i, bounce, step, second):
 
 @kernel()
 def gather_rays(field, wave, passage, going):
-    """The first ``going`` pending rays side by side, in whole vectors: ``Rays``, and the walls that
+    """Return the first ``going`` pending rays as whole vectors of ``Rays``, and the walls that
     they start on.
     """
     n = whole(going)
@@ -179,7 +182,7 @@ def gather_rays(field, wave, passage, going):
 
 @kernel(inline=True)
 def dim(wave, i, shares):
-    """Multiply what ray ``i`` of a wave carries by ``shares``."""
+    """Multiply the throughput of ray ``i`` by ``shares``."""
     m = wave.rays.owners[i]
     for c in range(3):
         wave.carried[c, m] *= shares[c]
@@ -187,7 +190,7 @@ def dim(wave, i, shares):
 
 @kernel(inline=True)
 def end_at(passage, i, p, wall):
-    """End ray ``i`` at ``p``, on a ``wall`` or NO_WALL."""
+    """End ray ``i`` at ``p``, on a ``wall`` or NO_WALL; return False."""
     put_column(passage.origins, i, p)
     passage.met[i] = wall
     return False
@@ -195,10 +198,10 @@ def end_at(passage, i, p, wall):
 
 @kernel(inline=True)
 def scatter(matter, wave, passage, i, bounce, step):
-    """Turn ray ``i`` where it is scattered, or end it by chance: in as many cases as the brightest
-    channel is absorbed.
+    """Scatter ray ``i`` into a new direction, or absorb it at random by its brightest channel;
+    return whether it goes on.
 
-    What it carries is divided by the chance to go on. Returns whether it does.
+    The throughput is divided by the probability to go on.
     """
     albedo = matter.albedo[0], matter.albedo[1], matter.albedo[2]
     chance = brightest(albedo)
@@ -215,16 +218,17 @@ def scatter(matter, wave, passage, i, bounce, step):
 
 @kernel(inline=True)
 def go_on(field, matter, wave, passage, ray, i, place):
-    """Bring ray ``i`` to what it met, ``ray`` = (o, d, t, side it came from, wall); returns whether
-    it goes on there.
+    """Move ray ``i`` to its next event, ``ray`` = (o, d, t, side it came from, wall); return
+    whether it goes on.
 
-    The ``place`` of its random numbers is its bounce and step.
+    ``place`` is (bounce, step) of its random numbers.
     """
     (o, d, t, came, wall) = ray
     (bounce, step) = place
     w = column(passage.ways, i)
     passage.own[i] = NO_WALL
     near, far = way_inside(field.voxels.shape, o, d, passage.sides[i], came, t)
+    # Sample the free flight in a scattering medium; scatter if it ends before the next hit.
     u, v = draw(wave, i, bounce, step, 0)
     if matter.extinction > 0.0 and far > near:
         flight = -math.log(1.0 - u) / matter.extinction
@@ -232,9 +236,11 @@ def go_on(field, matter, wave, passage, ray, i, place):
             dim(wave, i, transmitted(matter, flight))
             put_column(passage.origins, i, madd(o, near + flight, d))
             return scatter(matter, wave, passage, i, bounce, step)
+    # Absorb along the way; a ray that hits a wall or leaves ends there.
     dim(wave, i, transmitted(matter, far - near))
     if not t < math.inf or wall != NO_WALL:
         return end_at(passage, i, madd(o, t, d) if t < math.inf else o, wall)
+    # Reflect or refract at the interface, at random by the Fresnel reflectance.
     p = madd(o, t, d)
     share, mirrored, passed = meet_interface(field, matter, p, w, came)
     back = v < share
@@ -247,14 +253,15 @@ def go_on(field, matter, wave, passage, ray, i, place):
 
 @kernel()
 def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
-    """Follow the first ``count`` rays of a ``PathWave`` on their passage to where they meet walls
-    or leave.
+    """Follow the first ``count`` rays of a ``PathWave`` through matter to walls or out of the
+    scene.
 
-    What they carry dims on the way; ``bounce`` is the number of the vertex that they come from.
+    ``bounce`` is the number of the vertex that they start from. Throughputs shrink on the way.
     """
     for i in range(count):
         passage.pending[i] = i
     going = count
+    # Cast all pending rays to their next interface or wall, and handle one event of each.
     for step in range(MAX_STEPS):
         rays, own = gather_rays(field, wave.rays, passage, going)
         n = own.shape[0]
@@ -272,6 +279,7 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
         going = staying
         if going == 0:
             return
+    # Drop the light of rays that do not end within MAX_STEPS.
     for j in range(going):
         i = passage.pending[j]
         dim(wave, i, (0.0, 0.0, 0.0))

@@ -1,5 +1,5 @@
-"""What the eye sees through matter that refracts: each ray parts in two at every interface, as far
-as that counts.
+"""What the eye sees through refracting matter: rays split in two at each interface, as long as
+both parts count.
 """
 
 import math
@@ -31,24 +31,23 @@ from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
 
 PARTED_PLACES = 16
-"""A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its
-point may see.
+"""A ray splits if each part counts at least 1 / (PARTED_PLACES · places), of the places that
+its point may see.
 """
 
 START_BACK_VOXELS = 1e-2
-"""Voxels before the surface at which the eye's rays start, so that they meet it whatever the
-rounding of the point.
-"""
+"""Voxels before the surface at which the eye's rays start, so that they hit it despite rounding."""
 
 
 class Leaves(NamedTuple):
-    """What n points show: ``sky`` (n, 3) float32 of what lies outside, and the walls that their
-    rays end on.
+    """What n points show: the environment and the walls that their rays end on.
 
-    Of at most b places each, row b · m + j is place j of point m: ``weights`` (rows, 3) and
-    ``points`` (rows, 3; index space) float32, and the number of the wall, or -1, in ``met`` (rows,)
-    int8; ``sides`` (rows,) int8 is 1 for its front, -1 for its back. ``cut`` (n,) float32 is the
-    share of light that went the way of another.
+    - ``sky`` (n, 3) float32: light of the environment.
+    - ``weights``, ``points`` (rows, 3) float32: weight and index-space point of a wall; row b · m +
+      j is place j of point m, of at most b places.
+    - ``met`` (rows,) int8: number of the wall, or -1; ``sides`` (rows,) int8: 1 for its front, -1
+      for its back.
+    - ``cut`` (n,) float32: share of light that was not split but followed one way at random.
     """
 
     sky: Any
@@ -66,10 +65,11 @@ LEAVES_OF = record(
 
 
 class Chances(NamedTuple):
-    """How rays choose their way where they do not part: by random numbers of a point's ``seeds``
-    (n,) uint64 and of its ``samples`` (n,) int64; where that is NO_SAMPLE, the way of the greater
-    part. Their light passes ``deep`` interfaces at most: then it goes on as it would without the
-    matter.
+    """Random choices of rays that do not split: by ``seeds`` (n,) uint64 and ``samples`` (n,) int64
+    of each point.
+
+    With NO_SAMPLE the greater part is followed. Light passes at most ``deep`` interfaces, and then
+    goes on as if there were no matter.
     """
 
     seeds: Any
@@ -80,12 +80,12 @@ class Chances(NamedTuple):
 CHANCES_RECORD = record(Chances, types.uint64[::1], types.int64[::1], types.int64)
 
 NO_SAMPLE = -1
-"""No sample: nothing is left to chance."""
+"""Sample number of points that follow the greater part instead of a random one."""
 
 
 class Progress(NamedTuple):
-    """Of each of n points how many places it has ``used`` and ``shown``, and the choices it has
-    ``made``, (n,) each.
+    """Of each of n points: the places ``used`` and ``shown``, and the random choices ``made``,
+    (n,) each.
     """
 
     used: Any
@@ -94,10 +94,8 @@ class Progress(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Rays that are still to be followed, r at most: their ``origins``, unit world ``ways`` and
-    ``weights``, (3, r).
-
-    (r,) ``sides`` that they start on, and the ``owners`` among the points that they belong to.
+    """At most r rays to be followed: ``origins``, unit world ``ways`` and ``weights`` (3, r),
+    ``sides`` of their starts and ``owners`` among the points (r,).
     """
 
     origins: Any
@@ -109,7 +107,7 @@ class Sight(NamedTuple):
 
 @kernel()
 def make_sight(r):
-    """Room for ``r`` rays."""
+    """Allocate ``r`` rays."""
     return Sight(
         np.empty((3, r)),
         np.empty((3, r)),
@@ -121,7 +119,7 @@ def make_sight(r):
 
 @kernel()
 def push(sight, j, o, w, weight, side, owner):
-    """Write a ray to place ``j``; returns the place after it."""
+    """Write a ray to place ``j``; return the next place."""
     put_column(sight.origins, j, o)
     put_column(sight.ways, j, w)
     put_column(sight.weights, j, weight)
@@ -142,9 +140,7 @@ def put_leaf(leaves, place, p, weight, wall, side):
 
 @kernel()
 def choice(chances, progress, m):
-    """The number in [0, 1) that point ``m`` chooses by next: one half where nothing is left to
-    chance.
-    """
+    """Return the next random number in [0, 1) of point ``m``; one half with NO_SAMPLE."""
     progress.made[m] += 1
     sample = chances.samples[m]
     if sample == NO_SAMPLE:
@@ -154,23 +150,25 @@ def choice(chances, progress, m):
 
 @kernel()
 def part(surface, matter, sight, j, ray, shown):
-    """Put what becomes of a ``ray`` = (p, w, weight, side it came from, owner) at the surface, from
-    place ``j`` on.
+    """Write the rays that leave the interface which ``ray`` = (p, w, weight, side it came from,
+    owner) hits, from place ``j`` on.
 
-    Returns the next place. It parts where its owner may see more places and neither part is too
-    small; else all of its light goes one way, as often as that has a share of it: right on the
-    average. ``shown`` is (leaves, chances, progress).
+    Returns the next place. The ray splits if its owner may see more places and neither part is too
+    small. Otherwise all of its light follows one part, with a probability equal to its share, which
+    is right on average. ``shown`` is (leaves, chances, progress).
     """
     (p, w, weight, came, owner) = ray
     (leaves, chances, progress) = shown
     share, mirrored, passed = meet_interface(surface.field, matter, p, w, came)
     places = leaves.met.shape[0] // leaves.sky.shape[0]
     less = brightest(weight) * min(share, 1.0 - share)
+    # Follow one part if the ray may not split.
     if progress.used[owner] >= places or less * (PARTED_PLACES * places) < 1.0:
         leaves.cut[owner] += np.float32(less)
         if share >= 1.0 or (share > 0.0 and choice(chances, progress, owner) < share):
             return push(sight, j, p, mirrored, weight, came, owner)
         return push(sight, j, p, passed, weight, -came, owner)
+    # Split into a refracted and a reflected ray.
     progress.used[owner] += 1
     j = push(sight, j, p, passed, scale(weight, 1.0 - share), -came, owner)
     return push(sight, j, p, mirrored, scale(weight, share), came, owner)
@@ -178,8 +176,8 @@ def part(surface, matter, sight, j, ray, shown):
 
 @kernel()
 def meet_surface(surface, sight, count):
-    """Where the first ``count`` rays meet the surface: (index directions, ways t or inf, sides they
-    came from).
+    """Return where the first ``count`` rays hit the surface: (index-space directions,
+    distances, sides they came from).
     """
     n = whole(count)
     directions = np.ones((3, n))
@@ -198,8 +196,8 @@ def meet_surface(surface, sight, count):
 
 @kernel()
 def show_end(room, light, shown, ends, m, weight):
-    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NO_WALL): a wall's lit
-    side, or outside.
+    """Add what a ray of point ``m`` ends on, ``ends`` = (point, direction, wall or NO_WALL): a
+    wall's emitting side, or the environment.
     """
     leaves, _, progress = shown
     p, w, wall = ends
@@ -217,10 +215,10 @@ def show_end(room, light, shown, ends, m, weight):
 
 @kernel()
 def follow_trees(surface, met, light, sight, count, following, depth, shown):
-    """Follow the first ``count`` rays to what they meet; returns how many go on from there, in
-    ``following``.
+    """Follow the first ``count`` rays to their next hits; write rays that go on to ``following``,
+    and return their number.
 
-    What is ``shown`` is (leaves, chances, progress).
+    ``shown`` is (leaves, chances, progress).
     """
     leaves, chances, _ = shown
     directions, t, came = meet_surface(surface, sight, count)
@@ -230,12 +228,14 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
         w = column(sight.ways, j)
         d = column(directions, j)
         met_at = t[j] if depth < chances.deep else math.inf
+        # Absorb light along the part of the way that is inside of the matter.
         reach, wall = nearest_wall(met.room.walls, o, d, NO_WALL, met_at)
         near, far = way_inside(
             surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach
         )
         weight = dimmed(column(sight.weights, j), transmitted(met.matter, far - near))
         owner = sight.owners[j]
+        # Split at the surface, or show the wall or the environment that the ray ends on.
         if wall == NO_WALL and reach < math.inf:
             ray = madd(o, reach, d), w, weight, int(came[j]), owner
             going = part(surface, met.matter, following, going, ray, shown)
@@ -262,12 +262,11 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
     )
 )
 def see_through(surface, met, light, eye, points, chances, leaves):
-    """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``;
-    in index space.
+    """Fill the ``leaves`` of n ``points`` (n, 3) at which rays from the ``eye`` meet the
+    ``surface``; all in index space.
 
-    Without absorption the weights of all that a point shows sum to 1. What it shows by all
-    ``chances`` is right on the average. Source: Whitted 1980; Arvo and Kirk 1990 on rays that part
-    as long as that counts.
+    Without absorption the weights of all that a point shows sum to 1. The mean over all ``chances``
+    is exact. Source: Whitted 1980; Arvo and Kirk 1990 on rays that split as long as that counts.
     """
     leaves.met[:] = np.int8(NO_WALL)
     leaves.sky[:] = np.float32(0.0)
@@ -282,6 +281,7 @@ def see_through(surface, met, light, eye, points, chances, leaves):
         chances,
         Progress(np.ones(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)),
     )
+    # Start one ray at each point, a little before the surface.
     for m in range(n):
         p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
         w = normalize(to_world(sub(p, eye), spacing))
@@ -296,6 +296,7 @@ def see_through(surface, met, light, eye, points, chances, leaves):
             m,
         )
     count = n
+    # Follow all rays interface by interface.
     for depth in range(chances.deep + 1):
         count = follow_trees(surface, met, light, sight, count, following, depth, shown)
         if count == 0:
