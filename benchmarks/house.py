@@ -1,15 +1,16 @@
-"""``python -m benchmarks.house``: counts of concepts, names and lines in this repository, from its
-source.
+"""``python -m benchmarks.house``: print counts of concepts, names, lines and prose of the source.
 
-Each count has a rule that needs no list kept by hand, so that the same command tells what a change
-has saved.
+Each count has a rule that needs no list kept by hand, so that the same command shows the effect of
+a change. Counts are thermometers: no test asserts them.
 """
 
 import ast
+import io
 import re
 import sys
 import tempfile
-from collections import defaultdict
+import tokenize
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from itertools import chain, pairwise
@@ -30,10 +31,65 @@ RENDER_SIZE = 64
 """Pixels along each side of the picture whose render is traced."""
 
 
+TEXT_PACKAGES = ("isogi_core", "worker", "server", "isogi_report", "tests")
+"""Packages whose text is measured."""
+
+LONGEST_LINE = 100
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the counts, and a table of the text."""
     for name, count in COUNTS.items():
         sys.stdout.write(f"{name:<52} {count()}\n")
+    sys.stdout.write(f"\n{'per 1,000 lines, or words of docstrings':<42}")
+    sys.stdout.write("".join(f"{package:>14}" for package in TEXT_PACKAGES) + "\n")
+    found = [text_gauges(package) for package in TEXT_PACKAGES]
+    for name in found[0]:
+        values = "".join(f"{each[name]:>14.1f}" for each in found)
+        sys.stdout.write(f"{name:<42}{values}\n")
+
+
+def text_gauges(package: str) -> dict[str, float]:
+    """Gauges of how a package reads: per 1,000 lines, or per 1,000 words of its docstrings."""
+    counts: Counter[str] = Counter()
+    words: Counter[str] = Counter()
+    for path in files_of(package):
+        text = path.read_text(encoding="utf-8")
+        lines = text.splitlines()
+        counts["lines"] += len(lines)
+        counts["long"] += sum(len(line) > LONGEST_LINE for line in lines)
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        counts["comments"] += sum(token.type == tokenize.COMMENT for token in tokens)
+        for node in ast.walk(parsed(path)):
+            counts["packed"] += is_packed(node)
+            counts["conditional"] += isinstance(node, ast.IfExp)
+            if isinstance(node, DOCUMENTED_NODES):
+                words.update(re.findall("[a-z']+", (ast.get_docstring(node) or "").lower()))
+    per_line = 1000.0 / max(counts["lines"], 1)
+    per_word = 1000.0 / max(words.total(), 1)
+    return {
+        "assignments that pack several values": per_line * counts["packed"],
+        "comment lines": per_line * counts["comments"],
+        "conditional expressions": per_line * counts["conditional"],
+        "lines over 100 columns": per_line * counts["long"],
+        "docstrings: where": per_word * words["where"],
+        "docstrings: if": per_word * words["if"],
+        "docstrings: what, who, whether": per_word
+        * sum(words[word] for word in ("what", "who", "whether")),
+    }
+
+
+DOCUMENTED_NODES = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+"""Nodes that may have a docstring."""
+
+
+def is_packed(node: ast.AST) -> bool:
+    """Return whether an assignment gives several values to several targets: ``a, b = x, y``."""
+    return (
+        isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Tuple)
+        and isinstance(node.targets[0], ast.Tuple)
+    )
 
 
 def files_of(*places: str, suffixes: tuple[str, ...] = (".py",)) -> list[Path]:
