@@ -12,7 +12,7 @@ EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install serve shell test-fast test test-all test-long kernels bytecode test-bounds test-python check lock format schemas pictures \
-  figures reports clean
+  figures reports wheel-check clean
 
 install: $(BIN)/.installed
 
@@ -123,6 +123,15 @@ figures: $(BIN)/.tools
 # docs/measurements/accuracy-reports.md, from reports of the shared volumes; goes on where it was stopped.
 reports: $(BIN)/.tools
 	$(BIN)/python -m benchmarks.accuracy reports -o reports --write
+
+# A wheel of this tree, installed in an empty environment, and its command: what `pip install isogi` gives.
+wheel-check:
+	rm -rf build/wheel && mkdir -p build/wheel
+	$(PYTHON) -m venv build/wheel/venv
+	$(PYTHON) -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	build/wheel/venv/bin/pip install --quiet --disable-pip-version-check build/wheel/isogi-*.whl
+	cd build/wheel && venv/bin/isogi inspect demo:casting >/dev/null && venv/bin/isogi render demo:casting -o frame.png \
+	  --width 64 --height 64 --target-error 0.2 --store light && test -s frame.png && echo "the wheel works"
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
