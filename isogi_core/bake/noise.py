@@ -1,4 +1,6 @@
-"""How wrong a texel's light still is, when it is good enough, and how many samples that takes."""
+"""Noise of texels' light: its estimate, the error at which a texel is good enough, and the
+samples that takes.
+"""
 
 import math
 from collections.abc import Mapping
@@ -21,8 +23,8 @@ from isogi_core.model.scene_plan import (
 from isogi_core.plan.surfaces import mixing_weights
 
 FLOOR = 0.5
-"""Texels darker than this share of unoccluded light are held to its error, not to their own small
-light's.
+"""Share of unoccluded light: texels darker than this are judged by its error, not by that of
+their own small light.
 """
 
 DECAYS: Mapping[str, tuple[float, float]] = {
@@ -32,40 +34,41 @@ DECAYS: Mapping[str, tuple[float, float]] = {
     "irradiance": (0.42, 0.42),
     "glow": (0.42, 0.42),
 }
-"""What twice the samples do to the variance of band 0, and to what the bands above have more than
-that, by kind.
+"""Factors by which twice the samples reduce the variance of band 0, and the excess of the bands
+above it, by kind of layer.
 
-Points are stratified, and light that paths bring straight is even between its edges: it gains most.
-Of plain random points, and nearly of long paths, half is left. Mean squares of whole halves'
-differences over 16 to 1024 samples, on two views each of the engine, the CT head, the bonsai, the
-MNI brain, the casting and the orbital: within a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band
-0 of direct light, and 0.22 to 0.30 above it.
+Points are stratified, and direct light is smooth between its edges, so that it gains most; plain
+random points, and nearly long paths, keep one half. Mean squares of differences of halves over 16
+to 1024 samples, on two views each of the engine, the CT head, the bonsai, the MNI brain, the
+casting and the orbital: within a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band 0 of direct
+light, and 0.22 to 0.30 above it.
 """
 
 BAND_0 = np.array([0.75, 1 / 12, 1 / 12, 1 / 12])
-"""What the coefficients of bands 0 and 1 count in the variance of band 0.
+"""Weights of the coefficients of bands 0 and 1 in the variance of band 0.
 
-Band 0's own difference of two halves is one number, and would say too little; band 1 is of the same
-paths, and is scaled to band 0 where there is nothing else: see ``evenness``.
+Band 0's own difference of two halves is a single number, and says too little; band 1 comes from the
+same paths, and is scaled to band 0 by ``evenness``.
 """
 
 
 MIN_LUMINANCE = 1e-30
-"""Luminance, in the unit of a bake spec, that stands for none in a divisor."""
+"""Luminance, in the unit of a bake spec, that stands for zero in a divisor."""
 
 
 def deviations(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard error of the luminance in each part, a mean over all turns of the light; (parts,
-    texels) float64.
+    """Return the standard error of the luminance of each part, a mean over all turns of the
+    light; (parts, texels) float64.
     """
     return np.array([deviation(part, spec) for part in light.parts])
 
 
 def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
-    """Standard error of the luminance in one part, see ``BakeSpec.gains``; (texels,) float64.
+    """Return the standard error of the luminance of one part, (texels,) float64: see
+    ``BakeSpec.gains``.
 
-    Where band 0 was estimated too noisy by chance, a quarter of what even noise would be is the
-    least.
+    It is at least a quarter of that of uniform noise, in case band 0 was estimated too small by
+    chance.
     """
     squares = part.noise.astype(np.float64) ** 2
     gains = spec.gains(part.layer)
@@ -73,8 +76,8 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
 
 
 def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Mean luminance of each texel over all turns of the light, lobes among it; (texels,)
-    float64.
+    """Return the mean luminance of each texel over all turns of the light, lobes included;
+    (texels,) float64.
     """
     total = np.zeros(len(light))
     for part in light.parts:
@@ -83,11 +86,11 @@ def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light;
-    (channels,) float64.
+    """Return the weights of band 0 of a ``layer`` in the mean luminance over all turns of the
+    light; (channels,) float64.
 
-    Where views may ask for other albedos, reflected light counts as it does at the lowest, all else
-    as at the highest: an error of the most noise over the least light holds at each of them.
+    If views may ask for other albedos, reflected light counts as at the lowest albedo and noise as
+    at the highest, so that the error holds at each of them.
     """
     if isinstance(layer, GlowLayer):
         return spec.glow_weights(layer)
@@ -101,31 +104,33 @@ def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
 
 
 def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard error of each texel's luminance, all parts together; (texels,) float64."""
+    """Return the standard error of each texel's luminance, all parts together; (texels,)
+    float64.
+    """
     return np.asarray(np.sqrt((deviations(light, spec) ** 2).sum(axis=0)))
 
 
 def level(light: Light, spec: BakeSpec) -> np.ndarray:
-    """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,)
-    float64.
+    """Return the luminance that each texel's error is relative to: its own, or that of FLOOR;
+    (texels,) float64.
     """
     return np.maximum(mean_luminance(light, spec), least_level(spec))
 
 
 def least_level(spec: BakeSpec) -> float:
-    """The luminance that errors of the darkest texels are held against."""
+    """Return the luminance that errors of the darkest texels are relative to."""
     return FLOOR * max(spec.unoccluded, MIN_LUMINANCE * spec.unit)
 
 
 def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard error of each texel's luminance over the luminance, a mean over all turns of the
-    light; (texels,).
+    """Return the relative standard error of each texel's luminance, a mean over all turns of
+    the light; (texels,).
     """
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
 def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void;
+    """Return whether each texel is good enough for pictures of a ``target`` error, or void;
     (texels,) bool.
     """
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
@@ -133,7 +138,7 @@ def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMP
 
 class Until(NamedTuple):
     """When texels need no more samples: at the ``target`` error of pictures, or once they have
-    ``enough`` of them.
+    ``enough`` samples.
     """
 
     target: float
@@ -143,11 +148,11 @@ class Until(NamedTuple):
 def good_enough(
     error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """Whether texels of this relative ``error`` need no more samples for pictures of a ``target``
-    error; bool.
+    """Return whether texels of this relative ``error`` need no more samples for a ``target`` error;
+    bool.
 
-    Their error is within ``texel_target``, or their ``samples`` are spent: those of the target, or
-    as many as are ``enough`` for the picture that reads them.
+    Their error is within ``texel_target``, or their ``samples`` are spent: the limit of the target,
+    or ``enough`` for the picture that reads them.
     """
     spent = samples >= min(most_samples(target), enough)
     return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
@@ -156,30 +161,33 @@ def good_enough(
 def noise_of_halves(
     halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0
 ) -> np.ndarray:
-    """Standard errors of coefficients, in band 0 and above it, from two independent randomisations.
+    """Estimate standard errors of coefficients, in band 0 and above it, from two independent
+    randomisations.
 
     ``halves`` (m, 2, N²) are sums over half of ``samples`` each, with the bands below ``order`` in
-    front. Band 0 is judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share
-    that band 0 varies by. Above it is the mean of the bands' variances. (m, 1 or 2) float64.
+    front. Band 0 is judged together with band 1, by BAND_0 and ``evenness`` (m,). The bands above
+    share the mean of their variances. Returns (m, 1 or 2) float64.
     """
+    # The squared difference of two half means estimates the variance of their mean.
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
     if squares.shape[1] > 1:
         low += (evenness - 1.0) * (squares[:, 1:4] @ BAND_0[1:])
     if order == 1:
         return np.sqrt(low[:, None])
+    # Average the bands above 0 with equal weight for each band.
     weights = 1.0 / (2 * band_of(order)[1:] + 1)
     return np.sqrt(np.stack([low, squares[:, 1 : order**2] @ weights / weights.sum()], axis=1))
 
 
 def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
-    """Variance of band 0 over that of a coefficient of band 1, for paths drawn at random; (m,)
+    """Return the variance of band 0 over that of a band 1 coefficient, for random paths; (m,)
     float64.
 
-    ``mean`` (m, >= 4) is that of X Y_i(ω) and ``second`` (m,) that of X² Y_0(ω) over ``samples``
-    paths that bring X from ω. Under light that is the same from all sides band 0 is the even one:
-    an open texel's has no variance at all. One path more is counted of either, so that a few that
-    agree do not claim that all do.
+    ``mean`` (m, >= 4) is that of X Y_i(ω), ``second`` (m,) that of X² Y_0(ω), over ``samples``
+    paths that bring light X from ω. Under uniform light band 0 has the smaller variance: an open
+    texel has none at all. One path more is counted in both, so that a few that agree do not claim
+    certainty.
     """
     square = second / np.sqrt(4.0 * np.pi)
     more = square / samples
@@ -190,11 +198,11 @@ def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
 def blend_noise(
     former: np.ndarray, samples: int, latest: np.ndarray, decay: tuple[float, float]
 ) -> np.ndarray:
-    """Noise after twice the samples, from two estimates of what half of them leave: before, and of
-    the new ones.
+    """Return the noise after twice the samples, from the noise before and the noise of the new
+    half.
 
-    The variance of their common mean is ``decay`` times theirs, see DECAYS; with none before, it is
-    that of the new ones.
+    The variance of the common mean is ``decay`` times their mean, see DECAYS; without samples
+    before, it is that of the new ones.
     """
     if samples == 0:
         return latest
@@ -206,20 +214,20 @@ def blend_noise(
 
 
 def scatter(wrong: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard errors ``wrong`` of the luminance over the standard deviation of one path's; both
-    (texels,) float64.
+    """Return standard errors ``wrong`` of the luminance over the standard deviation of one path;
+    both (texels,) float64.
 
-    It is what a texel's noise keeps as the light turns: ``light_texels`` puts the present light's
-    deviation to it.
+    A texel keeps this ratio as the light turns: ``light_texels`` multiplies it by the deviation
+    under the present light.
     """
     return np.asarray(wrong / np.maximum(path_deviation(light, spec), MIN_LUMINANCE * spec.unit))
 
 
 def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard deviation of one path's luminance, the mean square over all turns of the light;
-    (texels,) float64.
+    """Return the standard deviation of one path's luminance, (texels,) float64, a mean square over
+    all turns of the light.
 
-    For a light rotated at random the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd
+    For a randomly rotated light the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd
     (τ_c·τ_d)_l (ℓ_c·ℓ_d)_l / (2l + 1) over the channels c, d of all terms. LEAST_SPREAD of the
     second moment is added, as in ``light_texels``.
     """
@@ -240,11 +248,10 @@ def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def powers(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """What each τ_c τ_d counts in E[(τ·D ``one``)(τ·D ``other``)]: (ℓ_c·ℓ_d)_l / (2l + 1);
+    """Return the weight of each τ_c τ_d in E[(τ·D ``one``)(τ·D ``other``)]: (ℓ_c·ℓ_d)_l / (2l + 1);
     (channels, channels, n²).
 
-    The lights are (channels, n²), of which the lower order counts; the mean is over all rotations
-    D.
+    The lights are (channels, n²), cut to the lower order; the mean is over all rotations D.
     """
     n = min(one.shape[1], other.shape[1])
     order = math.isqrt(n)
@@ -253,17 +260,17 @@ def powers(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 RATE = 1.5
-"""How samples grow as the error falls: with 1 / error^RATE, since stratified points' error falls
-about as n^-2/3.
+"""Exponent of samples over error: samples grow with 1 / error^RATE, as the error of stratified
+points falls about as n^-2/3.
 """
 
 
 class Effort(NamedTuple):
-    """What texels that are not final want: ``unlit`` of them hold no light yet.
+    """Samples that texels need which are not final.
 
-    The others, so many ``lit``, have ``taken`` so many samples together, and are predicted to take
-    ``left`` more. The unlit ones are ``expected`` to take so many; 0 where nothing is known of
-    them.
+    ``unlit`` texels hold no light yet; they are ``expected`` to take that many samples, 0 if
+    nothing is known of them. The other ``lit`` ones have ``taken`` samples together, and are
+    predicted to take ``left`` more.
     """
 
     unlit: int
@@ -276,8 +283,8 @@ class Effort(NamedTuple):
     def of(
         cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
     ) -> Self:
-        """The effort of texels by their relative ``error`` and their ``samples``, void ones left
-        out.
+        """Return the effort of texels by their relative ``error`` and their ``samples``; void
+        ones are left out.
         """
         unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[
             0
@@ -288,10 +295,10 @@ class Effort(NamedTuple):
 def samples_left(
     error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """The samples that texels of this relative ``error`` take until pictures are at a ``target``;
+    """Return the samples that texels of this relative ``error`` still take to a ``target``;
     (texels,) float64.
 
-    They must be lit and not final: each climbs one sample level at least.
+    They are lit and not final, so that each climbs at least one level.
     """
     return np.asarray(
         np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples
@@ -301,8 +308,8 @@ def samples_left(
 def samples_needed(
     error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """The sample level at which lit texels of this relative ``error`` are good enough; (texels,)
-    float64.
+    """Return the sample level at which lit texels of this relative ``error`` are good enough;
+    (texels,) float64.
     """
     most = min(most_samples(target), enough)
     needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
@@ -317,8 +324,8 @@ def efforts(
     target: float,
     enough: int = MAX_SAMPLES,
 ) -> np.ndarray:
-    """``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64; ``chunks`` is where
-    each texel is.
+    """Return ``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64;
+    ``chunks`` holds each texel's chunk.
     """
     unlit = samples == 0
     waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
@@ -338,10 +345,10 @@ def expected_samples(
     target: float,
     enough: int = MAX_SAMPLES,
 ) -> np.ndarray:
-    """What texels of each of ``count`` chunks will take that are like others of this ``error``
-    after ``samples``.
+    """Return the samples that texels of each of ``count`` chunks will take, (count,) float64.
 
-    Where these are unlit, as many as the rest of the chunk's; 0 where all are. (count,) float64.
+    Lit texels have this ``error`` after ``samples``. Unlit ones are expected to take as many as the
+    others of their chunk; 0 if all are unlit.
     """
     lit = samples > 0
     needed = samples_needed(error[lit], samples[lit], target, enough)

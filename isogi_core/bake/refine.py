@@ -1,12 +1,11 @@
-"""Refinement: more samples for texels that need them, added to what is there.
+"""Refinement: add samples to texels, level by level (16, 32, 64, …).
 
-Sample counts climb from level to level (16, 32, 64, …). After each one all that is kept is rounded
-to what the store keeps, so that a texel with n samples has the same bits for any number of workers
-and goes. Which parts of a texel climb next follows from what is kept of it alone.
+After each level light is rounded to what the store keeps. A texel with n samples therefore has the
+same bits for any number of workers and of calls, and the parts of a texel that climb next follow
+from what the store holds of it alone.
 
-Light that a cut leaves as it is: of texels no path of which met what is taken away. All their paths
-meet the same points as before, so that their sums, and all that is kept of these, have the same
-bits.
+``find_kept`` serves cuts: if no path of a texel met matter that a cut takes away, all of its paths
+keep their points, and its light keeps its bits.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -58,11 +57,11 @@ def starts_at(
     seeds: np.ndarray,
     walls: np.ndarray | float = NO_WALL,
 ) -> PathStarts:
-    """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or
-    about it.
+    """Make PathStarts at ``points`` with ``normals`` (g, 3), on the surface of an ``isovalue`` or
+    near it.
 
-    ``seeds`` (g,) are of the sequences that paths draw from, ``walls`` (g,) the numbers of walls:
-    none by default.
+    ``seeds`` (g,) identify the random sequences, ``walls`` (g,) the walls of the starts, none by
+    default.
     """
     here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
     g = len(seeds)
@@ -76,7 +75,7 @@ def starts_at(
 
 
 def starts_between(starts: PathStarts, first: int, last: int) -> PathStarts:
-    """Starts number ``first`` … ``last`` of some ``starts``."""
+    """Return the starts from ``first`` to ``last``."""
     return PathStarts(*(np.ascontiguousarray(each[..., first:last]) for each in starts))
 
 
@@ -88,10 +87,11 @@ def add_paths(
     source: Surroundings | Glows,
     sums: np.ndarray,
 ) -> None:
-    """Add what a ``SampleRange`` of paths gathers of a ``source`` at g ``starts`` to ``sums`` (g,
-    channels).
+    """Add the light of a ``source`` along a ``SampleRange`` of paths from g ``starts`` to ``sums``
+    (g, channels).
 
-    The kernel of PATH_KERNELS for what is ``met`` and gathered does so, and says how.
+    PATH_KERNELS holds the kernel for each pair of geometry ``met`` and source; its docstring
+    defines the sums.
     """
     PATH_KERNELS[type(met), type(source)](met, starts, samples, rules, source, sums)
 
@@ -104,10 +104,11 @@ def add_path_light(
     light: Surroundings,
     sums: np.ndarray,
 ) -> None:
-    """Add what a ``SampleRange`` of paths brings to g ``starts`` on isosurfaces to ``sums`` (g, 3).
+    """Add the light of a ``SampleRange`` of paths from g ``starts`` on isosurfaces to ``sums`` (g,
+    3).
 
-    Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the
-    normals.
+    If matter scatters, paths start inwards; if it only refracts, they follow the normals as the
+    eye's rays do.
     """
     if isinstance(met, Through):
         if met.matter.extinction > 0.0:
@@ -127,24 +128,23 @@ def add_glow_paths(
     rules: PathRules,
     sums: np.ndarray,
 ) -> None:
-    """Add what a ``SampleRange`` of paths gathers of what glows, of radiance 1, at g ``starts`` to
-    ``sums`` (g, 3 k).
+    """Add the light of glowing regions of radiance 1 at g ``starts`` to ``sums`` (g, 3 k).
 
-    The surface has this ``albedo``, and is the first of several where there are others.
+    The surface has this ``albedo``; it is the first one if the scene has several.
     """
     add_paths(prepared.met_by_glow(albedo, cells), starts, samples, rules, prepared.glows, sums)
 
 
 NOISE_ORDER = 2
-"""The least order that paths are projected to, so that their noise can be estimated."""
+"""Lowest order of harmonics that paths are projected to, so that their noise can be estimated."""
 
 Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see
+"""Texels (m, 3; z, y, x) int32, their points and normals (3, m), and isovalues (m,): see
 ``locate_texels``.
 """
 
 Located = tuple[Place, np.ndarray]
-"""Where texels are lit, and which of them are void (m,): see ``locate``."""
+"""Place of texels, and which of them are void (m,): see ``locate``."""
 
 
 def refine(
@@ -157,19 +157,22 @@ def refine(
 ) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that is final in pictures of the relative error ``target``, and whose parts are level,
-    is left as it is. Of the others those parts climb that have the fewest samples: parts at one
-    level do so together, since the same paths serve them. They are ``located`` here where that was
-    not done before.
+    A texel that is final for pictures of the relative error ``target`` keeps its light, unless one
+    of its parts lags behind the others. Of the other texels the parts with the fewest samples
+    climb, all parts at one level together, as the same paths serve them. Texels are ``located``
+    here unless that is given.
     """
     while True:
+        # Find the texels that still climb; stop if there are none.
         waiting = next_samples(light, spec, target)
         climbing = (waiting >= 0) & (waiting < until)
         if not climbing.any():
             return
         located = located or locate(texels, spec.prepared, spec.shown)
+        # Let the texels at the lowest level climb first.
         rows = np.flatnonzero(climbing & (waiting == waiting[climbing].min()))
         level = np.array([part.samples[rows] == waiting[rows] for part in light.parts])
+        # Group them by the parts that are at this level, so that each group shares its paths.
         for pattern in np.unique(level, axis=1).T:
             parts = tuple(part for part, climbs in zip(light.parts, pattern, strict=True) if climbs)
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
@@ -178,12 +181,11 @@ def refine(
 def next_samples(
     light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """Samples of the parts of each texel that climb next; -1 where the texel is finished and none
-    lags; (texels,) int.
+    """Return the samples of the parts that climb next, (texels,) int; -1 if a texel is final and no
+    part lags.
 
-    A part that was lost, or not written before a kill, catches up with the others, and so has the
-    samples it had. That costs all of its paths once more, which are of no use to the parts that did
-    not lag.
+    A part that was lost, or not written before a kill, lags: it takes its samples once more, which
+    are of no use to the other parts.
     """
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
@@ -191,13 +193,15 @@ def next_samples(
 
 
 def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeSpec) -> None:
-    """Take ``rows`` of some parts, all with as many samples, to the next level."""
+    """Take ``rows`` of some parts with equal numbers of samples to the next level."""
     samples = int(parts[0].samples[rows[0]])
     total = next_level(samples)
     place, void = some_located(located, rows)
+    # Trace new samples of both halves for all layers that share paths.
     for sample, some in by_sampler(parts):
         layers = [part.layer for part in some]
         sampled = sample(layers, place, void, spec, samples, total - samples)
+        # Blend them into mean and noise of each part, and round to what the store keeps.
         for part, (halves, second) in zip(some, sampled, strict=True):
             add(part, rows, halves, second, total, spec)
             part.samples[rows] = np.where(void, VOID, total)
@@ -207,13 +211,11 @@ Sampler = Callable[
     [Sequence[Layer], Place, np.ndarray, BakeSpec, int, int],
     Iterator[tuple[np.ndarray, np.ndarray]],
 ]
-"""Draws samples for some layers: see ``sample_transfer``."""
+"""Function that draws samples for some layers: see ``sample_transfer``."""
 
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
-    """Some parts by who samples them: those that the same harmonics serve, irradiance, and what
-    glows.
-    """
+    """Group parts by their sampler: transfer layers that share harmonics, irradiance, and glow."""
     own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
     if lit := [part for part in parts if part.layer.kind not in own]:
         yield sample_transfer, lit
@@ -228,7 +230,7 @@ def add(
     """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have
     ``total`` samples.
 
-    ``second`` (m,) are those of the squares, see ``evenness``.
+    ``second`` (m,) are sums of squares, see ``evenness``.
     """
     layer = part.layer
     samples = int(part.samples[rows[0]])
@@ -244,7 +246,7 @@ def add(
 def noise_of_new(
     halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, spec: BakeSpec
 ) -> np.ndarray:
-    """The noise of a layer, estimated from the sums of ``count`` new samples; see
+    """Estimate the noise of a layer from the sums of ``count`` new samples: see
     ``noise_of_halves``.
     """
     seen = spec.judged(halves, layer)
@@ -255,24 +257,24 @@ def noise_of_new(
 
 
 def seeds_of(words: np.ndarray) -> np.ndarray:
-    """The sequences that belong to rows of ``words`` (g, 2 or more); (g,) uint64."""
+    """Return the seeds of the rows of ``words`` (g, 2 or more); (g,) uint64."""
     seeds = np.empty(len(words), np.uint64)
     fill_seeds(np.ascontiguousarray(words, np.int64), seeds)
     return seeds
 
 
 def some_located(located: Located, rows: np.ndarray) -> Located:
-    """Where the texels in some ``rows`` are located."""
+    """Return the place of the texels in some ``rows``."""
     (texels, points, normals, isovalues), void = located
     points, normals = (np.ascontiguousarray(v[:, rows]) for v in (points, normals))
     return (texels[rows], points, normals, isovalues[rows]), void[rows]
 
 
 def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None = None) -> Located:
-    """Where texels are lit, and which of them are void (m,).
+    """Find the points that texels are lit at, and which texels are void (m,).
 
-    On the isosurfaces through their own points, or projected onto the one that is ``shown``: void
-    are then those that cannot be projected, see ``project_texels``.
+    Points lie on the isosurfaces through the texels, or are projected onto the isosurface
+    ``shown``; texels that cannot be projected are void then (see ``project_texels``).
     """
     m = len(texels)
     void = np.empty(m, np.bool_)
@@ -299,18 +301,20 @@ def sample_transfer(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Sums over ``count`` samples after the first ``samples``, of the same paths for all
+    """Yield sums over ``count`` samples after the first ``samples``, of the same paths for all
     ``layers``.
 
-    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels,
-    N²) float64; and band 0 of the squares of what paths bring, of both halves, (m,).
+    For each layer these are sums of harmonics for both halves, (m, 2, channels, N²) float64, and
+    band 0 of the squares of the paths' light, over both halves, (m,).
     """
+    # Project each channel to its order, and the squares of each layer to band 0.
     orders = np.repeat(
         [max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers]
     )
     orders = np.append(orders, np.ones(len(layers), np.int64))
     sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
     sample = (sample_colours if spec.coloured else sample_greys)(layers, orders, spec)
+    # Trace texels of near isovalues together, as they share an active-cell map.
     for bricks, rows in by_isovalue(place[3], void, spec.prepared):
         sample(bricks, place, rows, SampleRange(samples // 2, count // 2), sums)
     first = 0
@@ -321,12 +325,12 @@ def sample_transfer(
 
 
 Sample = Callable[[ActiveCells, Place, np.ndarray, SampleRange, np.ndarray], None]
-"""Adds what paths from some rows bring to the sums: map, place, rows, samples, sums."""
+"""Function that adds transfer of some rows to the sums: map, place, rows, samples, sums."""
 
 
 def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """The paths of a surface with one albedo, whose weights are worked out once for all groups of
-    texels.
+    """Return the sampler of a surface with one albedo; its path weights are computed once for
+    all groups of texels.
     """
     counts = np.vstack([spec.shares(layers), spec.squares(layers)])
     plan = spec.plan
@@ -341,7 +345,7 @@ def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) ->
 
 
 def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """How the transfer of texels is sampled on a surface with colours by data."""
+    """Return the sampler of a surface whose albedo varies with data."""
     rules = spec.coloured_rules(layers, orders)
 
     def _sample(
@@ -362,8 +366,8 @@ def sample_irradiance(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Samples of the light that paths meet, without squares; where a layer keeps one channel, all
-    three are alike.
+    """Yield sums of the irradiance of fixed light, without squares; a layer with one channel
+    takes the first of three equal ones.
     """
     prepared = spec.prepared
     sums = np.zeros((len(void), 2, 3))
@@ -386,8 +390,10 @@ def sample_irradiance(
 
 
 def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """What counts of the light that paths of a ``layer`` bring; of what comes from inside a
-    surface, B/π over the albedo, by which frames multiply it.
+    """Return the path weights of a ``layer``.
+
+    Light from inside of a scattering material is B/π over the albedo, as frames multiply by the
+    albedo.
     """
     scene = spec.prepared.scene
     if scene.surfaces.material.scatters:
@@ -403,7 +409,7 @@ def sample_glow(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Samples of what glows, one glow's channels after the other's, each of radiance 1."""
+    """Yield sums of the light of each glowing region of radiance 1, its channels side by side."""
     prepared = spec.prepared
     plan = spec.plan
     some = SampleRange(samples // 2, count // 2)
@@ -419,7 +425,7 @@ def sample_glow(
 
 
 def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
-    """Where paths start, of both halves of the texels in these ``rows`` of a place."""
+    """Make the PathStarts of both halves of the texels in some ``rows`` of a place."""
     texels, points, normals, isovalues = place
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
@@ -430,9 +436,10 @@ def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
 def by_isovalue(
     isovalues: np.ndarray, void: np.ndarray, prepared: PreparedScene
 ) -> Iterator[tuple[ActiveCells, np.ndarray]]:
-    """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces.
+    """Yield rows that are not void in groups of near isovalues, each with the map of its
+    isosurfaces.
 
-    Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth
+    Rows keep their order in space within a group: sorted by isovalue, paths took a twentieth
     longer.
     """
     lit = np.flatnonzero(~void)
@@ -442,20 +449,18 @@ def by_isovalue(
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:
-    """The mean over ``total`` samples of an old mean over ``samples`` and the sum of the new ones,
-    float64.
+    """Return the mean over ``total`` samples, from a mean over ``samples`` and the sum of the
+    new ones; float64.
     """
     return (mean.astype(np.float64) * samples + added) / total
 
 
 KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
-"""The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and
-nothing else.
-"""
+"""Kinds of layers whose light a cut may keep: their paths meet one surface and nothing else."""
 
 
 def keeps(spec: BakeSpec) -> bool:
-    """Whether light of a ``spec`` of a whole volume may stay where that is cut."""
+    """Return whether light of a ``spec`` of a whole volume may be kept if the volume is cut."""
     return (
         spec.shown is None
         and spec.kinds <= KEEPABLE_KINDS
@@ -465,7 +470,7 @@ def keeps(spec: BakeSpec) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Remains:
-    """What a cut leaves: the ``box`` of ``box_left``, and the least and the greatest value
+    """What a cut leaves: the ``box`` of ``box_left``, and the least and greatest value
     ``beyond`` it.
     """
 
@@ -474,7 +479,7 @@ class Remains:
 
     @classmethod
     def of(cls, volume: Volume, left: Ranges) -> Self:
-        """What is left where of a ``volume`` some voxels are."""
+        """Describe what is left of a ``volume`` of which only some voxels are."""
         box = box_left(left, volume.size)
         return cls(box, values_beyond(volume, box))
 
@@ -482,21 +487,23 @@ class Remains:
 def find_kept(
     light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool
 ) -> np.ndarray:
-    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole``
-    volume ``remains``.
+    """Return which of the ``texels`` (m, 3; z, y, x) keep their ``light`` in a cut of a ``whole``
+    volume; (m,) bool.
 
-    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken
-    away. Where nothing of their isosurface is there, no path can have met it. Paths of others are
-    walked once more, but those of a texel end with the first that met something there. Without
-    ``walks`` these are left out.
+    A texel keeps it if its point, and all points that its paths met so far, are far from what is
+    taken away. With ``walks``, paths of texels that might have met something there are traced once
+    more, each texel's only until the first hit there; otherwise such texels lose their light.
     """
     prepared = whole.prepared
     box = remains.box
+    # Texel and point must lie inside of the box that is left.
     place, _ = locate(texels, prepared)
     kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
+    # If the isosurface of a texel does not exist outside of the box, no path can have met it there.
     may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
     if not walks:
         return kept & ~may_stray
+    # Trace the other texels' paths again, and drop those that meet something outside.
     for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
         rows = kept & some & may_stray & ~light.void
         confines = Confines(bounces, whole.plan.survival, whole.plan.branches, box)
@@ -505,10 +512,10 @@ def find_kept(
 
 
 def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
-    """The paths that some ``parts`` took: which texels (m,) bool, their samples in each half, and
-    their bounces.
+    """Yield the paths that some ``parts`` took: which texels (m,) bool, samples in each half, and
+    bounces.
 
-    Those of parts without reflected light end with their first ray.
+    Paths of parts without reflected light end with their first ray.
     """
     first = 0
     most = max((int(part.samples.max(initial=0)) for part in parts), default=0)
@@ -522,8 +529,8 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
 
 
 def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
-    """Which texels took so many ``samples`` in any of the parts with ``reflected`` light, or
-    without; (m,) bool.
+    """Return which texels took this number of ``samples`` in any part with ``reflected`` light,
+    or without; (m,) bool.
     """
     own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
     return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])
@@ -532,8 +539,8 @@ def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
 def strays_of(
     place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRange, confines: Confines
 ) -> np.ndarray:
-    """Which of some ``rows`` (m,) bool have a path among these ``samples`` that met something
-    beyond ``confines``.
+    """Return which of some ``rows`` (m,) bool have a path among these ``samples`` that met
+    something outside of ``confines``.
     """
     strays = np.zeros(len(rows), np.bool_)
     for cells, own in by_isovalue(place[3], ~rows, spec.prepared):

@@ -1,9 +1,9 @@
-"""The light of a set of texels: for each layer of a plan a table with one row per texel; and how it
-is rounded.
+"""Light of a set of texels: for each layer of a plan a table with one row per texel, and its
+rounding.
 
-On its way to the store light is rounded to half floats or bytes, noise and sample counts to bytes.
-Sample counts climb levels, each twice the one before. Light in memory is rounded too, after each
-level, so that a texel has the same bits whether it was read or just baked.
+The store keeps light as half floats or bytes, noise and sample counts as bytes. Sample counts climb
+levels, each twice the one before. Light in memory is rounded as well after each level, so that a
+texel has the same bits whether it was read or just baked.
 """
 
 from collections.abc import Sequence
@@ -15,23 +15,23 @@ from isogi_core.bake.bake_spec import Term
 from isogi_core.model.scene_plan import Layer, ScenePlan
 
 FIRST_LEVEL = 16
-"""Samples of a texel's first level; each further one doubles them."""
+"""Samples of a texel's first level; each further level doubles them."""
 
 VOID = -1
-"""Number of samples that marks a texel which can hold no light."""
+"""Number of samples that marks a texel which cannot hold light."""
 
 VOID_CODE = 255
 
 NOISIEST = 16.0
-"""The noise, in units of a layer's scale, that code 0 stands for."""
+"""Noise that code 0 stands for, in units of a layer's scale."""
 
 LARGEST_HALF = 65504.0
-"""The most that is kept, in units of a layer's scale: the largest half float. A lamp next to the
-surface gives more.
+"""Largest coefficient that is kept, in units of a layer's scale: the largest half float. Only a
+lamp next to the surface gives more.
 """
 
 CODES_PER_HALVING = 8
-"""Codes that halve a number: 9 % apart."""
+"""Number of codes by which a value halves; neighbouring codes are 9 % apart."""
 
 NEGATIVE = 0x80
 SMALLEST = 0x7F
@@ -40,19 +40,19 @@ scale.
 """
 
 SILENT = 255
-"""The code of no noise."""
+"""Code of no noise."""
 
 
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """``light`` (…, n²) as the layer keeps it, float32."""
+    """Return ``light`` (…, n²) as the layer keeps it, float32."""
     fine = light_floats(light[..., : layer.floats] / layer.scale, layer).astype(np.float32)
     coarse = decoded_light(light_codes(light[..., layer.floats :] / layer.scale))
     return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
 
 
 def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond
-    LARGEST_HALF is cut there.
+    """Return coefficients, in units of the layer's scale, as the floats that it keeps, limited
+    to LARGEST_HALF.
     """
     return np.clip(light, -LARGEST_HALF, LARGEST_HALF).astype(
         np.float16 if layer.half else np.float32
@@ -60,8 +60,8 @@ def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
 
 
 def light_codes(light: np.ndarray) -> np.ndarray:
-    """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is
-    none; uint8.
+    """Return bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, rounded; 0
+    stands for 0; uint8.
     """
     size = np.abs(np.asarray(light, np.float64))
     with np.errstate(divide="ignore"):
@@ -71,12 +71,12 @@ def light_codes(light: np.ndarray) -> np.ndarray:
 
 
 def decoded_light(codes: np.ndarray) -> np.ndarray:
-    """The coefficients that bytes stand for, float32."""
+    """Return the coefficients of bytes, float32."""
     return LIGHT_OF[codes]
 
 
 def _light_table() -> np.ndarray:
-    """What each byte of ``light_codes`` stands for; (256,) float32."""
+    """Return the coefficient of each byte of ``light_codes``; (256,) float32."""
     steps = (np.arange(256) & SMALLEST) - 1.0
     size = np.where(steps < 0.0, 0.0, 2.0 ** (-steps / CODES_PER_HALVING))
     return np.where(np.arange(256) & NEGATIVE, -size, size).astype(np.float32)
@@ -86,7 +86,7 @@ LIGHT_OF = _light_table()
 
 
 def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
-    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), to the nearest;
+    """Return bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), rounded;
     uint8.
     """
     with np.errstate(divide="ignore"):
@@ -97,12 +97,12 @@ def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
 
 
 def noise_of(codes: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
-    """The noise that bytes stand for, float32; ``scale`` is a power of two, or one for each."""
+    """Return the noise of bytes, float32; ``scale`` is a power of two, or one for each."""
     return np.asarray(NOISE_OF[codes] * np.float32(scale))
 
 
 def _noise_table() -> np.ndarray:
-    """The noise that each byte stands for in units of a layer's scale; (256,) float32."""
+    """Return the noise of each byte in units of a layer's scale; (256,) float32."""
     codes = np.arange(256)
     return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -CODES_PER_HALVING)).astype(
         np.float32
@@ -113,26 +113,26 @@ NOISE_OF = _noise_table()
 
 
 def level_codes(samples: np.ndarray) -> np.ndarray:
-    """Bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1), VOID_CODE for
-    VOID; uint8.
+    """Return bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1),
+    VOID_CODE for VOID; uint8.
     """
     codes = np.log2(np.maximum(samples, FIRST_LEVEL // 2) / (FIRST_LEVEL // 2)).astype(np.uint8)
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
 
 def _samples_table() -> np.ndarray:
-    """The sample counts that each byte stands for; (256,) int32."""
+    """Return the sample count of each byte; (256,) int32."""
     codes = np.arange(256)
     climbed = (FIRST_LEVEL // 2) << np.where(codes == VOID_CODE, 0, codes).astype(np.int32)
     return np.where(codes == VOID_CODE, VOID, np.where(codes == 0, 0, climbed)).astype(np.int32)
 
 
 SAMPLES_OF = _samples_table()
-"""The sample counts that bytes stand for: see ``level_codes``."""
+"""Sample counts of bytes: see ``level_codes``."""
 
 
 def next_level(samples: int) -> int:
-    """The sample count of the level above ``samples``."""
+    """Return the sample count of the level above ``samples``."""
     if samples < FIRST_LEVEL:
         return FIRST_LEVEL
     return 2 * samples
@@ -140,11 +140,11 @@ def next_level(samples: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What texels keep of one ``layer``, one row each.
+    """Light of texels in one ``layer``, one row each.
 
-    ``samples`` (m,) int32 are the paths taken, both randomisations together, or VOID; ``noise`` (m,
-    noises) float32 is the standard error of a coefficient in band 0, and above it; ``coefficients``
-    (m, channels, n²) float32.
+    - ``samples`` (m,) int32: paths taken, both randomisations together, or VOID.
+    - ``noise`` (m, noises) float32: standard error of a coefficient in band 0, and above it.
+    - ``coefficients`` (m, channels, n²) float32.
     """
 
     layer: Layer
@@ -154,7 +154,7 @@ class Part:
 
     @classmethod
     def dark(cls, layer: Layer, texels: int) -> "Part":
-        """Texels that no path has been sent from yet."""
+        """Return texels without any samples."""
         coefficients = np.zeros((texels, layer.channels, layer.order**2), np.float32)
         return cls(
             layer,
@@ -165,7 +165,7 @@ class Part:
 
     @classmethod
     def undefined(cls, layer: Layer, texels: int) -> "Part":
-        """Texels that are to be filled: what they hold as yet is anything."""
+        """Allocate texels that are to be filled."""
         coefficients = np.empty((texels, layer.channels, layer.order**2), np.float32)
         return cls(
             layer,
@@ -176,31 +176,31 @@ class Part:
 
     @classmethod
     def joined(cls, parts: Sequence["Part"]) -> "Part":
-        """The texels of several parts of one layer, one part's after the other's."""
+        """Concatenate the texels of several parts of one layer."""
         columns = zip(
             *((part.samples, part.noise, part.coefficients) for part in parts), strict=True
         )
         return cls(parts[0].layer, *map(np.concatenate, columns))
 
     def rows(self, which: np.ndarray) -> "Part":
-        """A copy of some rows."""
+        """Copy some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
     def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
-        """The texels, which lie at ``own`` places, among all at ``places``, which ascend; the
-        others are dark.
+        """Place the texels, which lie at ``own`` places, among all at the ascending ``places``;
+        the others are dark.
         """
         whole = Part.dark(self.layer, len(places))
         whole.put(np.searchsorted(places, own), self)
         return whole
 
     def channel(self, number: int) -> "Part":
-        """The texels with channel ``number`` of their coefficients alone."""
+        """Return the texels with channel ``number`` of their coefficients alone."""
         own = np.ascontiguousarray(self.coefficients[:, number : number + 1])
         return Part(self.layer, self.samples, self.noise, own)
 
     def put(self, which: np.ndarray, part: "Part") -> None:
-        """Write the rows of ``part`` to some rows of this."""
+        """Write the rows of ``part`` to some rows of this one."""
         self.samples[which] = part.samples
         self.noise[which] = part.noise
         self.coefficients[which] = part.coefficients
@@ -214,12 +214,12 @@ class Light:
 
     @classmethod
     def dark(cls, plan: ScenePlan, texels: int) -> "Light":
-        """Texels that no path has been sent from yet."""
+        """Return texels without any samples."""
         return cls(tuple(Part.dark(layer, texels) for layer in plan.layers))
 
     @classmethod
     def joined(cls, lights: Sequence["Light"]) -> "Light":
-        """The texels of several lights of one plan, one light's after the other's."""
+        """Concatenate the texels of several lights of one plan."""
         return cls(
             tuple(
                 Part.joined(parts) for parts in zip(*(light.parts for light in lights), strict=True)
@@ -230,27 +230,27 @@ class Light:
         return len(self.parts[0].samples)
 
     def rows(self, which: np.ndarray) -> "Light":
-        """A copy of some rows."""
+        """Copy some rows."""
         return Light(tuple(part.rows(which) for part in self.parts))
 
     def put(self, which: np.ndarray, light: "Light") -> None:
-        """Write the rows of ``light`` to some rows of this."""
+        """Write the rows of ``light`` to some rows of this one."""
         for mine, part in zip(self.parts, light.parts, strict=True):
             mine.put(which, part)
 
     @property
     def samples(self) -> np.ndarray:
-        """The fewest samples of any part, VOID where a texel can hold no light; (m,) int32."""
+        """The fewest samples of any part, VOID if a texel cannot hold light; (m,) int32."""
         return np.min([part.samples for part in self.parts], axis=0)
 
     @property
     def void(self) -> np.ndarray:
-        """Whether each texel can hold no light; (m,) bool."""
+        """Whether each texel cannot hold light; (m,) bool."""
         return np.any([part.samples == VOID for part in self.parts], axis=0)
 
     def agree_on_void(self) -> None:
-        """Make void in all parts what is so in one: a part may have been lost, or read while
-        another is written.
+        """Make a texel void in all parts if it is so in one: a part may have been lost, or read
+        while another is written.
         """
         void = self.void
         for part in self.parts:
@@ -258,14 +258,14 @@ class Light:
 
     @property
     def transfer(self) -> np.ndarray:
-        """The parts' sum; (m, channels, n²) float32 with the most channels and the highest order of
-        any.
+        """The sum of the parts; (m, channels, n²) float32 with the most channels and the
+        highest order of any.
         """
         return sum_of(self.parts, max(part.layer.channels for part in self.parts))
 
     def columns(self, terms: Sequence[Term]) -> np.ndarray:
-        """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²)
-        float32.
+        """Return the sums of the parts of each of the ``terms``, side by side; (m, channels, Σ
+        n²) float32.
         """
         channels = max(part.layer.colours for part in self.parts)
         sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
@@ -274,7 +274,7 @@ class Light:
         return np.concatenate(sums, axis=2)
 
     def _of(self, term: Term) -> list["Part"]:
-        """The parts that are of a ``term``, or the one channel of its part that is."""
+        """Return the parts of a ``term``, or the one channel of its part if the term has a node."""
         parts = [self.parts[i] for i in term.layers]
         if term.node is None:
             return parts
@@ -282,8 +282,8 @@ class Light:
 
 
 def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:
-    """The sum of some parts' coefficients; (m, channels, n²) float32 with the highest order of
-    any.
+    """Return the sum of some parts' coefficients; (m, channels, n²) float32 with the highest
+    order of any.
     """
     n = max(part.coefficients.shape[2] for part in parts)
     total = np.zeros((len(parts[0].samples), channels, n), np.float32)
