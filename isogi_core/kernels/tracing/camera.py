@@ -1,4 +1,4 @@
-"""The pinhole camera and the G-buffer: the surface, wall or window face behind each pixel."""
+"""The pinhole camera, and primary rays: the surface, wall or window face behind each pixel."""
 
 import math
 from typing import Any, NamedTuple
@@ -19,7 +19,8 @@ from isogi_core.kernels.tracing.walls import NO_WALL, WALLS_RECORD, Walls, inner
 
 
 class Pinhole(NamedTuple):
-    """A camera in index space: ``eye``; the ray through pixel (x, y) is corner + x·right + y·down.
+    """A camera in index space; the ray through picture point (x, y) is corner + x·right + y·down
+    from ``eye``.
 
     Rays are scaled so that their parameter is the world distance along the view axis (the depth).
     """
@@ -35,16 +36,16 @@ PINHOLE = record(Pinhole, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE)
 
 @kernel()
 def pixel_ray(camera, x, y):
-    """Direction, in index space per unit of depth, through picture point (x, y); pixel centres at
-    half-integers.
+    """Return the index-space direction, per unit of depth, through picture point (x, y); pixel
+    centres are at half-integers.
     """
     return madd(madd(camera.corner, x, camera.right), y, camera.down)
 
 
 @kernel()
 def write_hits(eye, directions, t, first, found, points):
-    """Write the numbers, from ``first``, of rays from the ``eye`` whose ways ``t`` end, and where;
-    returns how many.
+    """Write the numbers of rays that hit something, counted from ``first``, and their hit
+    points; return how many there are.
     """
     hits = 0
     for i in range(t.shape[0]):
@@ -57,7 +58,7 @@ def write_hits(eye, directions, t, first, found, points):
 
 @kernel()
 def put_point(points, row, p):
-    """Write a vector into a row of ``points`` (n, 3)."""
+    """Write a vector to a row of ``points`` (n, 3)."""
     points[row, 0], points[row, 1], points[row, 2] = p
 
 
@@ -66,8 +67,8 @@ WINDOW_FACE = -2.0
 
 
 class Sight(NamedTuple):
-    """The ``walls``, and the planes of a ``window`` (k, 4) in index space, k >= 0: n · p + w >= 0
-    is left to see.
+    """The ``walls``, and the planes of a ``window`` (k, 4) in index space: points with n · p +
+    w ≥ 0 are visible.
     """
 
     walls: Any
@@ -77,7 +78,7 @@ class Sight(NamedTuple):
 SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
 
 NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
-"""No walls, as kernels take them."""
+"""No walls."""
 
 PIXEL_ROWS = types.uint32[:, ::1]
 POINT_ROWS = types.float32[:, :, ::1]
@@ -85,8 +86,8 @@ POINT_ROWS = types.float32[:, :, ::1]
 
 @kernel()
 def look_through(window, eye, d):
-    """Part (near, far) of the ray eye + t·d, t >= 0, that a ``window`` leaves to see; (0, -inf)
-    where none.
+    """Return the part (near, far) of the ray eye + t·d, t ≥ 0, that a ``window`` leaves
+    visible; (0, -inf) if none.
     """
     near = 0.0
     far = math.inf
@@ -106,8 +107,8 @@ def look_through(window, eye, d):
 
 @kernel()
 def is_solid(surface, p):
-    """Whether a point in index space is in the volume's box, and above the isovalue there; never
-    beside a hole.
+    """Return whether an index-space point is in the volume's box and above the isovalue; never
+    next to a hole.
     """
     nz, ny, nx = surface.field.voxels.shape
     x, y, z = p
@@ -117,16 +118,17 @@ def is_solid(surface, p):
 
 @kernel()
 def cast_through(surface, window, eye, directions, t, met):
-    """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``: fill their ways
-    ``t`` (n,), or inf.
+    """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``; fill distances
+    ``t`` (n,), infinite for misses.
 
-    ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL.
+    ``met`` (n,) is WINDOW_FACE for hits on a face of the window, else NO_WALL.
     """
     count = t.shape[0]
     origins = np.empty((3, count))
     came = np.empty(count, np.int8)
     near = np.empty(count)
     far = np.empty(count)
+    # Start each ray where the window lets it in.
     for i in range(count):
         d = column(directions, i)
         near[i], far[i] = look_through(window, eye, d)
@@ -135,6 +137,8 @@ def cast_through(surface, window, eye, directions, t, met):
         np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8)
     )
     cast_batch(surface.field, surface.cells, rays, t, came)
+    # A ray that starts inside of the solid shows the window's face; hits beyond the window are not
+    # seen.
     for i in range(count):
         opened = near[i] > 0.0 and is_solid(surface, column(origins, i))
         t[i] = near[i] if opened else near[i] + t[i]
@@ -148,8 +152,10 @@ def cast_through(surface, window, eye, directions, t, met):
 
 @kernel()
 def cast_sight(surface, sight, eye, directions, t, met):
-    """Cast rays from the ``eye``: their ways ``t`` (n,) or inf, and the numbers of the walls
-    ``met`` (n,), or those of ``cast_through``. No window takes walls away.
+    """Cast rays from the ``eye``; fill distances ``t`` (n,) and ``met`` (n,), the walls that they
+    hit or values of ``cast_through``.
+
+    Windows do not cut walls.
     """
     cast_through(surface, sight.window, eye, directions, t, met)
     whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
@@ -173,22 +179,24 @@ SEEN_COUNTS = types.UniTuple(types.int64, 2)
     )
 )
 def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
-    """Cast the rays of the picture's pixels ``first`` … first + n, row by row.
+    """Cast the rays of the picture's pixels ``first`` to ``first`` + n, row by row.
 
-    Returns how many pixels show the surface, and how many show walls or faces of the window.
-    Picture indices go to ``pixels`` (2, n), ascending, and points in index space to ``points`` (2,
-    n, 3): in the first row of the surface, in the second one of walls and faces, whose ``numbers``
-    (n,) are a wall's or WINDOW_FACE.
+    Returns how many pixels show the surface, and how many show walls or faces of the window. Pixel
+    numbers go to ``pixels`` (2, n), ascending, and index-space points to ``points`` (2, n, 3):
+    those of the surface to the first row, those of walls and faces to the second one, with the
+    wall's number or WINDOW_FACE in ``numbers`` (n,).
     """
     count = pixels.shape[1]
     directions = np.empty((3, count))
     t = np.empty(count)
     met = np.empty(count)
+    # Generate the rays through pixel centres, and cast them.
     for i in range(count):
         y, x = divmod(first + i, width)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
     cast_sight(surface, sight, camera.eye, directions, t, met)
     hits = beside = 0
+    # Sort the hits into those on the surface and those on walls and faces.
     for i in range(count):
         if met[i] == NO_WALL:
             kind = 0
@@ -212,11 +220,10 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
     )
 )
 def trace_places(surface, sight, camera, places, found, points):
-    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show
-    anything.
+    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; return how many hit anything.
 
-    Their rows are written to ``found`` (n,), ascending, and what is seen there, in index space, to
-    ``points`` (n, 3).
+    Their rows go to ``found`` (n,), ascending, and their hit points in index space to ``points``
+    (n, 3).
     """
     count = places.shape[0]
     directions = np.empty((3, count))
@@ -230,8 +237,8 @@ def trace_places(surface, sight, camera, places, found, points):
 
 @kernel(types.void(VOXEL_ARRAY, types.float32[:, ::1], types.float32[::1]))
 def read_values(voxels, points, values):
-    """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space,
-    within the box.
+    """Fill ``values`` (n,) with the trilinear values at ``points`` (n, 3) in index space,
+    inside of the box.
     """
     for i in range(values.shape[0]):
         values[i] = value(voxels, (float(points[i, 0]), float(points[i, 1]), float(points[i, 2])))

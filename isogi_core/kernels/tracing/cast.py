@@ -1,5 +1,5 @@
-"""Casting many rays: the float32 traversal goes ahead, the float64 intersection has the last
-word.
+"""Casting many rays: the float32 traversal finds candidate cells, the float64 intersection
+decides.
 """
 
 import math
@@ -22,11 +22,14 @@ from isogi_core.kernels.tracing.traversal import MISS, UNSURE, cell_of, traverse
 from isogi_core.kernels.tracing.vec import column
 
 BATCH_RAYS = 4096
-"""Rays that are traversed together: their stream stays in the second-level cache."""
+"""Rays that are traversed together; their stream fits the second-level cache."""
 
 SIMD = REGISTER_LANES is not None
 
 MOST_VOXELS = 2**31
+"""Volumes with more voxels, or longer sides, overflow the traversal's 32-bit words or its
+bounds in float32.
+"""
 LONGEST_SIDE = 2**18
 """Larger or longer volumes overflow the traversal's words of 32 bits, or its proofs in float32."""
 
@@ -50,8 +53,8 @@ SURFACE = record(TracedSurface, FIELD_RECORD, ACTIVE_CELLS, types.float64)
 
 @kernel()
 def settle_vector(volume, rays, columns, stream, found, entries, hits):
-    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, the rays
-    that need ``cast``.
+    """Intersect RAY_WIDTH rays, at ``columns`` of a stream, with their candidate cells; return
+    the rays that need ``cast``, as bits.
     """
     (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = (
         volume,
@@ -59,6 +62,7 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
         stream,
         hits,
     )
+    # Gather the candidate cells, and the rays in float64.
     word = gather(found, columns)
     m = gather(owners, columns)
     known = (word != MISS) & (word != UNSURE)
@@ -67,6 +71,8 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
     d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
     solid = (word & 1) != 0
     place = where(known, cell_of(word), 0)
+    # Intersect in float64. A float32 entry later than the true one could have skipped a cell, and
+    # is not sure.
     hit, near, sure = cross_cells(flat, shape, o, d, place, span, gather(isovalues, m), solid)
     late = (near - span[0]) * longest(d) - f64(gather(entries, columns))
     sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(shape))
@@ -77,17 +83,19 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
 
 @kernel()
 def settle(field, volume, rays, count, stream, found, entries, hits):
-    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed: as
+    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed, as
     ``cast`` gives them.
     """
     isovalues, origins, directions, sides = rays
     t, came = hits
+    # List the rays with a candidate cell.
     met = np.empty(count + RAY_WIDTH, np.int32)
     last = 0
     for i in range(count):
         met[last] = i
         last += found[i] != MISS
     met[last : last + RAY_WIDTH] = met[0]
+    # Intersect them vector by vector; cast those that are not sure one by one.
     for i in range(0, last, RAY_WIDTH):
         asked = settle_vector(volume, rays, load(met, i, RAY_WIDTH), stream, found, entries, hits)
         lane = i
@@ -103,7 +111,7 @@ def settle(field, volume, rays, count, stream, found, entries, hits):
 
 @kernel()
 def cast_simd(field, cells, rays, t, came):
-    """``cast_batch`` by SIMD traversal; at least RAY_WIDTH rays."""
+    """Cast rays as ``cast_batch`` does, by SIMD traversal; there are at least RAY_WIDTH rays."""
     room = min(BATCH_RAYS, t.shape[0]) + RAY_WIDTH
     stream = make_stream(room)
     entries = np.empty(room, np.float32)
@@ -113,6 +121,7 @@ def cast_simd(field, cells, rays, t, came):
     hits = (t, came)
     t[:] = math.inf
     came[:] = UNKNOWN_SIDE
+    # Traverse and intersect one batch of rays after the other.
     for first in range(0, t.shape[0], BATCH_RAYS):
         count = fill_stream(
             shape, cells.shape, rays, first, min(first + BATCH_RAYS, t.shape[0]), stream
@@ -124,7 +133,7 @@ def cast_simd(field, cells, rays, t, came):
 
 @kernel()
 def cast_scalar(field, rays, t, came):
-    """``cast_batch`` one ray at a time."""
+    """Cast rays as ``cast_batch`` does, one at a time."""
     for m in range(t.shape[0]):
         o, d = column(rays.origins, m), column(rays.directions, m)
         t[m], came[m] = cast(field, rays.isovalues[m], o, d, int(rays.sides[m]))
@@ -135,11 +144,11 @@ CAST = types.void(FIELD_RECORD, ACTIVE_CELLS, RAYS_RECORD, REAL_ARRAY, SIDE_ARRA
 
 @kernel(CAST)
 def cast_batch(field, cells, rays, t, came):
-    """First crossings of n ``Rays``, as ``intersect.cast`` gives them, to the bit.
+    """Find the first intersections of n ``Rays``, with the bits of ``intersect.cast``.
 
-    Their isovalues are within the range of ``cells``. Writes ``t`` (n,), inf where there is none,
-    and ``came`` (n,), the side that the ray came from. Rays need no order; neighbours side by side
-    are faster.
+    Isovalues lie within the range of ``cells``. Writes ``t`` (n,), infinite for misses, and
+    ``came`` (n,), the side that the ray arrives on. Rays need no order; coherent neighbours are
+    faster.
     """
     fits = field.voxels.size < MOST_VOXELS and max(field.voxels.shape) < LONGEST_SIDE
     if SIMD and fits and t.shape[0] >= RAY_WIDTH:
@@ -150,5 +159,5 @@ def cast_batch(field, cells, rays, t, came):
 
 @kernel(CAST)
 def cast_one_by_one(field, cells, rays, t, came):
-    """``cast_batch`` by the scalar kernel: the reference, and what there is without SIMD."""
+    """Cast rays by the scalar kernel: the reference, and the method without SIMD."""
     cast_scalar(field, rays, t, came)

@@ -1,5 +1,5 @@
-"""Glow: parts of the volume that give off light and stop none, and what a ray gathers on its way
-through them.
+"""Glowing regions: parts of the volume that emit light and block none, and the light that a ray
+gathers in them.
 """
 
 import math
@@ -13,21 +13,22 @@ from isogi_core.kernels.tracing.field import FIELD_RECORD, value
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
 
 VALUE_STEP = 0.5
-"""Steps in which a range of values is looked for along a ray, in voxels of the least spacing."""
+"""Step in which a range of values is sampled along a ray, in voxels of the least spacing."""
 
 NO_WAY = (0.0, -math.inf)
-"""The way of a ray that misses a region."""
+"""The interval of a ray that misses a region."""
 
 
 class Glows(NamedTuple):
-    """k >= 0 regions that give off light, in the world; all float64.
+    """k ≥ 0 glowing regions in world space; all float64.
 
-    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,)
-    is 1: then their radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the
-    part whose voxels are from ``lows`` to ``highs`` (k,), which are infinite where all of it glows.
-    A ray gathers the radiance ``rates`` (k,) on each unit of its way. Where ``masked`` (k,) is 1
-    voxels whose ``bits`` lack number k do not glow: uint8 of the shape of the field, or none where
-    there is no mask. The ``lows`` of such are finite.
+    - ``centres``, ``halves`` (3, k): boxes by centre and half edges; balls, with the radius thrice,
+      if ``round`` (k,) is 1.
+    - ``radii`` (k,): radii of the bounding balls.
+    - ``lows``, ``highs`` (k,): the voxels' values that glow, infinite if all of the region does.
+    - ``rates`` (k,): radiance gathered per unit of length.
+    - ``masked`` (k,): if 1, voxels whose ``bits`` lack number k do not glow; bits are uint8 of the
+      field's shape, or empty. The ``lows`` of such regions are finite.
     """
 
     centres: Any
@@ -47,8 +48,8 @@ GLOWS = record(Glows, REAL_ROWS, REAL_ROWS, *[REAL_ARRAY] * 6, types.uint8[:, :,
 
 @kernel()
 def way_through_ball(away, radius, w):
-    """Part (near, far) of a ray along the unit vector ``w`` within a ball whose middle is ``away``
-    from its start.
+    """Return the part (near, far) of a ray along the unit vector ``w`` in a ball whose centre is
+    ``away`` from its start.
 
     It begins at the start, 0, at the earliest.
     """
@@ -63,8 +64,8 @@ def way_through_ball(away, radius, w):
 
 @kernel()
 def way_through_box(away, half, w):
-    """Part (near, far) of a ray along the unit vector ``w`` in a box with half edges ``half`` that
-    is ``away``.
+    """Return the part (near, far) of a ray along the unit vector ``w`` in a box with half edges
+    ``half`` whose centre is ``away``.
     """
     near = 0.0
     far = math.inf
@@ -81,8 +82,8 @@ def way_through_box(away, half, w):
 
 @kernel()
 def way_through(glows, k, p, w):
-    """Part (near, far) of the ray from the world point ``p`` along the unit vector ``w`` within
-    region ``k``.
+    """Return the part (near, far) of the ray from the world point ``p`` along the unit vector
+    ``w`` in region ``k``.
     """
     away = sub(column(glows.centres, k), p)
     half = column(glows.halves, k)
@@ -93,8 +94,8 @@ def way_through(glows, k, p, w):
 
 @kernel()
 def share_between(low, high, before, after):
-    """Share of a way on which a value is from ``low`` to ``high`` that goes evenly from ``before``
-    to ``after``.
+    """Return the share of an interval on which a value, linear from ``before`` to ``after``,
+    lies from ``low`` to ``high``.
     """
     if before == after:
         return 1.0 if low <= before <= high else 0.0
@@ -105,7 +106,7 @@ def share_between(low, high, before, after):
 
 @kernel()
 def value_on(field, p, t, w):
-    """The value of the field at ``t`` along a ray from the world point ``p``."""
+    """Return the value of the field at ``t`` along a ray from the world point ``p``."""
     sx, sy, sz = field.spacing
     x, y, z = madd(p, t, w)
     return value(field.voxels, (x / sx, y / sy, z / sz))
@@ -113,11 +114,11 @@ def value_on(field, p, t, w):
 
 @kernel()
 def share_within(field, low, high, p, w, near, far):
-    """Share of the way from ``near`` to ``far`` along a ray on which the field is from ``low`` to
+    """Return the share of the ray from ``near`` to ``far`` on which the field lies from ``low`` to
     ``high``.
 
-    In steps of at most STEP voxels, between which values go evenly: so thin layers are as bright as
-    they are thick.
+    Values are linear between steps of at most VALUE_STEP voxels, so that a thin layer is as bright
+    as it is thick.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
@@ -133,9 +134,7 @@ def share_within(field, low, high, p, w, near, far):
 
 @kernel()
 def in_mask(glows, k, x, y, z):
-    """Whether the voxel that is nearest to a place in index space is in the mask of region
-    ``k``.
-    """
+    """Return whether the voxel nearest to a place in index space is in the mask of region ``k``."""
     nz, ny, nx = glows.bits.shape
     a = min(max(int(x + 0.5), 0), nx - 1)
     b = min(max(int(y + 0.5), 0), ny - 1)
@@ -145,10 +144,10 @@ def in_mask(glows, k, x, y, z):
 
 @kernel()
 def share_in_mask(field, glows, k, p, w, near, far):
-    """Share of the way from ``near`` to ``far`` along a ray that is in the mask and the range of
-    region ``k``.
+    """Return the share of the ray from ``near`` to ``far`` in the mask and in the range of region
+    ``k``.
 
-    By the steps of ``share_within``, each of which is in the mask where its middle is.
+    Steps are those of ``share_within``; the middle of a step decides whether it is in the mask.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
@@ -166,9 +165,10 @@ def share_in_mask(field, glows, k, p, w, near, far):
 
 @kernel()
 def gather_on_way(field, glows, k, p, w, reach):
-    """Radiance that the ray from the world point ``p`` along the unit vector ``w`` gathers of
-    region ``k``, which has radiance 1, before ``reach``: the rate times the way in it. Emission
-    without absorption is exact to integrate.
+    """Return the radiance that the ray from the world point ``p`` along the unit vector ``w``
+    gathers of region ``k`` before ``reach``.
+
+    The region has radiance 1. Emission without absorption integrates exactly to rate times length.
     """
     near, far = way_through(glows, k, p, w)
     far = min(far, reach)
@@ -189,11 +189,11 @@ EYE = types.UniTuple(types.float64, 3)
 
 @kernel(types.void(FIELD_RECORD, GLOWS, EYE, RAY_ROWS, REAL_ARRAY, LIGHT_ROWS))
 def gather_from_eye(field, glows, eye, directions, reaches, light):
-    """Fill ``light`` (n, k) with what rays from the ``eye`` gather of each of k regions, which have
-    radiance 1.
+    """Fill ``light`` (n, k) with the light of each of k regions of radiance 1 along rays from the
+    ``eye``.
 
-    The eye and the ``directions`` (3, n) are in index space; rays go ``reaches`` (n,) times their
-    direction.
+    The eye and the ``directions`` (3, n) are in index space; rays end at ``reaches`` (n,) times
+    their direction.
     """
     sx, sy, sz = field.spacing
     start = eye[0] * sx, eye[1] * sy, eye[2] * sz

@@ -1,7 +1,5 @@
-"""Depth peels: all isosurfaces that rays of a camera meet, front to back, until what is behind
-hardly counts.
-
-Walls let nothing through: the first that a ray meets is the last that it shows.
+"""Depth peeling: all surfaces that camera rays meet, front to back, until what lies behind
+hardly counts. Walls are opaque: the first wall on a ray is the last layer.
 """
 
 import math
@@ -22,29 +20,30 @@ from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 
 MAX_SURFACES = 4
-"""Isosurfaces of a scene at most: the one that slides, and the pinned ones."""
+"""Largest number of isosurfaces of a scene: the one that slides, and the pinned ones."""
 
 MAX_PEELED_LAYERS = 64
-"""Surfaces that a ray shows behind each other, at most. Where each lets nine tenths pass, what is
-left of a ray's light is below LEAST before. The last of them is the first opaque one that is left.
+"""Largest number of layers on a ray; the last of them is the next opaque surface.
+
+If each layer lets nine tenths pass, the rest of a ray's light is below MIN_RAY_SHARE before that.
 """
 
 MIN_RAY_SHARE = 1.0 / 512.0
 """Share of a ray's light below which what lies behind is left out."""
 
 NO_SIDE = -3
-"""The side that a ray meets where it meets nothing; WINDOW_FACE is that of a window, and others are
-from 0 on.
-"""
+"""Side of a ray that meets nothing; WINDOW_FACE is that of a window, other sides are ≥ 0."""
 
 FIRST_WALL_SIDE = 2 * MAX_SURFACES
-"""The side that a ray meets on the first wall; one more on the next."""
+"""Side of a ray that meets the first wall; the next wall has the next number."""
 
 
 class Shells(NamedTuple):
-    """s isosurfaces of a ``field``: ``cells`` that may hold each (MOST of them: the others say
-    nothing), normalised ``isovalues`` (s,), and the shares of rays that pass straight through,
-    ``clears`` (s,). What all pass is not seen.
+    """s isosurfaces of a ``field``.
+
+    ``cells`` may hold each of them (MAX_SURFACES records, of which only s are read); ``isovalues``
+    (s,) are normalised; ``clears`` (s,) are the shares of rays that pass straight through. A
+    surface that all rays pass is not seen.
     """
 
     field: Any
@@ -56,10 +55,11 @@ class Shells(NamedTuple):
 class Peeled(NamedTuple):
     """What rays meet, ray by ray and front to back, (m,) each.
 
-    ``rays`` uint32 are their numbers, and ``points`` (m, 3) float32 in index space. ``sides`` int8
-    are 2 k on the outer side of surface k, one more on its inner one, FIRST_WALL_SIDE + k on wall
-    k, or WINDOW_FACE. ``ranks`` int8 tell how many of that side the ray has met before, and
-    ``weights`` float32 the share of its light that comes from there.
+    - ``rays`` uint32: number of the ray; ``points`` (m, 3) float32: in index space.
+    - ``sides`` int8: 2 k on the outer side of surface k, 2 k + 1 on its inner side, FIRST_WALL_SIDE
+      + k on wall k, or WINDOW_FACE.
+    - ``ranks`` int8: hits of the same side earlier on the ray.
+    - ``weights`` float32: share of the ray's light that comes from here.
     """
 
     rays: Any
@@ -70,9 +70,12 @@ class Peeled(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """The last crossings found of n rays with s surfaces: ways ``t`` from the eye, inf where there
-    is none, and the sides that they ``came`` from, (s, n). Nothing is seen of them beyond ``far``
-    (n,). ``walls`` (n,) are the numbers of those that end rays, ``ends`` (n,) from the eye.
+    """The latest crossings of n rays with s surfaces.
+
+    - ``t`` (s, n): distance from the eye, infinite if there is none; ``came`` (s, n): side that the
+      ray arrives on.
+    - ``far`` (n,): distance up to which anything is seen.
+    - ``walls``, ``ends`` (n,): number and distance of the wall that ends the ray.
     """
 
     t: Any
@@ -83,10 +86,8 @@ class Crossings(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and
-    ``weights``, (MAX_PEELED_LAYERS + 1, n).
-
-    The last of them has walls alone.
+    """What n rays show, layer by layer: ``sides`` as in ``Peeled``, distances ``t`` and
+    ``weights``, (MAX_PEELED_LAYERS + 1, n). The last layer holds only walls.
     """
 
     sides: Any
@@ -105,11 +106,11 @@ PEELED = record(
 
 @kernel()
 def rest_of_cell(field, isovalue, o, d, side):
-    """What a ray meets that starts on its ``side`` of a surface within a cell: (way, side it came
-    from).
+    """Intersect a ray that starts on its ``side`` of a surface with the surface in the rest of its
+    cell.
 
-    Where it meets nothing there, (inf, its side where it leaves the cell); and in any case the way
-    to that place.
+    Returns (t, side it came from) of the hit, or (inf, side at the exit), followed by the distance
+    of the exit.
     """
     (nz, ny, nx) = field.voxels.shape
     inv = reciprocals(d)
@@ -121,8 +122,8 @@ def rest_of_cell(field, isovalue, o, d, side):
 
 @kernel()
 def put_crossing(crossings, k, i, way, came):
-    """Move the crossing of ray ``i`` with surface ``k`` on by a ``way``; whether that is still
-    seen.
+    """Move the crossing of ray ``i`` with surface ``k`` on by ``way``; return whether it can
+    still be seen.
     """
     t = crossings.t[k, i] + way
     crossings.t[k, i] = t if t <= crossings.far[i] else math.inf
@@ -132,12 +133,11 @@ def put_crossing(crossings, k, i, way, came):
 
 @kernel()
 def leave_cells(shells, crossings, k, eye, directions, some):
-    """Move ``some`` rays (m,) on to their next crossings with surface ``k`` where these are in the
-    same cells.
+    """Move ``some`` rays (m,) to their next crossings with surface ``k`` if these lie in the same
+    cells.
 
-    The others are moved to where they leave those cells: how many, and they are the first of
-    ``some`` then. From a point on the surface vectors of rays would be of no use: each would ask
-    ``cast``.
+    The other rays are moved to the exits of their cells and listed first in ``some``; returns their
+    number. From a point on the surface, SIMD traversal would leave each ray to ``cast``.
     """
     count = 0
     for j in range(some.shape[0]):
@@ -156,9 +156,7 @@ def leave_cells(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def cast_to_next(shells, crossings, k, eye, directions, some):
-    """Replace the crossings with surface ``k`` of ``some`` rays (m,), by their numbers, by the next
-    ones.
-    """
+    """Replace the crossings of ``some`` rays (m,) with surface ``k`` by the next ones."""
     n = some.shape[0]
     rays = Rays(
         np.full(n, shells.isovalues[k]), np.empty((3, n)), np.empty((3, n)), np.empty(n, np.int8)
@@ -178,7 +176,9 @@ def cast_to_next(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def opens(shells, p):
-    """Whether a point is within an opaque surface; surfaces that let rays pass are looked into."""
+    """Return whether a point lies inside of an opaque surface, which a window's face then cuts
+    open.
+    """
     for k in range(shells.clears.shape[0]):
         if shells.clears[k] <= 0.0 and is_solid(
             TracedSurface(shells.field, shells.cells[k], shells.isovalues[k]), p
@@ -189,8 +189,8 @@ def opens(shells, p):
 
 @kernel()
 def first_crossings(shells, sight, eye, directions, layers, left):
-    """The first crossings of rays from the ``eye`` behind a window, whose faces end rays as their
-    first layer.
+    """Find the first crossings of rays from the ``eye`` behind a window, whose faces end rays
+    as their first layer.
     """
     s = shells.clears.shape[0]
     n = directions.shape[1]
@@ -201,6 +201,7 @@ def first_crossings(shells, sight, eye, directions, layers, left):
     )
     for i in range(n):
         d = column(directions, i)
+        # Clip the ray by the window and the first wall.
         near, far = look_through(sight.window, eye, d)
         crossings.ends[i], crossings.walls[i] = nearest_wall(sight.walls, eye, d, NO_WALL, math.inf)
         crossings.far[i] = min(far, crossings.ends[i])
@@ -210,6 +211,7 @@ def first_crossings(shells, sight, eye, directions, layers, left):
             layers.t[0, i] = near
             layers.weights[0, i] = 1.0
             left[i] = 0.0
+    # Cast the rays at each surface that can be seen.
     for k in range(s):
         if shells.clears[k] < 1.0:
             cast_to_next(shells, crossings, k, eye, directions, every)
@@ -220,8 +222,8 @@ def first_crossings(shells, sight, eye, directions, layers, left):
 
 @kernel()
 def next_surface(shells, crossings, i, opaque):
-    """The surface whose crossing is next on ray ``i``, of those that are ``opaque`` alone where
-    asked; -1 for none.
+    """Return the surface with the next crossing on ray ``i``, or -1; only opaque surfaces if
+    ``opaque``.
     """
     best = -1
     way = math.inf
@@ -234,10 +236,8 @@ def next_surface(shells, crossings, i, opaque):
 
 @kernel()
 def take_layer(shells, crossings, layers, number, left):
-    """Make the next crossing of each ray its layer of this ``number``; of the share ``left`` (n,)
-    some passes.
-
-    Returns whether any ray goes on behind it.
+    """Make the next crossing of each ray its layer ``number``, and reduce the share ``left``
+    (n,) that passes; return whether any ray goes on.
     """
     some = False
     for i in range(left.shape[0]):
@@ -260,7 +260,7 @@ def take_layer(shells, crossings, layers, number, left):
 
 @kernel()
 def take_walls(crossings, layers, left):
-    """Make the wall that ends each ray the last of its layers, with all that is ``left`` (n,)."""
+    """Make the wall that ends each ray its last layer, with the share ``left`` (n,)."""
     for i in range(left.shape[0]):
         if left[i] > 0.0 and crossings.walls[i] != NO_WALL:
             last = 0
@@ -274,8 +274,8 @@ def take_walls(crossings, layers, left):
 
 @kernel()
 def find_passing(layers, number, k, left, some):
-    """Write the numbers of rays that go on past surface ``k`` in a layer to ``some`` (n,); returns
-    how many.
+    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,); return
+    their number.
     """
     count = 0
     for i in range(left.shape[0]):
@@ -286,7 +286,7 @@ def find_passing(layers, number, k, left, some):
 
 @kernel()
 def write_layers(eye, directions, layers, peeled):
-    """Write what rays show ray by ray; returns how much that is."""
+    """Write the layers of all rays, ray by ray; return their number."""
     count = 0
     for i in range(directions.shape[1]):
         first = count
@@ -305,7 +305,7 @@ def write_layers(eye, directions, layers, peeled):
 
 @kernel()
 def rank_of(peeled, first, row):
-    """How many of the rows from the ``first`` to a ``row`` are of the same side as that."""
+    """Return how many rows from ``first`` to ``row`` have the same side as ``row``."""
     found = 0
     for other in range(first, row):
         found += peeled.sides[other] == peeled.sides[row]
@@ -314,20 +314,23 @@ def rank_of(peeled, first, row):
 
 @kernel(types.int64(SHELLS, SIGHT, types.UniTuple(types.float64, 3), REAL_ROWS, PEELED, REAL_ARRAY))
 def peel_rays(shells, sight, eye, directions, peeled, left):
-    """All that rays from the ``eye`` in ``directions`` (3, n) meet, in index space: how much that
-    is.
+    """Find all that rays from the ``eye`` in ``directions`` (3, n) meet, in index space; return the
+    number of rows in ``peeled``.
 
-    It is written to ``peeled``, which has room for (MAX_PEELED_LAYERS + 1) · n, and ``left`` (n,)
-    is filled with the share of each ray's light that comes from behind all of it. The window of a
-    ``sight`` has faces in what is opaque, and takes no walls away.
+    ``peeled`` has room for (MAX_PEELED_LAYERS + 1) · n rows. ``left`` (n,) is filled with the share
+    of each ray's light that comes from behind all of it. The window of a ``sight`` has faces in
+    opaque matter, and does not cut walls.
     """
     n = directions.shape[1]
     ways = np.empty((2, MAX_PEELED_LAYERS + 1, n))
     layers = Layers(np.full((MAX_PEELED_LAYERS + 1, n), NO_SIDE, np.int8), ways[0], ways[1])
     left[:] = 1.0
+    # Find the first crossing of each ray with each surface.
     crossings = first_crossings(shells, sight, eye, directions, layers, left)
     some = np.empty(n, np.int64)
     number = 0
+    # Take the nearest crossing of each ray as its next layer, and move rays that pass to their next
+    # crossing.
     while take_layer(shells, crossings, layers, number, left) and number < MAX_PEELED_LAYERS - 1:
         for k in range(shells.clears.shape[0]):
             count = find_passing(layers, number, k, left, some)

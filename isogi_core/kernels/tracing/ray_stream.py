@@ -1,4 +1,6 @@
-"""Ray streams: rays as the traversal takes them, mirrored, in float32, side by side in memory."""
+"""Ray streams: rays as the traversal takes them, mirrored to ascending directions, in float32,
+in structure-of-arrays layout.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -14,23 +16,23 @@ from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.slabs import clip_box, longest
 
 FIELDS = 10
-"""Numbers of a ray in a stream: origin, direction (x, y, z, mirrored), way to the exit, isovalue,
-sign, mirror.
+"""Numbers of a ray in a stream: origin and direction (x, y, z, mirrored), distance to the exit,
+isovalue, sign, mirror.
 """
 
 EVERY = (1 << RAY_WIDTH) - 1
-"""The bits of all lanes."""
+"""Bits of all lanes."""
 
 STRAY_BIT = 8
-"""The bit of a mirror that says: no ray to follow, ask ``cast``."""
+"""Bit of a mirror that marks a ray which only ``cast`` can follow."""
 
 
 class Rays(NamedTuple):
-    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each against a
-    surface of its own.
+    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each with a surface
+    of its own.
 
-    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN, that they
-    start on.
+    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN_SIDE, that
+    rays start on.
     """
 
     isovalues: Any
@@ -42,8 +44,8 @@ class Rays(NamedTuple):
 class RayStream(NamedTuple):
     """The rays of a batch that meet the volume's box, in the first columns of arrays (…, n).
 
-    ``records`` float32 (FIELDS, n); ``spans`` float64 (2, n), the part of each in the box;
-    ``owners`` int32 (n,), which of the rays it is.
+    ``records`` float32 (FIELDS, n); ``spans`` float64 (2, n): part of each ray in the box;
+    ``owners`` int32 (n,): number of the ray.
     """
 
     records: Any
@@ -53,14 +55,14 @@ class RayStream(NamedTuple):
 
 @kernel()
 def make_stream(n):
-    """Room for ``n`` rays."""
+    """Allocate a stream of ``n`` rays."""
     return RayStream(np.empty((FIELDS, n), np.float32), np.empty((2, n)), np.empty(n, np.int32))
 
 
 @kernel()
 def mirrored_axis(d, here, size):
-    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d,
-    place, mask).
+    """Mirror a direction's component and a place along an axis of ``size`` if it descends:
+    (component, place, mask).
     """
     descends = d < 0.0
     return f32(abs(d)), f32(where(descends, size - here, here)), descends
@@ -68,9 +70,10 @@ def mirrored_axis(d, here, size):
 
 @kernel()
 def put_rays(shape, bricks, rays, m, stream, r):
-    """Write RAY_WIDTH rays from ray ``m`` on to the columns from ``r`` on of a stream.
+    """Write RAY_WIDTH rays from ray ``m`` on to the columns from ``r`` on; return which of them
+    meet the box, as bits.
 
-    ``shape`` voxels and ``bricks`` along z, y, x. Returns, as bits, which of them meet the box.
+    ``shape`` are the voxels and ``bricks`` the bricks along z, y, x.
     """
     records, spans, _ = stream
     isovalues, origins, directions, sides = rays
@@ -84,11 +87,13 @@ def put_rays(shape, bricks, rays, m, stream, r):
         load(directions[1], m, RAY_WIDTH),
         load(directions[2], m, RAY_WIDTH),
     )
+    # Clip the rays to the box, and scale directions by their largest component.
     near, far = clip_box(shape, o, d)
     most = longest(d)
     shrink = 1.0 / most
     sound = (shrink < math.inf) & (far < math.inf)
     mirror = where(sound, 0, STRAY_BIT)
+    # Mirror each axis that a ray descends.
     for a in range(3):
         step = where(sound, d[a] * shrink, 1.0)
         here = where(sound, o[a] + near * d[a], 0.0)
@@ -108,9 +113,7 @@ def put_rays(shape, bricks, rays, m, stream, r):
 
 @kernel()
 def compact_rays(stream, r, met):
-    """Move those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met`` together;
-    returns their end.
-    """
+    """Move the columns from ``r`` on whose bit is set in ``met`` together; return their end."""
     records, spans, owners = stream
     for column in range(r, r + RAY_WIDTH):
         if met & 1:
@@ -124,10 +127,11 @@ def compact_rays(stream, r, met):
 
 @kernel()
 def fill_stream(shape, bricks, rays, first, last, stream):
-    """Write those of the ``rays`` first … last that meet the box to a ``stream``; returns how many.
+    """Write the ``rays`` from ``first`` to ``last`` that meet the box to a ``stream``; return their
+    number.
 
-    ``shape`` voxels and ``bricks`` along z, y, x. There are RAY_WIDTH rays or more from 0 on, and
-    room for RAY_WIDTH more in the stream.
+    ``shape`` are the voxels and ``bricks`` the bricks along z, y, x. At least RAY_WIDTH rays exist,
+    and the stream has room for RAY_WIDTH more.
     """
     count = 0
     for i in range(first, last, RAY_WIDTH):

@@ -1,9 +1,7 @@
-"""SIMD intersection: what ``cross_cell`` of ``intersect`` finds, for many rays at once, to the same
-bits.
+"""SIMD intersection: ``cross_cell`` of ``intersect`` for many rays at once, with the same bits.
 
-A twin of it, and kept as one: a vector of rays decides where all is plain, and leaves slivers,
-holes and cells whose corners agree to the one ray at a time. The geometry in both is the same
-source, ``slabs`` and ``cubic``.
+It decides plain cases, and leaves slivers, holes and cells whose corners agree to the scalar twin.
+The geometry of both is the same source, ``slabs`` and ``cubic``.
 """
 
 import numpy as np
@@ -18,7 +16,9 @@ from isogi_core.kernels.tracing.slabs import cut_cell, longest, reciprocals
 
 @kernel()
 def corners_of(flat, place, stride):
-    """The eight corner values, f64×N, x fastest, of cells whose lowest corner is at ``place``."""
+    """Return the eight corner values, f64×N, x fastest, of cells whose lowest corner is at
+    ``place``.
+    """
     sy, sz = stride
     a, b = gather_pair(flat, place)
     c, d = gather_pair(flat, place + sy)
@@ -29,7 +29,7 @@ def corners_of(flat, place, stride):
 
 @kernel()
 def within_cell(o, middle, d, cell, n):
-    """Whether the ray's point at ``middle`` has the cell ``cell`` along one axis of ``n``
+    """Return whether the ray's point at ``middle`` is in ``cell`` along one axis of ``n``
     voxels.
     """
     return min(max(i32(o + middle * d), 0), n - 2) == cell
@@ -37,16 +37,18 @@ def within_cell(o, middle, d, cell, n):
 
 @kernel()
 def cross_cells(flat, shape, o, d, place, span, iso, solid):
-    """The first crossings in the cells at ``place`` by rays that enter them ``solid`` or not.
+    """Intersect rays that enter the cells at ``place`` from a ``solid`` side or not.
 
-    ``span`` (near, far) as ``clip_box`` gives it. Returns (t, where it enters the cell, sure):
-    where ``sure``, t is what ``cross_cell`` gives; elsewhere that must be asked.
+    ``span`` (near, far) comes from ``clip_box``. Returns (t, where the ray enters the cell, sure):
+    if sure, t equals the result of ``cross_cell``; otherwise that must be called.
     """
     nz, ny, nx = shape
+    # Recover the cell's indices from its flat address.
     layer = i32((f64(place) + 0.5) / np.float64(nx))
     plane = i32((f64(layer) + 0.5) / np.float64(ny))
     cell = place - layer * nx, layer - plane * ny, plane
     corner = f64(cell[0]), f64(cell[1]), f64(cell[2])
+    # Clip the ray to the cell; slivers and points in another cell by rounding are not sure.
     near, far = cut_cell(o, reciprocals(d), corner, span[0], span[1])
     through = far - near
     middle = 0.5 * (near + far)
@@ -54,6 +56,7 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
         o[1], middle, d[1], cell[1], ny
     )
     sure = sure & within_cell(o[2], middle, d[2], cell[2], nz) & (through * longest(d) >= SLIVER)
+    # Cells without corners on both sides, or with holes, are not sure.
     c = less(corners_of(flat, place, (nx, nx * ny)), iso)
     low, high, total = extent(c)
     sure = sure & (high > 0.0) & ~(low > 0.0) & ((total <= 0.0) | (total > 0.0))
@@ -62,6 +65,7 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
         o[1] + near * d[1] - corner[1],
         o[2] + near * d[2] - corner[2],
     )
+    # Solve the cubic along the ray.
     q = cubic_along(c, a, (d[0] * through, d[1] * through, d[2] * through))
     t, crosses = first_crossing(q, solid, CUBIC_ROUNDING * max(shape) * max(high, -low), sure)
     return near + t * through, near, crosses

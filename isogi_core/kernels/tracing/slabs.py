@@ -1,6 +1,6 @@
-"""Rays against boxes: the part of a ray within a volume or a cell, and where it leaves a block.
+"""Rays against boxes: the part of a ray in a volume or a cell, and where it leaves a block.
 
-All but the walk from block to block is for single numbers and for vectors alike, to the same bits.
+All but the step from block to block takes numbers and vectors, and gives the same bits for both.
 """
 
 import math
@@ -11,14 +11,14 @@ from isogi_core.kernels.simd.maths import divide, where
 
 @kernel()
 def longest(d):
-    """The magnitude of the largest component of a direction."""
+    """Return the magnitude of the largest component of a direction."""
     return max(max(abs(d[0]), abs(d[1])), abs(d[2]))
 
 
 @kernel()
 def clip(o, d, n, near, far):
-    """Part of [near, far] in which o + t·d is within 0 … n - 1 along one axis; empty when near >
-    far.
+    """Return the part of [near, far] in which o + t·d is in [0, n - 1] along one axis; it is
+    empty if near > far.
     """
     still = d == 0.0
     a = divide(-o, d)
@@ -30,8 +30,8 @@ def clip(o, d, n, near, far):
 
 @kernel()
 def clip_box(shape, o, d):
-    """Part (near, far) of the ray o + t·d, t ≥ 0, inside the box of ``shape`` (nz, ny, nx)
-    voxels.
+    """Return the part (near, far) of the ray o + t·d, t ≥ 0, in the box of ``shape`` (nz, ny,
+    nx) voxels.
     """
     nz, ny, nx = shape
     near, far = clip(o[0], d[0], nx, 0.0, math.inf)
@@ -41,23 +41,21 @@ def clip_box(shape, o, d):
 
 @kernel(exact=True)
 def reciprocal(d):
-    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell
-    by.
-    """
+    """Return 1 / d of a direction's component; 0 if it is 0 or too small to leave a cell by."""
     inverse = divide(1.0, d)
     return where(abs(inverse) < math.inf, inverse, 0.0)
 
 
 @kernel(exact=True)
 def reciprocals(d):
-    """``reciprocal`` of each component of a direction."""
+    """Return ``reciprocal`` of each component of a direction."""
     return reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])
 
 
 @kernel(exact=True)
 def cut_slab(o, inv, i, near, far):
-    """Part of [near, far] in which the ray is within cell ``i`` along one axis; ``inv`` from
-    ``reciprocal``.
+    """Return the part of [near, far] in which the ray is in cell ``i`` along one axis; ``inv``
+    is the ``reciprocal``.
     """
     still = inv == 0.0
     a = (i - o) * inv
@@ -67,8 +65,8 @@ def cut_slab(o, inv, i, near, far):
 
 @kernel(exact=True)
 def cut_cell(o, inv, cell, near, far):
-    """Part of [near, far] in which the ray is within ``cell``: the same bits however the ray got
-    there.
+    """Return the part of [near, far] in which the ray is in ``cell``; its bits do not depend on
+    how the ray got there.
     """
     near, far = cut_slab(o[0], inv[0], cell[0], near, far)
     near, far = cut_slab(o[1], inv[1], cell[1], near, far)
@@ -77,10 +75,8 @@ def cut_cell(o, inv, cell, near, far):
 
 @kernel()
 def next_face(o, inv, i, size):
-    """Ray parameter at which the ray leaves block ``i`` (of ``size`` cells) along one axis; inf if
-    it never does.
-
-    ``inv`` is the reciprocal of the direction's component.
+    """Return the ray parameter at which the ray leaves block ``i`` of ``size`` cells along one
+    axis; infinite if it never does.
     """
     if inv > 0.0:
         return ((i + 1) * size - o) * inv
@@ -91,8 +87,8 @@ def next_face(o, inv, i, size):
 
 @kernel()
 def leave_block(o, inv, block, size):
-    """Where the ray leaves a cubic block: (t, steps along x, y, z), one step being ±1 and the
-    others 0.
+    """Return where the ray leaves a cubic block: (t, steps along x, y, z); one step is ±1, the
+    others are 0.
     """
     tx = next_face(o[0], inv[0], block[0], size)
     ty = next_face(o[1], inv[1], block[1], size)

@@ -1,17 +1,15 @@
-"""Stiffness: how the cells of isosurfaces lie to the plateaus, the noise and the holes of a field,
-for many at once.
+"""Stiff cells: where isosurfaces run along plateaus, through noise, or next to holes; and the
+points of texels on plateaus.
 
-A cell belongs to all isovalues from its least corner up to its greatest, so that one pass serves
-them all: counts are kept as differences, +1 where a range of isovalues begins and -1 behind its
-end.
+A cell belongs to all isovalues from its least corner to its greatest, so that one pass serves all
+of them: counts are kept as differences, +1 where a range of isovalues begins and -1 after its end.
 
-Plateaus: where texels at the edge of one are lit, as their own isosurface is one that no view
-shows. A texel that hardly any voxel about it exceeds, while many are as high, is at the edge of a
-plateau (a mask, a thin ramp, a terrace, clipped data): above its value next to nothing is solid.
-One that hardly any falls below is too: its isosurface is the hull of all that is higher, up to a
-voxel too far out. Such a texel is lit half-way between the ends of the values about it, which the
-isosurfaces that its cells show lie about. In a wall one voxel thin, whose sides have light of their
-own, a texel that is the wall itself has none.
+A texel is at the edge of a plateau (a mask, a thin ramp, a terrace, clipped data) if hardly any
+voxel nearby is greater while many are as great: hardly anything above its value is solid. It is at
+an edge as well if hardly any is less: its isosurface is the hull of all that is greater, up to a
+voxel too far out. Such a texel is lit half-way between the extremes of the values nearby, about
+which the isosurfaces of its cells lie. In a wall one voxel thin, whose sides differ in light, a
+texel on the wall itself holds no light.
 """
 
 import math
@@ -25,43 +23,43 @@ from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, value
 from isogi_core.kernels.tracing.vec import is_zero
 
 EDGE_SHARE = 0.1
-"""Share of the range of the values about a texel within which it is at an end of it."""
+"""Share of the range of nearby values within which a texel counts as being at an end of it."""
 
 FLAT_SHARE = 2 / 7
-"""Share of the voxels about a texel that are as it is, at the edge of a plateau: a cube's corner
-has 8 of 27.
+"""Share of nearby voxels that equal the texel at the edge of a plateau; a cube's corner has 8 of
+27.
 
-Without it the texels of noisy fields, many of which are the least or the greatest for a voxel
-around, would leave their isosurfaces too, and have a quarter more error.
+Without it texels of noisy fields, many of which are extremes of their neighbourhood, would leave
+their isosurfaces and have a quarter more error.
 """
 
 MAX_SHIFT_VOXELS = 1.5
-"""How far from its place, in voxels, a texel is lit at most."""
+"""Largest distance in voxels between a texel and the point that it is lit at."""
 
 BEHIND_VOXELS = -0.6
-"""How far ahead of a texel, in voxels, a place is at most that is behind it; a cube's corner has
-none such.
+"""Largest distance ahead of a texel, in voxels, of a place that counts as behind it; a cube's
+corner has none.
 """
 
 STEP_VOXELS = 0.0625
-"""Voxels between places at which the field is asked for the side that it is on; a power of two."""
+"""Voxels between places at which the side of the field is sampled; a power of two."""
 
 HALVINGS = 32
-"""Halvings of a stride that find an isosurface in it."""
+"""Bisection steps that refine an isosurface within a stride."""
 
 
 @kernel(exact=True)
 def reach(x, n):
-    """First and last of the ``n`` voxels along an axis that the smoothed gradient at ``x`` is made
-    of.
+    """Return the first and last of the ``n`` voxels along an axis that the smoothed gradient at
+    ``x`` uses.
     """
     return max(int(math.floor(x)) - 1, 0), min(int(math.ceil(x)) + 1, n - 1)
 
 
 @kernel(exact=True)
 def value_span(voxels, p):
-    """The least and the greatest voxel about ``p``, up to two away along each axis, and whether one
-    is no number.
+    """Return the least and greatest voxel within the support of the smoothed gradient at ``p``,
+    and whether one is no number.
     """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -80,8 +78,8 @@ def value_span(voxels, p):
 
 @kernel(exact=True)
 def flat(voxels, p, own, edge):
-    """Whether a share FLAT_SHARE of the voxels about ``p`` is within ``edge`` of its value
-    ``own``.
+    """Return whether a share FLAT_SHARE of the voxels around ``p`` is within ``edge`` of its
+    value ``own``.
     """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -97,7 +95,7 @@ def flat(voxels, p, own, edge):
 
 @kernel(exact=True)
 def at_edge(voxels, p, own, low, high):
-    """Whether a point ``p`` of value ``own`` is at the edge of a plateau between the values ``low``
+    """Return whether ``p`` with the value ``own`` is at the edge of a plateau between ``low``
     and ``high``.
     """
     edge = EDGE_SHARE * (np.float64(high) - np.float64(low))
@@ -151,8 +149,8 @@ def downhill(n, spacing, sign):
 
 @kernel(exact=True)
 def thin(voxels, p, d, level):
-    """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND_VOXELS behind it: the
-    wall's other side is as near.
+    """Return whether one of the 26 places a voxel away from ``p`` is open and behind it, so
+    that the wall's other side is as near.
     """
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
@@ -164,17 +162,18 @@ def thin(voxels, p, d, level):
 
 @kernel(exact=True)
 def leave_plateau(field, p, n):
-    """Where a texel at ``p``, with the normal ``n`` that is not zero, is lit: (point, normal,
+    """Return where a texel at ``p`` with the normal ``n``, not zero, is lit: (point, normal,
     isovalue).
 
-    There and on its own isosurface, a float32, unless it is at the edge of a plateau. Where nothing
-    half-way is found near, one at the foot of it stays; one on top has no side, as in a thin wall,
-    and its normal is (0, 0, 0).
+    That is ``p`` on its own isosurface, a float32, unless it is at the edge of a plateau. If there
+    is no isosurface half-way nearby, a texel at the foot of the plateau stays, and one on top gets
+    the normal (0, 0, 0): it has no side, as in a thin wall.
     """
     own = np.float32(value(field.voxels, p))
     low, high, _ = value_span(field.voxels, p)
     if not at_edge(field.voxels, p, own, low, high):
         return p, n, own
+    # Look for the isosurface half-way between the extremes nearby, down the slope or up.
     level = np.float32(0.5 * (np.float64(low) + np.float64(high)))
     top = own > level
     d = downhill(n, field.spacing, 1.0 if top else -1.0)
@@ -182,6 +181,7 @@ def leave_plateau(field, p, n):
         t = math.inf
     else:
         t = crossing(field.voxels, p, d, level)
+    # Move the texel there, with the normal of that place.
     if t < math.inf:
         there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
@@ -189,6 +189,10 @@ def leave_plateau(field, p, n):
 
 
 EDGE_MARK = 1
+"""Marks of a voxel: at the edge of a plateau, without a gradient, next to one that is no
+number. A texel at the edge of a plateau is not lit on its own isosurface: see
+``leave_plateau``.
+"""
 VOID_MARK = 2
 HOLE_MARK = 4
 """Marks of a voxel: at the edge of a plateau, without a gradient, beside one that is no number.
@@ -197,6 +201,7 @@ A texel at the edge of a plateau is not lit on its own isosurface: see ``kernels
 """
 
 CELLS_ROW = 0
+"""Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
 STEEP_ROW = 1
 PLATEAU_ROW = 2
 NOISY_ROW = 3
@@ -207,15 +212,13 @@ FACES_ROW = 5
 COUNTED_ROWS = FACES_ROW + 6
 
 STEEP_CORNERS = 4
-"""Corners, half of a cell's, that make it steep where they are at an edge, or part of a plateau
-that they lie on.
-"""
+"""Corners at a plateau's edge, or on a plateau, that make a cell steep: half of its corners."""
 
 MIN_MEAN_NORMAL = 0.9
-"""Length of the mean of a cell's unit normals below which it counts as noisy: they then stray by
+"""Length of the mean of a cell's unit normals below which the cell is noisy: normals then differ by
 26° or more.
 
-On a ball that is so at a radius of two voxels: finer detail cannot be distinguished from noise.
+On a ball that happens at a radius of two voxels: finer detail cannot be told from noise.
 """
 
 LEVEL_ARRAY = types.float32[::1]
@@ -224,8 +227,8 @@ COUNT_ROWS = types.int64[:, ::1]
 
 @kernel()
 def first_at(levels, value):
-    """The place of the first of the ascending ``levels`` that is at ``value`` or above; their
-    number for NaN.
+    """Return the place of the first of the ascending ``levels`` that is at least ``value``;
+    their number for NaN.
     """
     first = 0
     last = levels.shape[0]
@@ -240,8 +243,8 @@ def first_at(levels, value):
 
 @kernel()
 def look_at(field, levels, k, normals, marks):
-    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` that an
-    isosurface passes.
+    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` near an
+    isosurface.
     """
     _, ny, nx = field.voxels.shape
     for j in range(ny):
@@ -262,17 +265,18 @@ def look_at(field, levels, k, normals, marks):
 
 @kernel()
 def count_levels(row, first, last):
-    """Count one for the isovalues ``first`` … ``last`` - 1."""
+    """Count one for the isovalues ``first`` to ``last`` - 1."""
     row[first] += 1
     row[last] -= 1
 
 
 @kernel()
 def passing(levels, corners, bit, side):
-    """The isovalues whose surface parts the corners of a cell whose ``bit`` is ``side``: first, one
-    past the last.
+    """Return the range of isovalues whose surface separates the corners of a cell: first, one past
+    the last.
 
-    All corners where ``bit`` is 0. A corner at the isovalue is outside, as it is for rays.
+    Only corners whose ``bit`` is ``side`` count, or all if ``bit`` is 0. A corner at the isovalue
+    is outside, as it is for rays.
     """
     low = np.inf
     high = -np.inf
@@ -284,10 +288,10 @@ def passing(levels, corners, bit, side):
 
 @kernel()
 def corner_of(marks, normals, k, j, i):
-    """What the corners of the cell at (k, j, i) are: how many at an edge, all marks, length of the
-    mean normal.
+    """Summarise the corners of the cell at (k, j, i): (corners at an edge, all marks, length of the
+    mean normal).
 
-    ``marks`` and ``normals`` are of two planes of voxels: those of plane k stand in row k % 2.
+    ``marks`` and ``normals`` hold two planes of voxels; plane k is in row k % 2.
     """
     edges = 0
     together = 0
@@ -311,7 +315,7 @@ def corner_of(marks, normals, k, j, i):
 
 @kernel()
 def count_plateaus(levels, corners, first, last, row):
-    """Count the isovalues that at least MANY ``corners`` of a cell have themselves."""
+    """Count the isovalues that at least STEEP_CORNERS ``corners`` of a cell equal."""
     for level in range(first, last):
         same = 0
         for c in range(8):
@@ -322,8 +326,8 @@ def count_plateaus(levels, corners, first, last, row):
 
 @kernel()
 def count_faces(levels, corners, place, shape, counts):
-    """Count, for each face of the box that the cell at ``place`` (x, y, z) lies on, the surfaces
-    that meet it there.
+    """Count the surfaces that meet a face of the box in the cell at ``place`` (x, y, z), for
+    each face that it lies on.
     """
     for face in range(6):
         axis = face // 2
@@ -336,8 +340,8 @@ def count_faces(levels, corners, place, shape, counts):
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
-    """Count a cell that isovalues ``first`` … ``last`` - 1 pass; ``seen`` is what ``corner_of``
-    says of it.
+    """Count a cell that the isovalues ``first`` to ``last`` - 1 pass; ``seen`` is its
+    ``corner_of``.
     """
     edges, together, coherence = seen
     count_levels(counts[CELLS_ROW], first, last)
@@ -355,20 +359,21 @@ def count_cell(levels, corners, first, last, seen, counts):
 
 @kernel(types.void(FIELD_RECORD, LEVEL_ARRAY, types.int64, types.int64, COUNT_ROWS))
 def count_stiffness(field, levels, begin, end, counts):
-    """Add to ``counts`` (ROWS, levels + 1), as differences, the cells of layers ``begin`` … ``end``
-    - 1 along z.
+    """Add the cells of layers ``begin`` to ``end`` - 1 along z to ``counts`` (COUNTED_ROWS, levels
+    + 1), as differences.
 
-    ``levels`` are isovalues, ascending, in voxel units. CELLS_ROW are those that the surface
-    passes; STEEP_ROW, NOISY_ROW, HOLED_ROW and PLATEAU_ROW those of them with half of their corners
-    at the edge of a plateau, with normals that stray, beside a hole, and with a corner that has no
-    gradient or half of the corners at the isovalue itself; a row for each face of the box those
-    whose corners on it are parted.
+    ``levels`` are ascending isovalues in units of the voxels. CELLS_ROW counts the cells that the
+    surface passes. Of these STEEP_ROW counts cells with half of their corners at the edge of a
+    plateau, NOISY_ROW cells with normals that differ widely, HOLED_ROW cells next to a hole, and
+    PLATEAU_ROW cells with a corner without a gradient or half of their corners at the isovalue
+    itself. One row for each face of the box counts cells that the surface leaves there.
     """
     _, ny, nx = field.voxels.shape
     normals = np.zeros((2, ny, nx, 3))
     marks = np.zeros((2, ny, nx), np.uint8)
     look_at(field, levels, begin, normals[begin & 1], marks[begin & 1])
     for k in range(begin, end):
+        # Keep normals and marks of two planes of voxels at a time.
         look_at(field, levels, k + 1, normals[(k + 1) & 1], marks[(k + 1) & 1])
         for j in range(ny - 1):
             for i in range(nx - 1):

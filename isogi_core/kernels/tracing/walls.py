@@ -1,5 +1,5 @@
-"""Walls: flat rectangles beside the isosurface. Rays meet them one at a time or in lanes, to the
-same bits.
+"""Walls: flat rectangles around the isosurface. Rays meet them one at a time or in SIMD
+vectors, with the same bits.
 """
 
 from typing import Any, NamedTuple
@@ -13,21 +13,21 @@ from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.vec import load_columns
 
 NO_WALL = -1.0
-"""The number of no wall."""
+"""Number of no wall."""
 
 WALL_RIM = 1e-9
-"""Share of its edges by which a wall reaches beyond them, so that no ray slips between two that
-meet.
+"""Share of its edges by which a wall extends beyond them, so that no ray slips between two that
+touch.
 """
 
 
 class Walls(NamedTuple):
-    """k >= 0 rectangles, as rays in index space meet them; all float64.
+    """k ≥ 0 rectangles, as rays in index space meet them; all float64.
 
-    ``corners`` (k, 3) in index space. The ``planes`` (k, 3) times an index-space direction give its
-    world component along the wall's normal, and ``across`` (k, 2, 3) times the way from the corner
-    its shares of the two edges. Rays whose component is below ``backs`` (k,) are stopped: all where
-    that is inf, those that meet the front where it is 0.
+    ``corners`` (k, 3) are in index space. ``planes`` (k, 3) times an index-space direction give its
+    world component along the wall's normal; ``across`` (k, 2, 3) times the vector from the corner
+    give its coordinates along the two edges. Rays whose component is below ``backs`` (k,) are
+    stopped: all if that is infinite, those that hit the front if it is 0.
     """
 
     corners: Any
@@ -41,16 +41,16 @@ WALLS_RECORD = record(Walls, REAL_ROWS, REAL_ROWS, types.float64[:, :, ::1], REA
 
 @kernel(exact=True)
 def inner(rows, k, v):
-    """Row ``k`` of a (k, 3) array times the vector ``v``."""
+    """Return row ``k`` of a (k, 3) array times the vector ``v``."""
     return rows[k, 0] * v[0] + rows[k, 1] * v[1] + rows[k, 2] * v[2]
 
 
 @kernel(exact=True)
 def nearest_wall(walls, o, d, own, reach):
-    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach,
-    NO_WALL).
+    """Return the first wall that the ray o + t·d meets for 0 < t < ``reach``: (t, number), or
+    (reach, NO_WALL).
 
-    It never meets its ``own`` wall, that it starts on. Takes vectors of rays too.
+    A ray never meets its ``own`` wall, which it starts on. Takes vectors of rays as well.
     """
     found = own * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
@@ -70,11 +70,11 @@ def nearest_wall(walls, o, d, own, reach):
 
 @kernel()
 def meet_walls(walls, origins, directions, own, t, met):
-    """Shorten the ways ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to the walls that
-    they meet first.
+    """Shorten the distances ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to their
+    first walls.
 
-    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NO_WALL. n
-    is whole vectors.
+    ``own`` (n,) are the walls that they start on; ``met`` (n,) are the walls that they hit, or
+    NO_WALL. n is a multiple of the vector width.
     """
     for i in range(0, t.shape[0], PATH_WIDTH):
         o, d = load_columns(origins, i), load_columns(directions, i)

@@ -70,7 +70,9 @@ def accumulate(order, x, y, z, weight, out):
 
 @kernel()
 def evaluate(order, x, y, z, out):
-    """Write Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out float64."""
+    """Write Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out is
+    float64.
+    """
     for i in range(order * order):
         out[i] = 0.0
     accumulate(order, x, y, z, 1.0, out)
@@ -181,11 +183,12 @@ def _apply_band(l, band, coefficients, out):
 
 @kernel((types.int64, MATRIX, MATRIX, types.float64[:, ::1]))
 def rotate(order, matrix, coefficients, out):
-    """Coefficients of the rotated function L'(ω) = L(Q⁻¹ω), written to out; Q is the (3, 3)
-    rotation matrix.
+    """Write the coefficients of the rotated function L'(ω) = L(Q⁻¹ω) to ``out``; Q is the (3, 3)
+    rotation ``matrix``.
 
-    `coefficients` and `out` are (channels, order²) float64, different arrays. Rotate the unturned
-    light every time: chained rotations drift.
+    ``coefficients`` and ``out`` are different (channels, order²) float64 arrays. Rotate the
+    unrotated light every time: chained rotations drift. Source: Ivanic and Ruedenberg 1996,
+    corrected 1998.
     """
     side = 2 * MAX_ORDER + 1
     before = np.zeros((side, side))
@@ -197,6 +200,7 @@ def rotate(order, matrix, coefficients, out):
             band[MAX_ORDER - 1 + i, MAX_ORDER - 1 + j] = first[i, j]
     before[MAX_ORDER, MAX_ORDER] = 1.0
     _apply_band(0, before, coefficients, out)
+    # Build the rotation of each band from those of band 1 and of the band before.
     for l in range(1, order):
         if l > 1:
             before, band = band, before

@@ -1,8 +1,7 @@
-"""Microfacets: the GGX lobe of a rough mirror, its sampling, and the share of light that it
-reflects.
+"""Microfacets: the GGX lobe of a rough mirror, its sampling, and its reflectance.
 
-Directions are local, unit, with z along the normal; ``v`` is that to the viewer, above the surface,
-and ``l`` that to the light. Sources: Walter et al. 2007 (GGX); Heitz 2014 (masking) and 2018
+Directions are local unit vectors with z along the normal; ``v`` points to the viewer, above the
+surface, and ``l`` to the light. Sources: Walter et al. 2007 (GGX); Heitz 2014 (masking) and 2018
 (sampling); Schlick 1994 (Fresnel).
 """
 
@@ -16,22 +15,22 @@ from isogi_core.kernels.tracing.vec import add, cross, dot, madd, normalize, sca
 from isogi_core.kernels.transport.sampling import sample_disc
 
 ENERGY_STEPS = 128
-"""Steps of the table of energy, even in √cosθ: it changes most where the view grazes."""
+"""Steps of the energy table, uniform in √cosθ: it changes most at grazing views."""
 
 MIN_VIEW_COSINE = 1e-3
-"""The least cosine between normal and viewer that lobes are evaluated at."""
+"""Least cosine between normal and viewer at which lobes are evaluated."""
 
 GRID = 40
-"""Facets along each side of the square that an entry of the table is the mean over."""
+"""Facets along each side of the square over which an entry of the table is a mean."""
 
 
 class ShineLobe(NamedTuple):
-    """A microfacet lobe: ``alpha``, the roughness squared, and what it reflects head on,
-    ``facing``, linear RGB.
+    """A microfacet lobe of roughness² ``alpha`` and linear RGB reflectance ``facing`` at normal
+    incidence.
 
-    It counts ``strength`` times. Of a ``metal`` light below falls to 1 - strength, else to what the
-    lobe leaves of it: see ``light_below``. ``energy`` (ENERGY_STEPS + 1, 2) is that of
-    ``fill_energy``. Of its rays the share ``aside`` is drawn towards lights.
+    ``strength`` scales the lobe. Under a ``metal`` lobe diffuse light falls to 1 - strength, else
+    to what the lobe leaves of it (see ``light_below``). ``energy`` (ENERGY_STEPS + 1, 2) comes from
+    ``fill_energy``. The share ``aside`` of its rays is aimed at lights.
     """
 
     alpha: float
@@ -50,8 +49,8 @@ SHINE_LOBE = record(
 
 @kernel()
 def facets_facing(alpha, cosine):
-    """D(h) of GGX: facets whose normals have the ``cosine`` to that of the surface, per steradian
-    and area.
+    """Return D(h) of GGX: facets with normals at ``cosine`` to the surface normal, per
+    steradian and area.
     """
     square = alpha * alpha
     width = cosine * cosine * (square - 1.0) + 1.0
@@ -60,26 +59,26 @@ def facets_facing(alpha, cosine):
 
 @kernel()
 def hidden(alpha, cosine):
-    """Λ of Smith's masking of GGX: (√(1 + α² tan²θ) - 1)/2."""
+    """Return Λ of Smith's masking of GGX: (√(1 + α² tan²θ) - 1)/2."""
     square = cosine * cosine
     return 0.5 * (math.sqrt(1.0 + alpha * alpha * max(1.0 - square, 0.0) / square) - 1.0)
 
 
 @kernel()
 def seen_from(alpha, cosine):
-    """G₁: the share of facets turned towards a direction that are seen from there."""
+    """Return G₁: the share of facets turned towards a direction that are visible from there."""
     return 1.0 / (1.0 + hidden(alpha, cosine))
 
 
 @kernel()
 def seen_and_lit(alpha, to_viewer, to_light):
-    """G₂: the share that is seen and lit, height-correlated."""
+    """Return G₂: the share of facets that are visible and lit, height-correlated."""
     return 1.0 / (1.0 + hidden(alpha, to_viewer) + hidden(alpha, to_light))
 
 
 @kernel()
 def grazing(cosine):
-    """(1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, where θ is between a facet and the
+    """Return (1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, θ between facet and
     light.
     """
     rest = 1.0 - min(max(cosine, 0.0), 1.0)
@@ -88,15 +87,13 @@ def grazing(cosine):
 
 @kernel()
 def facet_between(v, l):
-    """The normal of the facets that mirror ``v`` to ``l``."""
+    """Return the normal of facets that mirror ``v`` to ``l``."""
     return normalize(add(v, l))
 
 
 @kernel()
 def reflected(alpha, v, l):
-    """D G₂/(4 cosθ_v): what facets bring of light from ``l`` to ``v``, cosθ_l included, but for
-    Fresnel.
-    """
+    """Return D G₂/(4 cosθ_v): the BRDF without Fresnel, times cosθ_l."""
     if not l[2] > 0.0:
         return 0.0
     return (
@@ -108,7 +105,9 @@ def reflected(alpha, v, l):
 
 @kernel()
 def reflected_pdf(alpha, v, l):
-    """Density of ``sample_reflected`` per steradian: G₁ D/(4 cosθ_v), also below the surface."""
+    """Return the density of ``sample_reflected`` per steradian: G₁ D/(4 cosθ_v), also below the
+    surface.
+    """
     h = facet_between(v, l)
     if not (h[2] > 0.0 and dot(v, h) > 0.0):
         return 0.0
@@ -117,9 +116,10 @@ def reflected_pdf(alpha, v, l):
 
 @kernel()
 def sample_reflected(alpha, v, a, b):
-    """A direction to which a facet that is seen from ``v`` mirrors it, from (a, b) in [0, 1)²; some
-    are below.
+    """Sample a direction to which a facet visible from ``v`` mirrors it, by (a, b) in [0, 1)²;
+    some lie below the surface.
     """
+    # Stretch the view direction so that facets become a hemisphere.
     around = normalize((alpha * v[0], alpha * v[1], v[2]))
     flat = math.sqrt(around[0] * around[0] + around[1] * around[1])
     if flat > 0.0:
@@ -127,6 +127,7 @@ def sample_reflected(alpha, v, a, b):
     else:
         s = (1.0, 0.0, 0.0)
     t = cross(around, s)
+    # Sample the projection of the visible hemisphere, and stretch back (Heitz 2018).
     x, y = sample_disc(a, b)
     share = 0.5 * (1.0 + around[2])
     y = (1.0 - share) * math.sqrt(max(1.0 - x * x, 0.0)) + share * y
@@ -137,7 +138,7 @@ def sample_reflected(alpha, v, a, b):
 
 @kernel()
 def schlick_fresnel(facing, v, l):
-    """Schlick's Fresnel of facets that mirror ``v`` to ``l``; linear RGB."""
+    """Return Schlick's Fresnel reflectance of facets that mirror ``v`` to ``l``; linear RGB."""
     edge = grazing(dot(v, facet_between(v, l)))
     return (
         facing[0] + (1.0 - facing[0]) * edge,
@@ -148,8 +149,8 @@ def schlick_fresnel(facing, v, l):
 
 @kernel()
 def towards_ends(k):
-    """Place number ``k`` of GRID in [0, 1], denser towards both ends, and what it counts: by t²(3 -
-    2t).
+    """Return place ``k`` of GRID in [0, 1], denser towards both ends by t²(3 - 2t), and its
+    weight.
     """
     t = (k + 0.5) / GRID
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
@@ -157,11 +158,9 @@ def towards_ends(k):
 
 @kernel()
 def mean_energy(alpha, cosine):
-    """(A, B) such that a lobe seen at a ``cosine`` reflects F₀ A + B of light that is the same from
-    everywhere.
+    """Return (A, B): a lobe seen at ``cosine`` reflects F₀ A + B of uniform light.
 
-    Facets at the rim of the disc that they are drawn from are steep, and change much: there are
-    more of them.
+    Places are denser at the rim of the disc, where facets are steep and change most.
     """
     v = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
     a = 0.0
@@ -183,8 +182,8 @@ def mean_energy(alpha, cosine):
 
 @kernel(types.void(types.float64, ENERGY))
 def fill_energy(alpha, energy):
-    """Fill ``energy`` (ENERGY_STEPS + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single
-    scattering.
+    """Fill ``energy`` (ENERGY_STEPS + 1, 2) with ``mean_energy`` at the cosines (k/ENERGY_STEPS)²:
+    single scattering.
 
     The split is Karis's, "Real Shading in Unreal Engine 4", 2013.
     """
@@ -196,7 +195,7 @@ def fill_energy(alpha, energy):
 
 @kernel()
 def energy_at(energy, cosine):
-    """(A, B) at a ``cosine``, between the table's nodes."""
+    """Interpolate (A, B) at ``cosine`` from the table."""
     place = ENERGY_STEPS * math.sqrt(min(max(cosine, 0.0), 1.0))
     k = min(int(place), ENERGY_STEPS - 1)
     way = place - k
@@ -208,10 +207,10 @@ def energy_at(energy, cosine):
 
 @kernel()
 def light_below(lobe, cosine):
-    """The share of diffuse light that a lobe leaves to the eye at a ``cosine``; linear RGB.
+    """Return the share of diffuse light that a lobe leaves to the eye at ``cosine``; linear RGB.
 
-    Of a metal 1 - strength; of a coat 1 - strength · (F₀ A + B), so that a white surface stays
-    white in white light.
+    Under a metal 1 - strength; under a coat 1 - strength · (F₀ A + B), so that a white surface
+    stays white in white light.
     """
     a, b = energy_at(lobe.energy, cosine)
     strength = lobe.strength
