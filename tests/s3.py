@@ -31,7 +31,8 @@ Fault = int | Literal["hang", "short", "drop", "lost", "flip", "no-bucket"]
 """What becomes of a call: a status that is answered and nothing done; ``hang``: no answer until the
 server closes; ``short``: half of the body, and the connection ends; ``drop``: the connection ends
 and nothing is done; ``lost``: what was asked is done, and the connection ends without an answer;
-``flip``: a bit in the middle of the answer's body is another; ``no-bucket``: as if there were no bucket."""
+``flip``: a bit in the middle of the answer's body is another; ``no-bucket``: as if there were no
+bucket."""
 
 
 def environment_of(endpoint: str) -> dict[str, str]:
