@@ -71,7 +71,7 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
     """Raise StoreError where a store's sentinel is damaged, or of another format."""
     try:
         version = json.loads(sentinel)["format"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise StoreError(
             f"{SENTINEL_KEY} in the store at {url} is damaged: delete it, and start isogi "
             "again, which makes it."
@@ -530,7 +530,7 @@ class Documents:
                 document = None
             else:
                 document = json.loads(found.data)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise StoreError(f"{self.path_of(name)} is damaged ({error}): move it away.") from error
         if document is not None and not isinstance(document, dict):
             raise StoreError(f"{self.path_of(name)} is damaged (no JSON object): move it away.")

@@ -2,12 +2,14 @@
 
 import asyncio
 import gc
+import logging
 import os
 import signal
 import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import click
@@ -20,9 +22,12 @@ from server.api.app import create_app
 from server.api.connections import Connection, ServerConfig
 from server.api.lifespan import Closing
 from server.api.service import Service
+from server.cli.setting_options import unknown_variables
 from server.progress import compiling, open_scene, say
-from server.render.engine import engine_for
+from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
+
+log = logging.getLogger("isogi.server")
 
 EXIT_SECONDS = 3.0
 """Seconds that a stopping process has left for itself once its requests had theirs."""
@@ -53,14 +58,23 @@ def serve(target: str | None, settings: Settings) -> None:
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED_WARNING.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
+    for sentence in unknown_variables():
+        log.warning("%s", sentence)
     sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
         engine = engine_for(scene, settings)
         if engine.kernels.progress is None:
             engine.hire()
-        with compiling(lambda: engine.kernels.progress):
+        with bar_of(engine, settings):
             asyncio.run(run(create_app(engine, settings), listener))
+
+
+def bar_of(engine: RenderEngine, settings: Settings) -> AbstractContextManager[None]:
+    """A bar that shows how far kernels are compiled; none among the lines of a log of JSON."""
+    if settings.log_format == "json":
+        return nullcontext()
+    return compiling(lambda: engine.kernels.progress)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -72,10 +86,12 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
-        raise IsogiError(
-            f"Cannot listen on {host} port {port}: "
-            f"{os.strerror(error.errno) if error.errno else error}."
-        ) from error
+        raise IsogiError(f"Cannot listen on {host} port {port}: {reason(error)}.") from error
+
+
+def reason(error: OSError) -> str:
+    """What the system says, without the address that Python adds to it."""
+    return (error.strerror or str(error)).partition(" (while")[0]
 
 
 def queued(listener: socket.socket) -> Iterator[socket.socket]:
