@@ -124,11 +124,12 @@ figures: $(BIN)/.tools
 reports: $(BIN)/.tools
 	$(BIN)/python -m benchmarks.accuracy reports -o reports --write
 
+# The tools ask for older versions of some packages: what both lock is chosen with them, so that one environment has both.
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  $(EXTRAS) pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
 	  $(EXTRAS) --extra dev pyproject.toml -o requirements-dev.lock
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+	  --constraints requirements-dev.lock $(EXTRAS) pyproject.toml -o requirements.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

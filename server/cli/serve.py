@@ -164,7 +164,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     )  # by a signal: what fails after that, such as workers that are gone, is no failure
     if startup.failure:
         server.should_exit = True
-    elif watching.done():
+    elif watching.done() and not stopped:
         # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
         gc.freeze()
         say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT_NOTE}")
