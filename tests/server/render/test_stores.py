@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import closing, contextmanager
-from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -105,19 +104,17 @@ def test_light_comes_from_a_bucket_as_from_a_folder(
         assert client.get("/v1/scenes/small").json()["read_only"] is False
 
 
-@pytest.mark.parametrize("every", [1, 3])
 def test_light_is_final_after_answers_were_damaged(
-    small_scene: Path, s3: S3Server, pictures: list[bytes], tmp_path: Path, every: int
+    small_scene: Path, s3: S3Server, pictures: list[bytes], tmp_path: Path
 ) -> None:
     """A damaged answer is not kept as a copy, which the store would confirm for ever."""
-    answers = count(1)
-    flipped: list[str] = []
+    flipped: set[str] = set()
 
     def flip(call: Call) -> Fault | None:
-        """Damage one of so many answers with light."""
-        if call.method != "GET" or "/c/" not in call.key or next(answers) % every:
+        """Damage the first answer with each chunk, which is the one to a frame."""
+        if call.method != "GET" or "/c/" not in call.key or call.key in flipped:
             return None
-        flipped.append(call.key)
+        flipped.add(call.key)
         return "flip"
 
     with server(small_scene, s3.url) as client:
@@ -125,15 +122,13 @@ def test_light_is_final_after_answers_were_damaged(
         assert final(client, OTHER) == pictures[1]
     with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
         s3.fault = flip
-        for view in (VIEW, OTHER):
-            for azimuth in range(0, 360, 45):
-                assert frame(client, {**view, "azimuth": azimuth}).status_code == 200
+        assert frame(client, VIEW).status_code == frame(client, OTHER).status_code == 200
         assert flipped
         s3.fault = lambda _: None
         assert final(client, VIEW) == pictures[0]
         assert final(client, OTHER) == pictures[1]
     with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
-        assert final(client, VIEW) == pictures[0], "nor is it after a restart"
+        assert final(client, VIEW) == pictures[0], "also after a restart"
 
 
 def test_a_store_that_is_away_is_not_empty_and_baking_waits(
