@@ -133,11 +133,12 @@ wheel-check:
 	cd build/wheel && venv/bin/isogi inspect demo:casting >/dev/null && venv/bin/isogi render demo:casting -o frame.png \
 	  --width 64 --height 64 --target-error 0.2 --store light && test -s frame.png && echo "the wheel works"
 
+# The tools ask for older versions of some packages: what both lock is chosen with them, so that one environment has both.
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  $(EXTRAS) pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
 	  $(EXTRAS) --extra dev pyproject.toml -o requirements-dev.lock
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+	  --constraints requirements-dev.lock $(EXTRAS) pyproject.toml -o requirements.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

@@ -585,8 +585,8 @@ class Isogi:
 
     An answer may be silent for ``timeout`` seconds. A server that is busy or starting, or that is
     away once it has answered, is asked again, when it says or ever more rarely, for about
-    ``patience`` seconds. Methods raise IsogiError. Usable as a context manager, which closes the
-    connections, and from several threads.
+    ``patience`` seconds. The token is shown to this server alone. Methods raise IsogiError. Usable
+    as a context manager, which closes the connections, and from several threads.
     """
 
     def __init__(
@@ -615,7 +615,10 @@ class Isogi:
             headers={"Authorization": f"Bearer {token}"} if token else {},
             timeout=timeout,
             transport=RetryTransport(),
-            event_hooks={"request": [self._ask_again], "response": [self._meet]},
+            event_hooks={
+                "request": [self._check_server, self._ask_again],
+                "response": [self._meet],
+            },
         )
 
     def __enter__(self) -> Self:
@@ -688,7 +691,7 @@ class Isogi:
 
     def read(self, path: str) -> bytes:
         """The bytes at an address of the server, such as what a graphics card draws from. Raises
-        IsogiError.
+        IsogiError, also for an address of another server.
 
         >>> isogi.read("v1/scenes/casting/card")
         """
@@ -971,7 +974,7 @@ class Isogi:
             try:
                 for event in httpx_sse.EventSource(answer).iter_sse():
                     if event.data:
-                        yield Event(event.event, json.loads(event.data), event.id)
+                        yield Event(event.event, read_json(event.data), event.id)
             except (*CONNECTION_ERRORS, httpx.ReadTimeout):
                 return
 
@@ -984,7 +987,7 @@ class Isogi:
         )
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
-        return self._ask(method, path, **more).json()
+        return document_of(self._ask(method, path, **more))
 
     def _ask(self, method: str, path: str, **more: Any) -> httpx.Response:
         """The server's answer. Raises IsogiError for one that is none of success."""
@@ -993,6 +996,15 @@ class Isogi:
         if not answer.is_success:
             raise error_of(answer)
         return answer
+
+    def _check_server(self, request: httpx.Request) -> None:
+        """Raise RefusedError for a request to another server, which would be shown the token."""
+        base = self._client.base_url
+        if origin_of(request.url) != origin_of(base):
+            raise RefusedError(
+                f"{request.url} is no address of the server at {base}: make an Isogi of that "
+                "server."
+            )
 
     def _ask_again(self, request: httpx.Request) -> None:
         request.extensions["retry"] = self._retry
@@ -1092,11 +1104,35 @@ def tell_target(facts: Facts, target: str | None) -> None:
         )
 
 
+def origin_of(url: httpx.URL) -> tuple[str, str, int | None]:
+    """Scheme, host and port of a server's address; the port is None for the scheme's."""
+    return url.scheme, url.host, url.port
+
+
+def document_of(answer: httpx.Response) -> Any:
+    """The JSON document in an answer. Raises ServerError if there is none."""
+    return read_json(answer.text)
+
+
+def read_json(text: str) -> Any:
+    """The JSON document in a text from the server. Raises ServerError if there is none, or one so
+    deep that Python cannot read it.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ServerError(
+            "The answer is no JSON document that can be read: is this an isogi?"
+        ) from error
+
+
 def error_of(answer: httpx.Response) -> IsogiError:
     """What an answer that is none of success says."""
     try:
-        problem = answer.json()
-    except ValueError:
+        problem = document_of(answer)
+    except ServerError:
+        problem = {}
+    if not isinstance(problem, dict):
         problem = {}
     status = answer.status_code
     detail = problem.get("detail") or f"The server answered {status} {answer.reason_phrase}."

@@ -8,6 +8,10 @@
 It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. The visitor's graphics card
 draws what moves, by the modules of the server's page; without one, the server does. Modules,
 voxels, light and pictures go by way of the kernel, so that the browser needs no way to the server.
+
+The modules are programs that run in the notebook's page, with all that this page may do. Connect to
+a server that you trust, and to one on another machine by https:// or a tunnel: whoever is on the
+way of plain http:// can put programs of theirs in their place.
 """
 
 from __future__ import annotations

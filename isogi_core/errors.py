@@ -20,8 +20,23 @@ def advice(word: str, known: "Iterable[str]") -> str:
     return "leave it out."
 
 
+def readable(name: object) -> str:
+    r"""The ``name`` of a file as text of valid Unicode: a byte that is not UTF-8, as the system may
+    have in a name, becomes ``\xf6``.
+    """
+    text = str(name)
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # half a pair of UTF-16, which no name of a file has
+        return text.encode("utf-8", "backslashreplace").decode()
+
+
 class IsogiError(Exception):
     """Base of all errors that say what is wrong, where, and what to do about it."""
+
+    def __str__(self) -> str:
+        """The sentence, in which names of files are readable."""
+        return readable(super().__str__())
 
 
 class VolumeError(IsogiError):

@@ -10,6 +10,8 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from uuid import uuid4
 
+from isogi_core.errors import readable
+
 REQUEST_ID: ContextVar[str] = ContextVar("request_id", default="")
 """The id of the request that is worked on; empty outside of one."""
 
@@ -118,11 +120,25 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             facts["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(facts, default=str)
+        return json.dumps(
+            {
+                name: readable(each) if isinstance(each, str) else each
+                for name, each in facts.items()
+            },
+            default=str,
+        )
 
 
 def configure(form: str, level: str) -> None:
-    """Send what this process logs, from ``level`` on, to stderr; ``form`` is text or json."""
+    """Send what this process logs, from ``level`` on, to stderr; ``form`` is text or json.
+
+    Libraries that were imported before, such as Dask, lose the handlers that they gave themselves:
+    these write lines of their form.
+    """
+    for logger in logging.root.manager.loggerDict.values():
+        if isinstance(logger, logging.Logger):
+            logger.handlers.clear()
+            logger.propagate = True
     text = {"format": "%(asctime)s %(levelname)s %(name)s [%(request_id)s] %(message)s"}
     handler = {
         "class": "logging.StreamHandler",

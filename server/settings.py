@@ -257,6 +257,17 @@ class Settings(BaseSettings):
         "warning", description="What is logged: debug, info (with each request), warning or error."
     )
 
+    @field_validator("host")
+    @classmethod
+    def address(cls, value: str) -> str:
+        """The host, if it is an address and not a socket in the file system."""
+        if value.startswith("unix:") or "/" in value:
+            raise ValueError(
+                "isogi listens at addresses and not at sockets of the file system: give one such "
+                "as 127.0.0.1, and have a proxy listen at the socket"
+            )
+        return value
+
     @field_validator("allowed_hosts", "allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def split(cls, value: object) -> object:

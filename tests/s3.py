@@ -27,11 +27,12 @@ SECRET_KEY = "a-secret-that-nobody-may-tell"
 MOST_LISTED = 1000
 """Keys in one page of a listing, at most."""
 
-Fault = int | Literal["hang", "short", "drop", "lost", "no-bucket"]
+Fault = int | Literal["hang", "short", "drop", "lost", "flip", "no-bucket"]
 """What becomes of a call: a status that is answered and nothing done; ``hang``: no answer until the
 server closes; ``short``: half of the body, and the connection ends; ``drop``: the connection ends
 and nothing is done; ``lost``: what was asked is done, and the connection ends without an answer;
-``no-bucket``: as if there were no bucket."""
+``flip``: a bit in the middle of the answer's body is another; ``no-bucket``: as if there were no
+bucket."""
 
 
 def environment_of(endpoint: str) -> dict[str, str]:
@@ -134,7 +135,7 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     wbufsize = -1
-    short = lost = False
+    short = lost = flip = False
     server: Listener
 
     def log_message(self, format: str, *args: object) -> None:
@@ -155,6 +156,7 @@ class Handler(BaseHTTPRequestHandler):
         fault = s3.began(self.command, key, parts.query, condition)
         self.short = fault == "short"
         self.lost = fault == "lost"
+        self.flip = fault == "flip"
         if fault == "hang":
             s3.closing.wait()
         if fault in ("hang", "drop"):
@@ -266,6 +268,9 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD" and status != 304:
             self.server.s3.sent += len(body)
+            if self.flip and body:
+                middle = len(body) // 2
+                body = body[:middle] + bytes([body[middle] ^ 1]) + body[middle + 1 :]
             self.wfile.write(body[: len(body) // 2] if self.short else body)
         self.close_connection = self.close_connection or self.short
 

@@ -34,11 +34,11 @@ from benchmarks.common.suite import part
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.page_pool import PagePool
-from isogi_core.cache.scene_caches import REMOTE_READERS, Loader
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.object_store import Bucket
-from isogi_core.storage.store import CRC_BYTES, SENTINEL_KEY, Store
+from isogi_core.storage.store import CRC_BYTES, REMOTE_READERS, SENTINEL_KEY, Store
 from isogi_report.speed import bake_view, make_renderer, view_of
 
 MEMORY = 1 << 30

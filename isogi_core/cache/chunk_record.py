@@ -198,6 +198,13 @@ class LayerFacts:
         return all(place < count for place, count in zip(index, self.chunks, strict=True))
 
 
+UNREADABLE = (
+    *(ValueError, KeyError, TypeError, AttributeError),
+    *(ArithmeticError, RecursionError),
+)
+"""Errors that metadata of something else raises."""
+
+
 def facts_in(metadata: bytes) -> LayerFacts:
     """Read the facts in a ``zarr.json``. Raises DamagedChunkError, which says what is wrong with
     it.
@@ -210,7 +217,7 @@ def facts_in(metadata: bytes) -> LayerFacts:
         layer = Layer(**named, nodes=tuple(map(float, own.get("nodes", ()))))
         facts = LayerFacts(layer, (z, y, x), int(own["chunk"]), own)
         whole = agrees(found, facts)
-    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
+    except UNREADABLE as error:
         raise DamagedChunkError("it is not the metadata of a layer") from error
     if not whole:
         raise DamagedChunkError("the array that it describes is not that of its layer")

@@ -283,7 +283,7 @@ class LayerStore:
         key = self._key(index)
         self._recognise()
         for _ in range(MOST_TRIES):
-            former = self.store.get(key)
+            former = self.store.get_sound(key)
             whole = joined(offsets, part, *self._former(index, former))
             stored = self.encode(index, *whole)
             if former is None:

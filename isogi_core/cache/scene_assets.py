@@ -122,7 +122,7 @@ class Asset:
 
     def _block(self, index: Shape, chunk: Shape, dtype: np.dtype[Any]) -> np.ndarray:
         """Read a chunk, whole also at the array's end."""
-        found = self.store.get(self._key(index))
+        found = self.store.get_sound(self._key(index))
         if found is None:
             raise self.damaged(f"chunk {index} is missing")
         try:

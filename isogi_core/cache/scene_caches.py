@@ -7,7 +7,7 @@ import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -19,16 +19,10 @@ from isogi_core.cache.chunk_store import ChunkStore, adopt
 from isogi_core.cache.page_pool import PagePool, page_bytes
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
-from isogi_core.storage.store import Store, StoreLike
+from isogi_core.storage.store import REMOTE_READERS, Store, StoreLike
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is read again: another machine may have baked it."""
-
-REMOTE_READERS = 16
-"""Batches read at once from a remote store, where the network takes the time."""
-
-LOCAL_READERS = 4
-"""Batches read at once from a store on this machine, where unpacking takes the time."""
 
 MAX_BATCHES_AHEAD = 2 * REMOTE_READERS
 """Most batches of a view that are being read, or wait in memory."""
@@ -53,11 +47,6 @@ class Loader:
         self._absent: dict[Index, float] = {}
         self._readers: list[set[Index]] = []
         self._lock = threading.Lock()
-        if chunk_store.store.url.remote:
-            self._many = REMOTE_READERS
-        else:
-            self._many = LOCAL_READERS
-        self._hands = ThreadPoolExecutor(self._many, "loader")
 
     def ensure(self, chunks: Sequence[Index], check: Callable[[], object] = lambda: None) -> None:
         """Load the newest light of ``chunks`` into the pool.
@@ -115,7 +104,7 @@ class Loader:
             if not store.url.remote:
                 store.check_reachable()
             with closing(
-                ahead(self._hands, self._brought, batches, partial(patiently, store))
+                ahead(store.readers, self._brought, batches, partial(patiently, store))
             ) as brought:
                 yield from zip(batches, brought, strict=True)
         elif batches:
@@ -132,7 +121,7 @@ class Loader:
         size = max(
             min(
                 BATCH_BYTES // self.chunk_store.chunk_bytes,
-                max(-(-len(indices) // self._many), least),
+                max(-(-len(indices) // self.chunk_store.store.most_readers), least),
             ),
             1,
         )

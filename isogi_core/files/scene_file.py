@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
-from isogi_core.errors import SceneError, advice
+from isogi_core.errors import SceneError, advice, readable
 from isogi_core.files.packed_files import in_short, read_small, reason_of
 from isogi_core.files.vector import Vector, triple
 
@@ -267,9 +267,8 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
         raise SceneError(
             f"The scene {path} has lists or tables in each other beyond all use: write it again."
         ) from None
-    return SceneSource(
-        path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent
-    )
+    name = readable(path.stem)
+    return SceneSource(name, labels_as_volume({**document, **overrides}, name), path.parent)
 
 
 def split_name(text: str) -> tuple[str, str, str]:
@@ -395,7 +394,7 @@ def name_of(path: Path) -> str:
         stem = Path(whole.name.removesuffix(".gz")).stem
     else:
         stem = whole.stem
-    return "-".join([stem, *path.relative_to(whole).parts])
+    return readable("-".join([stem, *path.relative_to(whole).parts]))
 
 
 Word = TypeVar("Word", str, int)

@@ -104,7 +104,7 @@ def _read_header(header: bytes) -> tuple[Shape, dict[str, Any]] | None:
         return tuple(content["shape"]), {
             key: _tuples(value) for key, value in content["facts"].items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 

@@ -6,9 +6,12 @@ import fcntl
 import hashlib
 import os
 import shutil
+import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -37,6 +40,12 @@ SETTINGS = (
 )
 """Settings of Numba, from the environment, that change machine code."""
 
+CACHE_VARIABLE = "ISOGI_KERNEL_CACHE"
+"""Environment variable of the folder of compiled kernels, of all sources."""
+
+LOCK_SUFFIX = ".lock"
+"""Suffix of the files that are locked while a kernel is compiled."""
+
 IN_USE = "in-use"
 """File in a folder that its users hold a shared lock on."""
 
@@ -60,9 +69,76 @@ def sources_digest() -> str:
 
 def cache_folder() -> Path:
     """Where compiled kernels are kept: ``$ISOGI_KERNEL_CACHE`` or the user's cache folder."""
-    root = os.environ.get("ISOGI_KERNEL_CACHE")
+    root = os.environ.get(CACHE_VARIABLE)
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return (Path(root) if root else base / "isogi" / "kernels") / sources_digest()
+
+
+class OpenFolder(NamedTuple):
+    """The ``folder`` that this process keeps compiled kernels in, held open by the file ``mark``.
+
+    It stands in for ``read_only``, if any: a folder that cannot be written.
+    """
+
+    folder: Path
+    mark: int
+    read_only: Path | None = None
+
+
+def open_folder() -> OpenFolder:
+    """Hold the folder of compiled kernels. Raises OSError if there is no room for temporary files
+    either.
+
+    If it cannot be written, as one in a read-only image, a folder of temporary files takes its
+    place for this process and those that it starts: with links to all kernels that are there, and
+    room for those that are not.
+    """
+    wanted = cache_folder()
+    with suppress(OSError):
+        mark = hold(wanted)
+        if is_writable(wanted):
+            return OpenFolder(wanted, mark)
+        os.close(mark)
+    root = private_root()
+    folder = root / wanted.name
+    mark = hold(folder)
+    link_files(wanted, folder)
+    os.environ[CACHE_VARIABLE] = str(root)
+    return OpenFolder(folder, mark, wanted)
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether files can be made in ``folder`` and in each folder in it."""
+    return all(os.access(each, os.W_OK) for each in (folder, *folder.iterdir()) if each.is_dir())
+
+
+def private_root() -> Path:
+    """A folder of temporary files that this user alone can write, the same in each process.
+
+    Kernels are machine code: a folder of this name that is another user's is passed over for a new
+    one.
+    """
+    root = Path(tempfile.gettempdir()) / f"isogi-kernels-{os.geteuid()}"
+    with suppress(FileExistsError):
+        root.mkdir(mode=0o700)
+    found = root.lstat()
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    if ours and not stat.S_IMODE(found.st_mode) & 0o077:
+        return root
+    return Path(tempfile.mkdtemp(prefix="isogi-kernels-"))
+
+
+def link_files(source: Path, folder: Path) -> None:
+    """Put links into ``folder`` to all files below ``source`` but locks, in folders like theirs.
+
+    Compilers replace files whole, so that none writes through a link.
+    """
+    for path in source.rglob("*"):
+        link = folder / path.relative_to(source)
+        if path.is_file() and path.name != IN_USE and path.suffix != LOCK_SUFFIX:
+            link.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError):
+                link.symlink_to(path)
 
 
 def hold(folder: Path) -> int:

@@ -18,7 +18,7 @@ from numba.core.typing.templates import AbstractTemplate, builtin_registry, sign
 from numba.extending import register_jitable
 from numba.np import linalg
 
-from isogi_core.kernels._cache_folder import cache_folder, hold, locked
+from isogi_core.kernels._cache_folder import LOCK_SUFFIX, locked, open_folder
 from isogi_core.kernels._compiler import Compiler
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
@@ -26,8 +26,7 @@ FASTMATH = {"nsz", "contract"}
 EXACT = {"nsz"}
 ANY_ORDER = FASTMATH | {"reassoc"}
 
-KERNEL_FOLDER = cache_folder()
-FOLDER_HOLD = hold(KERNEL_FOLDER)
+KERNEL_FOLDER, FOLDER_HOLD, READ_ONLY_FOLDER = open_folder()
 
 numba.config.CACHE_DIR = str(KERNEL_FOLDER)
 
@@ -77,7 +76,7 @@ class Entry:
         """Numba's compiled function. Asking for it compiles or loads it."""
         if self._ready is None:
             load(self.callees)
-            with locked(KERNEL_FOLDER / f"{self.name}.lock"):
+            with locked(KERNEL_FOLDER / f"{self.name}{LOCK_SUFFIX}"):
                 if self._ready is None:
                     self._compile()
         return self._ready
@@ -106,7 +105,7 @@ class Entry:
         if self.stored:
             return
         load(self.callees)
-        with locked(KERNEL_FOLDER / f"{self.name}.lock", wait=False) as ours:
+        with locked(KERNEL_FOLDER / f"{self.name}{LOCK_SUFFIX}", wait=False) as ours:
             if ours and not self.stored:
                 self._compile()
 

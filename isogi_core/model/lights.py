@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from isogi_core.errors import LightError, SceneError, advice
+from isogi_core.errors import LightError, SceneError, advice, readable
 from isogi_core.files.scene_file import (
     TableReaders,
     read_colour,
@@ -82,7 +82,7 @@ class ProbeLight:
     @property
     def name(self) -> str:
         """The light's kind, for display."""
-        return f"probe {self.file.name}"
+        return f"probe {readable(self.file.name)}"
 
 
 @dataclass(frozen=True)

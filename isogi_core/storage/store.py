@@ -7,6 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -48,6 +49,12 @@ again.
 CHECK_SECONDS = 0.5
 """Seconds that one caller waits for a check of a remote store that was away."""
 
+REMOTE_READERS = 16
+"""Reads at once from a remote store, where the network takes the time."""
+
+LOCAL_READERS = 4
+"""Reads at once from a store on this machine, where unpacking takes the time."""
+
 LOG_SECONDS = 600.0
 """Seconds in which news of an object is logged once."""
 
@@ -64,7 +71,7 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
     """Raise StoreError where a store's sentinel is damaged, or of another format."""
     try:
         version = json.loads(sentinel)["format"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise StoreError(
             f"{SENTINEL_KEY} in the store at {url} is damaged: delete it, and start isogi "
             "again, which makes it."
@@ -80,8 +87,9 @@ class Store:
     """All objects at a ``url``. Safe to use from many threads.
 
     ``make`` is whether a place without a sentinel is taken for a new store and gets one; workers do
-    not make stores. ``copies`` are local copies of remote objects. A pickled store holds its URL
-    alone: the other process connects with its own credentials.
+    not make stores. ``copies`` are local copies of remote objects. ``readers``, ``most_readers``
+    threads, read for all scenes and their variants together. A pickled store holds its URL alone:
+    the other process connects with its own credentials.
     """
 
     def __init__(
@@ -96,6 +104,11 @@ class Store:
         self.make = make
         self.copies = copies
         self.read_only = False
+        if self.url.remote:
+            self.most_readers = REMOTE_READERS
+        else:
+            self.most_readers = LOCAL_READERS
+        self.readers: Executor = ThreadPoolExecutor(self.most_readers, "loader")
         self._clock = clock
         self._made: Backend | None = None
         self._seen = False
@@ -144,17 +157,37 @@ class Store:
         return time.time()
 
     def view(self, key: str) -> bytes | None:
-        """Read the bytes of an object, from a local copy where the store confirms that it is
-        unchanged.
+        """Read the bytes of an object that ends with a checksum, from a local copy where the store
+        confirms that it is unchanged.
+
+        A damaged object is read once more, without the copy, and is never kept as one: the store
+        would confirm it for ever by the tag of the sound object.
         """
         if self.copies is None:
-            found = self._get(key, None)
+            known = None
         else:
             known = self.copies.get(key)
-            found = self._get(key, known)
-            if found is not None and found is not known:
-                self.copies.put(key, found)
+        if known is not None and not is_sound(known.data):
+            known = None
+        found = self._get(key, known)
+        if found is None or found is known:
+            return None if found is None else found.data
+        found = self._sound(key, found)
+        if self.copies is not None and found is not None and is_sound(found.data):
+            self.copies.put(key, found)
         return None if found is None else found.data
+
+    def get_sound(self, key: str) -> StoredObject | None:
+        """Read an object that ends with a checksum from the store, as ``get`` does; once more if
+        what came is damaged, as the damage may be of the answer alone.
+        """
+        return self._sound(key, self.get(key))
+
+    def _sound(self, key: str, found: StoredObject | None) -> StoredObject | None:
+        """What was found of a remote object, read again if it is damaged."""
+        if found is None or not self.url.remote or is_sound(found.data):
+            return found
+        return self._get(key, None)
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object in place of ``former``, which is None where there was none.
@@ -457,6 +490,15 @@ def body_of(stored: bytes) -> bytes:
     return body
 
 
+def is_sound(stored: bytes) -> bool:
+    """Whether the checksum at the end of an object is right."""
+    try:
+        body_of(stored)
+    except DamagedChunkError:
+        return False
+    return True
+
+
 def checksum_of(body: bytes) -> bytes:
     """The checksum at the end of an object."""
     return google_crc32c.value(body).to_bytes(CRC_BYTES, "little")
@@ -488,7 +530,7 @@ class Documents:
                 document = None
             else:
                 document = json.loads(found.data)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise StoreError(f"{self.path_of(name)} is damaged ({error}): move it away.") from error
         if document is not None and not isinstance(document, dict):
             raise StoreError(f"{self.path_of(name)} is damaged (no JSON object): move it away.")

@@ -3,6 +3,7 @@ is called.
 """
 
 import gc
+import io
 import json
 import sys
 from collections.abc import Sequence
@@ -53,10 +54,18 @@ BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 def main() -> None:
     """Run the command line and leave with its exit status."""
     keep_memory_small()
+    let_all_names_be_written()
     gc.set_threshold(
         50_000
     )  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
     sys.exit(run(sys.argv[1:]))
+
+
+def let_all_names_be_written() -> None:
+    """Have stdout and stderr take any text: a file's name may be one that their encoding lacks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -95,8 +104,12 @@ def complain(message: str, status: int) -> int:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="isogi")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Look at isosurfaces of volumes in light from all around."""
+    if context.invoked_subcommand != "serve":  # which says it in its log
+        for sentence in module_of("settings").unknown_variables():
+            complain(sentence, 0)
 
 
 @cli.command(cls=SettingsCommand)

@@ -2,15 +2,20 @@
 
 import asyncio
 import gc
+import logging
 import os
 import signal
 import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.util import _run_finalizers  # type: ignore[attr-defined]
 from typing import Any
 
 import click
+import psutil
 import uvicorn
 from fastapi import FastAPI
 
@@ -20,9 +25,12 @@ from server.api.app import create_app
 from server.api.connections import Connection, ServerConfig
 from server.api.lifespan import Closing
 from server.api.service import Service
+from server.cli.setting_options import unknown_variables
 from server.progress import compiling, open_scene, say
-from server.render.engine import engine_for
+from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
+
+log = logging.getLogger("isogi.server")
 
 EXIT_SECONDS = 3.0
 """Seconds that a stopping process has left for itself once its requests had theirs."""
@@ -53,14 +61,23 @@ def serve(target: str | None, settings: Settings) -> None:
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED_WARNING.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
+    for sentence in unknown_variables():
+        log.warning("%s", sentence)
     sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
         engine = engine_for(scene, settings)
         if engine.kernels.progress is None:
             engine.hire()
-        with compiling(lambda: engine.kernels.progress):
+        with bar_of(engine, settings):
             asyncio.run(run(create_app(engine, settings), listener))
+
+
+def bar_of(engine: RenderEngine, settings: Settings) -> AbstractContextManager[None]:
+    """A bar that shows how far kernels are compiled; none among the lines of a log of JSON."""
+    if settings.log_format == "json":
+        return nullcontext()
+    return compiling(lambda: engine.kernels.progress)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -72,10 +89,12 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
-        raise IsogiError(
-            f"Cannot listen on {host} port {port}: "
-            f"{os.strerror(error.errno) if error.errno else error}."
-        ) from error
+        raise IsogiError(f"Cannot listen on {host} port {port}: {reason(error)}.") from error
+
+
+def reason(error: OSError) -> str:
+    """What the system says, without the address that Python adds to it."""
+    return (error.strerror or str(error)).partition(" (while")[0]
 
 
 def queued(listener: socket.socket) -> Iterator[socket.socket]:
@@ -148,7 +167,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     )  # by a signal: what fails after that, such as workers that are gone, is no failure
     if startup.failure:
         server.should_exit = True
-    elif watching.done():
+    elif watching.done() and not stopped:
         # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
         gc.freeze()
         say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT_NOTE}")
@@ -164,9 +183,24 @@ def leave_within(seconds: float) -> None:
 
     All clients have their answers by then, and the store is whole at any time.
     """
-    timer = threading.Timer(seconds, os._exit, [0])
+    timer = threading.Timer(seconds, leave)
     timer.daemon = True
     timer.start()
+
+
+def leave() -> None:
+    """End the process now, and before it the processes that it started, which may themselves be
+    starting; then their semaphores are given back, which Python would report as leaked.
+    """
+    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
+    try:
+        for each in psutil.Process().children(recursive=True):
+            if each.pid != tracker:
+                with suppress(psutil.Error):
+                    each.kill()
+        _run_finalizers(0)
+    finally:
+        os._exit(0)
 
 
 def stop_on_signals(server: uvicorn.Server) -> None:

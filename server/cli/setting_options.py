@@ -1,6 +1,9 @@
 """Options that settings make: read, and documented."""
 
 import os
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,9 @@ from pydantic import ValidationError
 
 from isogi_core.errors import advice
 from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
+
+PREFIX = "ISOGI_"
+"""What the names of environment variables begin with."""
 
 SECRET_SETTINGS = ("token",)
 """Settings without an option: what a command is given, all users of the machine can see."""
@@ -35,6 +41,7 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         if not first["loc"]:
             raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
         name = str(first["loc"][0])
+        wrong = first["msg"].removeprefix("Value error, ")
         if first["type"] == "extra_forbidden":
             raise click.UsageError(
                 f"There is no setting '{name}': {advice(name, Settings.model_fields)}"
@@ -43,9 +50,39 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             value = ""
         else:
             value = f", not {first['input']!r}"
-        raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
+        raise click.UsageError(f"{name}: {wrong}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
+
+
+OTHER_VARIABLES = ("ISOGI_KERNEL_CACHE", "ISOGI_SHARED_DATA")
+"""Variables that are no settings of a server."""
+
+SERVICE_LINKS = re.compile(r"ISOGI_(SERVICE_|PORT_\d)\w*")
+"""Variables that Kubernetes sets where a service is called isogi."""
+
+
+def unknown_variables() -> list[str]:
+    """A sentence about each variable of the environment that looks like a setting and is none: it
+    may be misspelt.
+    """
+    known = [*map(variable, (*Settings.model_fields, *FORMER_SETTING_NAMES)), *OTHER_VARIABLES]
+    unknown = [
+        name
+        for name in sorted(os.environ)
+        if name.startswith(PREFIX) and name not in known and not SERVICE_LINKS.fullmatch(name)
+    ]
+    return [
+        f"{name} is no variable of isogi and is ignored: {hint(name, known)}" for name in unknown
+    ]
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """The known variable that resembles a name, by all but their prefix; else where they stand."""
+    words = {each.removeprefix(PREFIX): each for each in known}
+    if close := get_close_matches(name.removeprefix(PREFIX).upper(), words, 1):
+        return f"did you mean {words[close[0]]}?"
+    return "`isogi serve --help` lists all."
 
 
 def setting_options() -> list[click.Parameter]:
@@ -99,7 +136,7 @@ def flag(name: str) -> str:
 
 def variable(name: str) -> str:
     """The environment variable of a setting."""
-    return f"ISOGI_{name.upper()}"
+    return f"{PREFIX}{name.upper()}"
 
 
 def rows() -> list[str]:

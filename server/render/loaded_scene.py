@@ -8,7 +8,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -65,7 +64,7 @@ class Prefetch:
         self._prepare = prepare
         self._levels = levels
         self._span = span
-        self._thread = ThreadPoolExecutor(1, "prefetch")
+        self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
         self._open = 0
         self._last: float | None = None
@@ -99,15 +98,25 @@ class Prefetch:
                     and self._cancelled.is_set()
                     and not self._closed
                 ):
-                    self._cancelled = threading.Event()
-                    self._thread.submit(self._work, self._cancelled)
+                    self._begin_work()
 
     def close(self) -> None:
         """Stop, and wait until it has."""
         with self._lock:
             self._closed = True
             self._cancelled.set()
-        self._thread.shutdown(cancel_futures=True)
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _begin_work(self) -> None:
+        """Start a thread that ends with its work: many scenes may be loaded, and few sliders move.
+        The caller holds the lock.
+        """
+        self._cancelled = threading.Event()
+        work = (self._cancelled, self._thread)
+        self._thread = threading.Thread(target=self._work, args=work, name="prefetch")
+        self._thread.start()
 
     def _note(self, isovalue: float) -> None:
         """Where the slider goes, if it moved."""
@@ -123,8 +132,12 @@ class Prefetch:
         now = self._preparing
         return now is not None and group_of(now, self._levels) == group_of(isovalue, self._levels)
 
-    def _work(self, cancelled: threading.Event) -> None:
-        """Prepare what is coming until a frame is asked for."""
+    def _work(self, cancelled: threading.Event, former: threading.Thread | None) -> None:
+        """Prepare what is coming until a frame is asked for, once the ``former`` thread has
+        ended.
+        """
+        if former is not None:
+            former.join()
         while (isovalue := self._begin(cancelled)) is not None:
             try:
                 self._prepare(isovalue, cancelled)

@@ -17,7 +17,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune_folders
 from isogi_core.kernels._compilation import COMPILER_NICENESS, Compilation, KernelProgress, warm
-from isogi_core.kernels._jit import KERNEL_FOLDER, load
+from isogi_core.kernels._jit import KERNEL_FOLDER, READ_ONLY_FOLDER, load
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.folder import Copies
@@ -284,6 +284,9 @@ def whereabouts(place: StoreUrl) -> StoreUrl:
     return replace(place, url=str(Path(place.url).resolve()))
 
 
+KERNELS_ELSEWHERE = (
+    "The folder of compiled kernels %s cannot be written: what it lacks is compiled into %s."
+)
 COMPILATION_PROGRESS = "Compiling, once on this machine: {done} of {total}"
 
 
@@ -337,6 +340,8 @@ class SceneKernels:
         self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
         prune_folders(KERNEL_FOLDER)
+        if READ_ONLY_FOLDER is not None:
+            log.info(KERNELS_ELSEWHERE, READ_ONLY_FOLDER, KERNEL_FOLDER)
 
     def others(self) -> None:
         """Have kernels of pictures without light from texels, and of whole paths, in this

@@ -304,7 +304,7 @@ def read_owners(path: Path) -> dict[str, list[str]]:
         else:
             owners = {}
         return {str(number): [str(name) for name in names] for number, names in owners.items()}
-    except (ValueError, AttributeError, TypeError):
+    except (ValueError, AttributeError, TypeError, RecursionError):
         raise UploadFolderError(
             f"{path}, which says whose volumes are, is damaged: mend it, or delete it."
         ) from None

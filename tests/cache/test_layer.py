@@ -468,3 +468,15 @@ def test_void_texels_stay_void_whoever_comes_last(spec: BakeSpec) -> None:
     for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
         offsets, both = joined(*first, *second)
         assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])
+
+
+def test_a_writer_keeps_light_whose_answer_was_damaged(s3: S3Server, spec: BakeSpec) -> None:
+    """It reads the former light again, and does not write its few samples in the place of many."""
+    layer = layer_of(s3.url, spec)
+    better = baked(spec, EDGE, samples=64)
+    save(layer, better)
+    left = iter(["flip"])
+    s3.fault = lambda call: next(left, None) if "/c/" in call.key else None  # type: ignore[return-value]
+    save(layer, baked(spec, EDGE, samples=16))
+    s3.fault = lambda _: None
+    assert found(layer, better)

@@ -26,7 +26,8 @@ from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from tests.cache.chunks import file_of, spec_of
+from isogi_core.storage.store import REMOTE_READERS, Store
+from tests.cache.chunks import baked, file_of, spec_of
 from tests.s3 import Call, S3Server
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
@@ -349,6 +350,22 @@ def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
     assert 0.95 * BUDGET < sum(sizes) <= BUDGET
     rows = [len(pool.scatter) for pool in pools]
     assert max(rows) - min(rows) <= PAGE_TEXELS
+
+
+def test_all_scenes_of_a_store_share_its_threads(s3: S3Server) -> None:
+    """Each cut, light and material of a scene has a loader of its own."""
+    store = Store(s3.url)
+    specs = [spec_of(albedo=albedo) for albedo in (0.3, 0.5, 0.7)]
+    for spec in specs:
+        chunk_store = ChunkStore(store, spec)
+        for index in (A, B, C):
+            chunk_store.save(baked(spec, index))
+    for spec in specs:
+        caches = Caches(spec.prepared, store, BUDGET)
+        for name in SPECS:
+            caches.of(name).ensure([*np.ndindex(3, 3, 3)])
+    names = [each.name for each in threading.enumerate()]
+    assert 0 < sum(name.startswith("loader") for name in names) <= REMOTE_READERS
 
 
 def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:

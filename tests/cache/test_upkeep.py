@@ -39,6 +39,7 @@ from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.folder import Folder
 from isogi_core.storage.store import Store, unwrap, wrap
 from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec_of
+from tests.s3 import Call, Fault, S3Server
 from tests.worker.clock import Clock
 
 PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))
@@ -154,6 +155,29 @@ def test_each_damage_is_found_reported_and_moved(
     assert after.sound and after.whole == 7 and len(after.inventory.quarantined) == 1
     chunk_store.save(chunks[0], [True, False])
     assert_equal(chunk_store.load(PLACES[0]), chunks[0])
+
+
+@pytest.mark.parametrize("part", ["/c/", "/zarr.json"])
+def test_a_damaged_answer_of_a_bucket_moves_nothing(
+    s3: S3Server, spec: BakeSpec, chunks: list[Chunk], part: str
+) -> None:
+    chunk_store = ChunkStore(s3.url, spec)
+    for chunk in chunks:
+        chunk_store.save(chunk)
+    before = dict(s3.objects)
+    flipped: set[str] = set()
+
+    def once(call: Call) -> Fault | None:
+        """Flip a bit in the first answer with each object."""
+        if part not in call.key or call.method != "GET" or call.key in flipped:
+            return None
+        flipped.add(call.key)
+        return "flip"
+
+    s3.fault = once
+    repair = repair_store(Store(s3.url))
+    assert flipped and repair.audit.sound and not repair.moved
+    assert s3.objects == before
 
 
 def test_layers_that_disagree_on_void_texels_are_both_moved(

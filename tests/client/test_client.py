@@ -3,6 +3,7 @@ what it raises.
 """
 
 import ast
+import http.server
 import io
 import sys
 import threading
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 from urllib.parse import urlsplit
 
 import httpx
@@ -30,6 +31,7 @@ from isogi_client import (
     NotFoundError,
     Progress,
     RefusedError,
+    ServerError,
     TargetWarning,
     TimeLeft,
     TokenError,
@@ -407,3 +409,53 @@ def test_a_job_that_is_dismissed_or_fails_says_so(small_scene: Path, tmp_path: P
         lab.baker.employ(cast(WorkerPool, Broken()))
         with pytest.raises(JobError, match="cursed"):
             isogi.prewarm("small", **ORDER).wait()
+
+
+class Elsewhere(http.server.BaseHTTPRequestHandler):
+    """A server that notes what it is shown, and answers with a document of too many lists."""
+
+    shown: ClassVar[list[str | None]] = []
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing."""
+
+    def do_GET(self) -> None:
+        """Answer, also to what is refused."""
+        self.shown.append(self.headers.get("Authorization"))
+        body = b"[" * 100_000 + b"]" * 100_000
+        self.send_response(404 if "refused" in self.path else 200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """The address of such a server."""
+    Elsewhere.shown.clear()
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_the_token_is_shown_to_no_other_server(elsewhere: str) -> None:
+    with Isogi("http://127.0.0.1:1", TOKEN, patience=0.1) as isogi:
+        for path in ("/v1/scenes", "/", "?a=b"):
+            with pytest.raises(RefusedError, match="is no address of the server at"):
+                isogi.read(f"{elsewhere}{path}")
+    assert Elsewhere.shown == []
+    with Isogi(elsewhere, TOKEN) as isogi:
+        assert isogi.read(f"{elsewhere}/v1/scenes/small/card")
+        assert isogi.read("v1/scenes/small/card")
+    assert Elsewhere.shown == [f"Bearer {TOKEN}"] * 2
+
+
+def test_a_document_that_is_too_deep_is_a_sentence(elsewhere: str) -> None:
+    with Isogi(elsewhere) as isogi:
+        with pytest.raises(ServerError, match="no JSON document that can be read"):
+            isogi.scenes()
+        with pytest.raises(NotFoundError, match="The server answered 404"):
+            isogi.scene("refused")

@@ -163,6 +163,7 @@ DAMAGES = {
     "data list": (PLAIN + "data file: LIST\n", b"", "0 data files"),
     "data list elsewhere": (PLAIN + "data file: LIST\na.raw\n../b.raw\n", b"", "outside"),
     "data pattern": (PLAIN + "data file: slice%03d.raw 1 2 1\n", b"", "no file"),
+    "wide data pattern": (PLAIN + "data file: s%099999999d.raw 1 2 1\n", b"", "data files"),
     "endless data pattern": (PLAIN + "data file: slice%03d.raw 1 999999999 1\n", b"", "data files"),
     "data pattern that goes nowhere": (
         PLAIN + "data file: slice%03d.raw 1 2 0\n",

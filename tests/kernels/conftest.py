@@ -34,15 +34,16 @@ class House:
         (self.kernels / name).write_text(text)
         os.utime(self.kernels / name, (seconds, seconds))
 
-    def ask(self, script: str) -> str:
-        """What a script writes in a process of its own."""
+    def ask(self, script: str, *before: str, **variables: str) -> str:
+        """What a script writes in a process of its own, started by the command ``before``."""
         (self.place / "ask.py").write_text(script)
         environment = {
             **os.environ,
             "ISOGI_KERNEL_CACHE": str(self.cache),
             "PYTHONPATH": str(self.place),
+            **variables,
         }
-        command = [sys.executable, "ask.py"]
+        command = [*before, sys.executable, "ask.py"]
         done = subprocess.run(
             command, env=environment, cwd=self.place, capture_output=True, text=True, check=True
         )

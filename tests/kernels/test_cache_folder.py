@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 
 import pytest
 
@@ -32,6 +33,25 @@ def folders(tmp_path):
 
 def names(folder):
     return sorted(each.name for each in folder.iterdir())
+
+
+@pytest.mark.parametrize("planted", ["open", "link", "file"])
+def test_a_folder_that_others_may_write_is_passed_over(monkeypatch, tmp_path, planted):
+    """Kernels are machine code: nobody else may put some where this user reads it."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    usual = _folder.private_root()
+    assert usual == _folder.private_root() and usual.stat().st_mode & 0o777 == 0o700
+    usual.rmdir()
+    if planted == "open":
+        usual.mkdir()
+        usual.chmod(0o777)
+    elif planted == "link":
+        (tmp_path / "theirs").mkdir(mode=0o700)
+        usual.symlink_to(tmp_path / "theirs")
+    else:
+        usual.touch(mode=0o600)
+    found = _folder.private_root()
+    assert found != usual and found.stat().st_mode & 0o777 == 0o700 and not any(found.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import ast
 import importlib
 import os
 import shutil
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -145,6 +146,93 @@ def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(house):
         answers.append(house.ask(ASK))
     assert answers == ["2.0 0", "2.0 1", "3.5 0", "2.0 1"]
     assert len(list(house.cache.iterdir())) == 2
+
+
+MORE = """\
+from isogi_core.kernels._jit import kernel
+
+@kernel("float64(float64)")
+def more(x):
+    return x + 2.0
+"""
+ASK_BOTH = """\
+import os, subprocess, sys
+from isogi_core.kernels import _jit
+from isogi_core.kernels.entry import entry
+from isogi_core.kernels.more import more
+stored = entry.stored
+def hits(kernel):
+    kernel(1.0)
+    return sum(kernel.ready.stats.cache_hits.values())
+sys.stdout.write(f"{stored} {hits(entry)} {hits(more)} {_jit.KERNEL_FOLDER} ")
+sys.stdout.flush()
+if "--again" not in sys.argv:
+    subprocess.run([sys.executable, __file__, "--again"], check=True)
+"""
+READ_ONLY = (
+    "unshare",
+    "--mount",
+    "sh",
+    "-c",
+    'mount --bind "$0" "$0" && mount -o remount,bind,ro "$0" && exec "$@"',
+)
+"""Runs a command, if root may, where a folder is read-only for everybody."""
+
+
+def write_two(house):
+    """Two entry kernels, and a helper of the first."""
+    house.write("helper.py", HELPER.format(1.0))
+    house.write("entry.py", ENTRY)
+    house.write("more.py", MORE)
+
+
+@pytest.fixture
+def sealed(house):
+    """The command before one in which the cache of the house is read-only; it has one kernel of
+    two.
+    """
+    write_two(house)
+    house.ask("import isogi_core.kernels.entry as e; e.entry(1.0)")
+    if os.geteuid():
+        folders = [house.cache, *(each for each in house.cache.rglob("*") if each.is_dir())]
+        for folder in folders:
+            folder.chmod(0o555)
+        yield ()
+        for folder in folders:
+            folder.chmod(0o755)
+        return
+    before = (*READ_ONLY, str(house.cache))
+    if subprocess.run([*before, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("folders cannot be made read-only for root here")
+    yield before
+
+
+@pytest.mark.slow
+@COMPILED
+def test_a_read_only_cache_is_used_and_added_to_elsewhere(house, sealed, tmp_path):
+    """Such as one in an image: what it has is loaded, and what it lacks is compiled once."""
+    before = sorted(house.cache.rglob("*"))
+    (tmp_path / "room").mkdir()
+    said = house.ask(ASK_BOTH, *sealed, TMPDIR=str(tmp_path / "room"))
+    stored, *rest = said.split()
+    folder = rest[2]
+    assert (stored, rest[:2]) == ("True", ["1", "0"])
+    assert rest[3:] == ["True", "1", "1", folder], "a process that it starts shares the folder"
+    assert folder.startswith(str(tmp_path / "room")) and sorted(house.cache.rglob("*")) == before
+    said = house.ask(ASK_BOTH, *sealed, TMPDIR=str(tmp_path / "room"))
+    assert said.split()[:4] == ["True", "1", "1", folder]
+
+
+@pytest.mark.slow
+@COMPILED
+def test_a_cache_that_cannot_be_made_is_replaced(house, tmp_path):
+    write_two(house)
+    room = tmp_path / "room"
+    room.mkdir()
+    cache = "/proc/version/kernels"
+    said = house.ask(ASK_BOTH, ISOGI_KERNEL_CACHE=cache, TMPDIR=str(room)).split()
+    assert said[:3] == ["False", "0", "0"] and said[4:7] == ["True", "1", "1"]
+    assert said[3] == said[7] and said[3].startswith(str(room))
 
 
 @COMPILED

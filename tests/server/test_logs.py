@@ -46,6 +46,25 @@ def test_text_names_the_request() -> None:
     assert "INFO isogi.test [mine] two" in logged("text")
 
 
+IMPORTED = """
+import logging
+import distributed
+from server.logs import configure
+configure("json", "info")
+logging.getLogger("distributed.client").error("a line of its own form")
+logging.getLogger("tornado.application").error("of another library")
+logging.getLogger("isogi").info("ours")
+"""
+
+
+def test_libraries_write_no_lines_of_their_form() -> None:
+    """Dask gives its loggers handlers when it is imported, before the log is configured."""
+    command = [sys.executable, "-c", IMPORTED]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stderr
+    lines = [json.loads(line) for line in said.splitlines()]
+    assert [line["logger"] for line in lines] == ["tornado.application", "isogi"]
+
+
 class Clock:
     now = 0.0
 

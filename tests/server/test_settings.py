@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from server.cli.command import run
+from server.cli.setting_options import unknown_variables
 from server.settings import LOOPBACK_HOSTS, Settings, read_settings
 
 
@@ -116,3 +118,35 @@ def test_a_file_may_hold_the_token(tmp_path: Path) -> None:
     assert read is not None and read.get_secret_value() == "correct horse battery"
     with pytest.raises(ValidationError, match="cannot be read"):
         Settings(token_file=str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("ISOGI_WROKERS", "did you mean ISOGI_WORKERS?"),
+        ("ISOGI_TOKENFILE", "did you mean ISOGI_TOKEN_FILE?"),
+        ("ISOGI_KERNELCACHE", "did you mean ISOGI_KERNEL_CACHE?"),
+        ("ISOGI_QQQQ", "`isogi serve --help` lists all."),
+    ],
+)
+def test_a_misspelt_variable_is_named_at_the_start(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, hint: str
+) -> None:
+    monkeypatch.setenv(name, "3")
+    monkeypatch.setenv("ISOGI_PORT_8000_TCP", "tcp://10.0.0.1:8000")
+    monkeypatch.setenv("ISOGI_SERVICE_HOST", "10.0.0.1")
+    monkeypatch.setenv("ISOGI_WORKERS", "2")
+    monkeypatch.setenv("ISOGI_KERNEL_CACHE", "/tmp")
+    (sentence,) = unknown_variables()
+    assert sentence == f"{name} is no variable of isogi and is ignored: {hint}"
+    assert run(["inspect", "/"]) == 2
+    assert capsys.readouterr().err.splitlines()[0] == f"isogi: {sentence}"
+
+
+def test_a_server_logs_a_misspelt_variable(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("ISOGI_WROKERS", "3")
+    monkeypatch.setattr("server.logs.configure", lambda form, level: None)
+    assert run(["serve", "/"]) == 2
+    assert "did you mean ISOGI_WORKERS?" in caplog.text

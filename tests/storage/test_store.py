@@ -447,42 +447,48 @@ def test_a_missing_library_is_named_with_its_install_command(
 # --------------------------------------------------------------------------------------------------
 
 
+LIGHT = wrap(np.frombuffer(b"light", np.uint8))
+BETTER = wrap(np.frombuffer(b"better light", np.uint8))
+"""Objects with their checksums."""
+
+
 @pytest.fixture
 def copied(s3: S3Server, tmp_path: Path) -> Iterator[Store]:
     """A store with copies in a folder of this machine."""
     bucket(s3)
+    s3.objects[f"{s3.prefix}/{KEY}"] = LIGHT
     yield Store(StoreUrl(s3.url, **IMPATIENT), copies=Copies(s3.url, 1 << 20, tmp_path / "copies"))
 
 
 def test_objects_read_again_are_not_sent_again(s3: S3Server, copied: Store, tmp_path: Path) -> None:
     again = Store(copied.url, copies=Copies(s3.url, 1 << 20, tmp_path / "copies"))
-    assert copied.view(KEY) == b"light"
+    assert copied.view(KEY) == LIGHT
     sent = s3.sent
-    assert [store.view(KEY) for store in (copied, copied)] == [b"light"] * 2
+    assert [store.view(KEY) for store in (copied, copied)] == [LIGHT] * 2
     assert s3.sent == sent, "told that it still stands"
-    assert again.view(KEY) == b"light"
+    assert again.view(KEY) == LIGHT
     assert s3.sent == sent + len(SENTINEL_CONTENT), "another process asks for the sentinel"
 
 
 def test_another_machines_writes_are_seen_at_once(s3: S3Server, copied: Store) -> None:
-    assert copied.view(KEY) == b"light"
+    assert copied.view(KEY) == LIGHT
     other = Store(copied.url)
-    other.put(KEY, b"better light", other.get(KEY))
-    assert copied.view(KEY) == b"better light" == copied.view(KEY)
+    other.put(KEY, BETTER, other.get(KEY))
+    assert copied.view(KEY) == BETTER == copied.view(KEY)
     other.delete(KEY)
     assert copied.view(KEY) is None
 
 
 def test_a_copy_of_another_stores_object_is_none(tmp_path: Path) -> None:
     copies = [Copies(url, 1 << 20, tmp_path) for url in ("s3://one", "s3://other")]
-    copies[0].put(KEY, StoredObject(b"light", '"tag"'))
-    assert copies[0].get(KEY) == StoredObject(b"light") and copies[1].get(KEY) is None
+    copies[0].put(KEY, StoredObject(LIGHT, '"tag"'))
+    assert copies[0].get(KEY) == StoredObject(LIGHT) and copies[1].get(KEY) is None
 
 
 def test_writers_read_no_copy(s3: S3Server, copied: Store) -> None:
     copied.view(KEY)
     s3.calls.clear()
-    assert copied.get(KEY) == StoredObject(b"light")
+    assert copied.get(KEY) == StoredObject(LIGHT)
     assert [call.condition for call in s3.calls] == [""]
 
 
@@ -492,8 +498,54 @@ def test_a_damaged_copy_is_none(copied: Store, tmp_path: Path) -> None:
     kept = path.read_bytes()
     for url in range(len(kept)):
         path.write_bytes(kept[:url] + bytes([kept[url] ^ 1]) + kept[url + 1 :])
-        assert copied.view(KEY) == b"light"
+        assert copied.view(KEY) == LIGHT
         assert path.read_bytes() == kept
+
+
+def flipping(s3: S3Server, times: int) -> None:
+    """Have a bit flipped in the next answers with the object."""
+    left = iter(["flip"] * times)
+    s3.fault = lambda call: next(left, None) if call.key.endswith(KEY) else None  # type: ignore[return-value]
+    s3.calls.clear()
+
+
+def test_a_damaged_answer_is_read_again_and_not_kept(s3: S3Server, copied: Store) -> None:
+    """Its tag is that of the sound object: the store would confirm the copy for ever."""
+    flipping(s3, 1)
+    assert copied.view(KEY) == LIGHT
+    asked = [call.condition for call in s3.calls if call.key.endswith(KEY)]
+    assert asked == ["", ""]
+    sent = s3.sent
+    assert copied.view(KEY) == LIGHT and s3.sent == sent
+
+
+def test_answers_that_stay_damaged_are_never_kept(s3: S3Server, copied: Store) -> None:
+    flipping(s3, 4)
+    damaged = [copied.view(KEY), copied.view(KEY)]
+    assert all(found not in (None, LIGHT) for found in damaged)
+    assert len(s3.calls) - sum("isogi.json" in call.key for call in s3.calls) == 4
+    assert copied.view(KEY) == LIGHT
+
+
+def test_a_copy_that_was_damaged_on_its_way_is_dropped(
+    s3: S3Server, copied: Store, tmp_path: Path
+) -> None:
+    """Such as former versions kept: whole on the disk, with the tag of the sound object."""
+    assert copied.view(KEY) == LIGHT
+    copies = Copies(s3.url, 1 << 20, tmp_path / "copies")
+    kept = copies.get(KEY)
+    assert kept is not None
+    copies.put(KEY, StoredObject(bytes([kept.data[0] ^ 1]) + kept.data[1:], kept.tag))
+    assert copied.view(KEY) == LIGHT
+    assert copies.get(KEY) == kept
+
+
+def test_a_writer_reads_a_damaged_answer_again(s3: S3Server, copied: Store) -> None:
+    flipping(s3, 1)
+    assert copied.get_sound(KEY) == StoredObject(LIGHT)
+    flipping(s3, 2)
+    found = copied.get_sound(KEY)
+    assert found is not None and found.data != LIGHT, "it is given back for whoever reports it"
 
 
 def test_copies_take_no_more_room_than_they_may(tmp_path: Path) -> None:
@@ -507,8 +559,9 @@ def test_copies_take_no_more_room_than_they_may(tmp_path: Path) -> None:
 def test_copies_that_cannot_be_kept_are_none(tmp_path: Path, s3: S3Server) -> None:
     (tmp_path / "file").write_text("")
     bucket(s3)
+    s3.objects[f"{s3.prefix}/{KEY}"] = LIGHT
     store = Store(s3.url, copies=Copies(s3.url, 1 << 20, tmp_path / "file"))
-    assert store.view(KEY) == b"light" == store.view(KEY)
+    assert store.view(KEY) == LIGHT == store.view(KEY)
 
 
 # --- documents

@@ -405,6 +405,9 @@ def unit_of(header: Header) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
+_DIGITS = re.compile(r"%0?\d{0,2}d")
+"""A number in a pattern of names, of at most 99 digits: each name is made in memory."""
+
 _PATTERN = re.compile(r"(\S*%0?\d*d\S*)((?:\s+-?\d+){3,4})")
 
 
@@ -440,7 +443,7 @@ def data_names(source: Source, header: Header) -> list[str] | None:
 def _numbered(pattern: re.Match[str]) -> list[str]:
     """The names that a pattern stands for: ``sl%03d.raw 0 31 1``."""
     first, last, step = (int(part) for part in pattern[2].split()[:3])
-    if not step or pattern[1].count("%") != 1:
+    if not step or pattern[1].count("%") != 1 or _DIGITS.search(pattern[1]) is None:
         return []
     numbers = range(first, last + (1 if step > 0 else -1), step)
     return [pattern[1] % number for number in numbers[:MAX_HEADER]]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError, VolumeError
+from isogi_core.errors import SceneError, VolumeError, readable
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid, Region, on_right_angles
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
@@ -172,6 +172,10 @@ def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]
     chosen = {key: value for key, value in chosen.items() if key != "region"}
     (named, inside) = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
+    if isinstance(place, Path) and not place.resolve().name:
+        raise VolumeError(
+            f"'{place.resolve()}' is the root of all folders: name a file or a folder in it."
+        )
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
@@ -208,9 +212,9 @@ def _below(place: Path | str, part: str) -> Path | str:
 def stem_of(path: Path, inside: dict[str, str]) -> str:
     """The display name of a file and what is chosen in it."""
     stem = path.name.removesuffix(".gz").removesuffix(".bz2")
-    return "-".join(
-        [Path(stem).stem if path.suffix else stem, *(value.strip("/") for value in inside.values())]
-    )
+    if path.suffix:
+        stem = Path(stem).stem
+    return readable("-".join([stem, *(value.strip("/") for value in inside.values())]))
 
 
 def volume_of(

@@ -23,6 +23,8 @@ LINES = [
     ("serve --prot 3", "There is no option '--prot': did you mean '--port'?"),
     ("serve --qqqqqqqq", "There is no option '--qqqqqqqq': --help lists all."),
     *[(f"serve demo:orbital --host {host}", "ISOGI_TOKEN") for host in ("0.0.0.0", "::")],
+    ("serve demo:orbital --host unix:/run/isogi.sock", "isogi listens at addresses"),
+    *[(f"inspect {root}", "is the root of all folders") for root in ("/", "/tmp/..", "//")],
     ("serve --sharp-mb 5", "sharp_mb is called projected_mb now"),
     ("inspect SCENE --environment moon", "no environment 'moon'"),
     *[

@@ -22,6 +22,7 @@ import pytest
 from isogi_core.errors import StoreAwayError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.backend import StoreUrl
+from isogi_core.storage.folder import Copies
 from isogi_core.storage.store import Store
 from server.api.app import create_app
 from server.api.routes import frames as completion
@@ -30,7 +31,7 @@ from server.cli.command import run
 from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.live import live
-from tests.s3 import ACCESS_KEY, SECRET_KEY, S3Server
+from tests.s3 import ACCESS_KEY, SECRET_KEY, Call, Fault, S3Server
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from tests.server.sockets import wait_for
 from worker import pool
@@ -58,9 +59,9 @@ def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
 
 
 @contextmanager
-def server(scene: Path, store: str | Path) -> Iterator[httpx.Client]:
+def server(scene: Path, store: str | Path, copies: Copies | None = None) -> Iterator[httpx.Client]:
     """A client of a server over the store, once it is ready."""
-    opened = Store(StoreUrl(str(store), seconds=2.0, retries=0))
+    opened = Store(StoreUrl(str(store), seconds=2.0, retries=0), copies=copies)
     with (
         live(create_app(RenderEngine([load_scene(scene)], opened), Settings())) as url,
         httpx.Client(base_url=url) as client,
@@ -101,6 +102,33 @@ def test_light_comes_from_a_bucket_as_from_a_folder(
     with server(small_scene, s3.url) as client:
         assert "provisional=0.000" in frame(client, VIEW).headers["isogi-coverage"]
         assert client.get("/v1/scenes/small").json()["read_only"] is False
+
+
+def test_light_is_final_after_answers_were_damaged(
+    small_scene: Path, s3: S3Server, pictures: list[bytes], tmp_path: Path
+) -> None:
+    """A damaged answer is not kept as a copy, which the store would confirm for ever."""
+    flipped: set[str] = set()
+
+    def flip(call: Call) -> Fault | None:
+        """Damage the first answer with each chunk, which is the one to a frame."""
+        if call.method != "GET" or "/c/" not in call.key or call.key in flipped:
+            return None
+        flipped.add(call.key)
+        return "flip"
+
+    with server(small_scene, s3.url) as client:
+        assert final(client, VIEW) == pictures[0]
+        assert final(client, OTHER) == pictures[1]
+    with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
+        s3.fault = flip
+        assert frame(client, VIEW).status_code == frame(client, OTHER).status_code == 200
+        assert flipped
+        s3.fault = lambda _: None
+        assert final(client, VIEW) == pictures[0]
+        assert final(client, OTHER) == pictures[1]
+    with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
+        assert final(client, VIEW) == pictures[0], "also after a restart"
 
 
 def test_a_store_that_is_away_is_not_empty_and_baking_waits(

@@ -1,5 +1,6 @@
 """SIGTERM to a server at work: everybody is answered, and it ends in time."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.cluster.processes import free_port
 from tests.server.sockets import wait_for
 from worker.fork_server import WORKER_PROCESS_NAME
 
@@ -81,3 +83,41 @@ def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -
     assert time.monotonic() - begun < 15.0
     assert set(ends) <= {"200", "503", "ConnectError"}, ends
     assert ends["ConnectError"] == CLIENTS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_stop_during_the_start_is_one_line(
+    small_scene: Path, tmp_path: Path, compiled: bool
+) -> None:
+    """While workers start, or kernels are compiled: no traceback, and nothing that is left
+    behind.
+    """
+    port = free_port()
+    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", str(port)]
+    command += ["--workers", "1", "--store", str(tmp_path / "light"), "--uploads-mb", "0"]
+    environment = dict(os.environ)
+    if not compiled:
+        environment["ISOGI_KERNEL_CACHE"] = str(tmp_path / "kernels")
+    with subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert wait_for(lambda: alive(port), 120)
+        process.send_signal(signal.SIGTERM)
+        out, error = process.communicate(timeout=60)
+    assert (process.returncode, out) == (0, "")
+    assert "isogi: stopped before it was ready" in error
+    assert "Traceback" not in error and "leaked" not in error
+
+
+def alive(port: int) -> bool:
+    """Whether a server answers at a port."""
+    try:
+        return httpx.get(f"http://127.0.0.1:{port}/livez", timeout=5).status_code == 200
+    except httpx.TransportError:
+        return False
