@@ -344,7 +344,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     scene,
     cardSource(scene),
     {
-      open: (allowed) => Card.open(canvas, allowed),
+      open: () => Card.open(canvas),
       size: () => picture.size(1, true),
       drawn() {
         const { predicted } = live;

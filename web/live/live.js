@@ -42,13 +42,12 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  *   what the card has, what of a view that depends on, also but for the albedo, and that
  *
  * @typedef {object} LiveHooks
- * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where
- *   there is none
+ * @property {() => Card} open opens the card; throws a Refusal where there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
  * @property {() => void} drawn the card's picture of the newest view is on the stage
  * @property {() => void} lost the card draws no more: the server is to draw the view that moves
- * @property {(reason: string) => void} refused why the card, which was asked for by force, does not
- *   draw
+ * @property {(reason: string) => void} refused why the card does not draw, which was asked for by
+ *   force, or has drawn until now
  */
 
 /** Draws the views of one scene by the card, as far as it can. */
@@ -60,6 +59,8 @@ export class Live {
   #choice;
   /** @type {Card|null} */
   #card = null;
+  /** @type {Promise<Card>|null} */
+  #opening = null;
   /** @type {Loaded|null} */
   #loaded = null;
   /** What the newest list names. @type {CardChunk[]} */
@@ -167,13 +168,14 @@ export class Live {
    * light all over, and
    * have the card ready for what comes next.
    * @param {Knobs} values
-   * @param {{coverage: {provisional: number}}|null} facts
+   * @param {{provisional?: boolean, coverage: {provisional: number}}|null} facts
    * @param {CardChunk[]} [chunks] that it reads, where the server named them
    */
   rest(values, facts, chunks) {
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    if (values.overlay !== "none" || facts?.coverage.provisional === 0) this.#fade();
+    if (values.overlay !== "none" || facts?.provisional === false || facts?.coverage.provisional === 0)
+      this.#fade();
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
     else this.#prepare(values);
@@ -186,7 +188,7 @@ export class Live {
       return;
     this.#preparing = key;
     try {
-      const card = this.#card ?? this.#open();
+      const card = this.#card ?? (await (this.#opening ??= this.#open()));
       const { scene: facts, reason } = await this.#source.document(
         documentQuery(this.#scene, values),
       );
@@ -219,16 +221,21 @@ export class Live {
       this.#list(true);
     } catch (error) {
       this.#preparing = "";
+      this.#opening = null;
       if (error instanceof Refusal) this.#refuse(error.message);
       // the server's pictures say what is wrong with it
       else if (!(error instanceof Trouble)) throw error;
     }
   }
 
-  #open() {
-    const card = (this.#card = this.#hooks.open({ software: this.#choice === "card" }));
-    card.onlost = () => this.#lose();
+  /** Open the card, and see if it is of use; who asks for it by force has seen that. */
+  async #open() {
+    const card = this.#hooks.open();
+    card.onlost = (forGood) => this.#lose(forGood);
     card.onrestored = () => this.#refresh();
+    if (this.#choice !== "card" && !(await card.isQuick()))
+      throw new Refusal("This browser draws WebGL slowly: the server is faster, and draws.");
+    this.#card = card;
     return card;
   }
 
@@ -244,9 +251,13 @@ export class Live {
     if (this.#choice === "card") this.#hooks.refused(reason);
   }
 
-  #lose() {
+  /** @param {boolean} forGood whether it was lost again and again */
+  #lose(forGood) {
     this.#hide();
     this.#hooks.lost();
+    if (!forGood) return;
+    this.#refused = true;
+    this.#hooks.refused("The graphics card was lost twice within a minute: the server draws.");
   }
 
   /** Draw the view once more: there is more light. */
@@ -268,11 +279,8 @@ export class Live {
       if (this.shows && !this.#moving && this.#card.refine()) this.#animate();
       return;
     }
-    this.#fit();
-    if (
-      this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))
-    )
-      this.#put();
+    const view = cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo);
+    if (this.#card.draw(view, this.#hooks.size())) this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
   }
@@ -298,13 +306,6 @@ export class Live {
   #leave(reason) {
     this.#refuse(reason);
     this.#hooks.lost();
-  }
-
-  /** Give the canvas the pixels of the stage. */
-  #fit() {
-    const { width, height } = this.#hooks.size();
-    if (this.#canvas.width !== width || this.#canvas.height !== height)
-      Object.assign(this.#canvas, { width, height });
   }
 
   /** Ask which chunks the view reads: of one that moves now and then. @param {boolean} [now] */
@@ -355,8 +356,9 @@ export class Live {
     return this.#keyOf({ ...values, albedo: undefined });
   }
 
-  /** Let the server's picture through, softly. */
+  /** Let the server's picture through, softly; what still waited to be drawn would lie over it. */
   #fade() {
+    this.#waiting = false;
     this.#canvas.setAttribute("data-faded", "");
   }
 
