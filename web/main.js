@@ -27,7 +27,7 @@ import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
-import { Shown } from "./net/shown.js";
+import { Shown, unmeasured } from "./net/shown.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
@@ -348,8 +348,9 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       size: () => picture.size(1, true),
       drawn() {
         const { predicted } = live;
-        const { asked } = shown;
-        if (shown.pictureOf !== asked || (!shown.facts && shown.predicted !== predicted))
+        const { asked, facts } = shown;
+        const claims = facts && (!facts.provisional || Number.isFinite(facts.error));
+        if (shown.pictureOf !== asked || claims || (!facts && shown.predicted !== predicted))
           shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
         $("stage").dataset.ground = ground(shown.asked.values);
       },
@@ -375,10 +376,10 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       )
         return;
       trouble.hide();
-      shown.show({ of, draft, sharp, facts });
+      if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
+      shown.show({ of, draft, sharp, facts: facts && live.shows ? unmeasured(facts) : facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
-      if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);

@@ -99,12 +99,14 @@ export class Live {
   }
 
   /**
-   * Whether the card draws this view while it moves: also in another albedo, as predicted.
+   * Whether the card draws this view while it moves: also in another albedo, as predicted, but not
+   * under the colours of errors.
    * @param {Knobs} values
    * @returns {boolean}
    */
   draws(values) {
     if (this.#refused || this.#card?.lost || !this.#loaded) return false;
+    if (values.overlay === "error") return false; // colours that only the server knows
     return (
       this.#has(values) ||
       (this.#loaded.look === this.#lookOf(values) &&

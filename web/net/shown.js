@@ -30,6 +30,16 @@ import { CLOCK } from "./trouble.js";
  */
 
 /**
+ * What is said of a picture of the server that lies under the card's, as it is not lit all over:
+ * how far its light is, and not how large its error is, for nobody sees it.
+ * @param {Facts} facts
+ * @returns {Facts}
+ */
+export function unmeasured(facts) {
+  return { ...facts, error: NaN, p99: null, p99_interval: null };
+}
+
+/**
  * Compares the picture on the stage with the controls. All that the page says of its picture is
  * read here.
  */
