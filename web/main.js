@@ -27,7 +27,7 @@ import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
-import { Shown, unmeasured } from "./net/shown.js";
+import { Shown } from "./net/shown.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
@@ -346,14 +346,12 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     {
       open: () => Card.open(canvas),
       size: () => picture.size(1, true),
+      picture: () => $("picture", HTMLImageElement),
       drawn() {
-        const { predicted } = live;
-        const { asked, facts } = shown;
-        const claims = facts && (!facts.provisional || Number.isFinite(facts.error));
-        if (shown.pictureOf !== asked || claims || (!facts && shown.predicted !== predicted))
-          shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
+        shown.cover({ of: shown.asked, predicted: live.predicted });
         $("stage").dataset.ground = ground(shown.asked.values);
       },
+      gone: () => shown.uncover(),
       lost: () => loop.redraw(),
       refused: (reason) => say(reason),
     },
@@ -376,8 +374,8 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       )
         return;
       trouble.hide();
+      shown.show({ of, draft, sharp, facts });
       if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
-      shown.show({ of, draft, sharp, facts: facts && live.shows ? unmeasured(facts) : facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
       const done = shown.state === "final";

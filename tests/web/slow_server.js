@@ -69,7 +69,9 @@
     send(text) {
       const message = JSON.parse(text);
       if ("shown" in message) return;
-      this.#newest = { ...message, controls: controls(), step: 0 };
+      const now = controls(), before = this.#newest;
+      const isSame = before && !before.moving && !message.moving && before.controls === now;
+      this.#newest = { ...message, controls: now, step: isSame ? Math.min(before.step, LAST - 1) : 0 }; // light is not forgotten
       leave(this.#newest.controls); // at the earliest now, also where no look falls between two changes
       if (!(this.#drawn?.moving && message.moving)) this.#draw();
     }

@@ -44,12 +44,12 @@ export class Card {
   /**
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
    * @param {import("./device.js").Device} device
-   * @param {(name: string) => Promise<string>} read text of a shader's file
+   * @param {(name: string) => Promise<string>} readShader text of a shader's file
    */
-  constructor(canvas, device, read) {
+  constructor(canvas, device, readShader) {
     this.canvas = canvas;
     this.device = device;
-    this.read = read;
+    this.readShader = readShader;
     this.lost = false;
     this.onlost = (/** @type {boolean} */ _forGood) => {};
     this.onrestored = () => {};
@@ -83,7 +83,7 @@ export class Card {
    * @returns {Promise<boolean>}
    */
   async isQuick() {
-    return (await timeTrial(this.device.gl, this.read)) <= TRIAL_MS;
+    return (await timeTrial(this.device.gl, this.readShader)) <= TRIAL_MS;
   }
 
   /**
@@ -187,6 +187,19 @@ export class Card {
   }
 
   /**
+   * What the canvas shows of the last view.
+   * @returns {Uint8Array} RGBA, rows from below
+   */
+  read() {
+    const { gl } = this.device;
+    const { width, height } = this.canvas;
+    const pixels = new Uint8Array(4 * width * height);
+    if (this.drawing && this.last) this.drawing.show(this.last.view, this.last.size);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    return pixels;
+  }
+
+  /**
    * Pixels of the canvas at a share of its width.
    * @param {number} share
    * @returns {[number, number]}
@@ -206,7 +219,7 @@ export class Card {
   async #load(document, codes, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.read), codes]);
+    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.readShader), codes]);
     if (load !== this.loads) return; // another scene was asked for meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);

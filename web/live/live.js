@@ -5,6 +5,7 @@
 
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
+import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
@@ -28,6 +29,7 @@ const LIST_MS = 1000; // between two lists of chunks that a moving view reads
 const MOST_KNOWN = 256; // lists that are kept
 const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
 const SLOW_PICTURES = 4; // in a row, after which the server draws
+const FADED_MS = 200; // after which nobody sees the card's picture any more
 
 /**
  * @typedef {object} Source what the server is asked for
@@ -44,7 +46,9 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  * @typedef {object} LiveHooks
  * @property {() => Card} open opens the card; throws a Refusal where there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
+ * @property {() => HTMLImageElement|null} [picture] the server's picture that is on the stage
  * @property {() => void} drawn the card's picture of the newest view is on the stage
+ * @property {() => void} [gone] the card's picture is on the stage no more
  * @property {() => void} lost the card draws no more: the server is to draw the view that moves
  * @property {(reason: string) => void} refused why the card does not draw, which was asked for by
  *   force, or has drawn until now
@@ -79,6 +83,12 @@ export class Live {
   #waiting = false; // for a picture of the newest view
   #frame = 0;
   #listed = -LIST_MS;
+  /**
+   * The view at rest by which the card is checked, since when, and whether the card has begun it.
+   * @type {{values: Knobs, since: number, begun: boolean}|null}
+   */
+  #check = null;
+  #isChecked = false;
   #busy = Infinity; // since when
   #slow = 0;
 
@@ -150,6 +160,7 @@ export class Live {
   /** The view is now this one. @param {Knobs} values */
   show(values) {
     this.#values = values;
+    this.#check = null;
     if (!this.draws(values)) {
       this.#hide();
       return;
@@ -181,6 +192,10 @@ export class Live {
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
     else this.#prepare(values);
+    if (!card || this.shows || this.#isChecked || values.overlay !== "none") return;
+    if (this.#check?.values !== values)
+      this.#check = { values, since: performance.now(), begun: false };
+    this.#animate();
   }
 
   /** Have the card take on what a view shows. @param {Knobs} values */
@@ -203,6 +218,7 @@ export class Live {
       this.#loaded = null;
       this.#known.clear();
       await card.load(facts, slabs);
+      this.#isChecked = false;
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
@@ -264,8 +280,9 @@ export class Live {
 
   /** Draw the view once more: there is more light. */
   #refresh() {
-    if (!this.shows || !this.#values) return;
-    this.#waiting = true;
+    if (this.#check) this.#check.begun = false;
+    if (!this.#values || !(this.shows || this.#check)) return;
+    this.#waiting = this.shows;
     this.#animate();
   }
 
@@ -278,13 +295,49 @@ export class Live {
     this.#frame = 0;
     if (!this.#values || !this.#card || !this.#loaded || !this.draws(this.#values)) return;
     if (!this.#waiting) {
-      if (this.shows && !this.#moving && this.#card.refine()) this.#animate();
+      if (!this.shows) this.#prove(this.#card);
+      else if (!this.#moving && this.#card.refine()) this.#animate();
       return;
     }
-    const view = cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo);
-    if (this.#card.draw(view, this.#hooks.size())) this.#put();
+    if (this.#drawn(this.#card, this.#loaded, this.#values)) this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
+  }
+
+  /**
+   * Have the card draw a view, unless it is busy.
+   * @param {Card} card
+   * @param {Loaded} loaded
+   * @param {Knobs} values
+   * @returns {boolean} whether it does
+   */
+  #drawn(card, { facts, albedo }, values) {
+    return card.draw(cardView(this.#scene, facts, values, albedo), this.#hooks.size());
+  }
+
+  /**
+   * Check the card at the first rest, under the server's picture: once it has the light of that, it
+   * draws the view as well as it can, and both are compared.
+   * @param {Card} card
+   */
+  #prove(card) {
+    const check = this.#check;
+    if (!check || !this.#loaded || this.#moving || this.predicted === null) return;
+    const isSeen = performance.now() - check.since < FADED_MS;
+    if (!isSeen && !check.begun) check.begun = this.#drawn(card, this.#loaded, check.values);
+    if (!check.begun || card.refine()) {
+      this.#animate();
+      return;
+    }
+    const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
+    const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
+    if (share === null) return; // another picture of the server may tell
+    this.#check = null;
+    this.#isChecked = true;
+    if (share <= MOST_DIFFER) return;
+    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels unlike the server: the server draws.`;
+    this.#leave(reason);
+    this.#hooks.refused(reason);
   }
 
   /** The newest view is drawn: show it. */
@@ -362,9 +415,11 @@ export class Live {
   #fade() {
     this.#waiting = false;
     this.#canvas.setAttribute("data-faded", "");
+    this.#hooks.gone?.();
   }
 
   #hide() {
     this.#canvas.hidden = true;
+    this.#hooks.gone?.();
   }
 }
