@@ -133,6 +133,9 @@
   const leave = (text) => left.set(text, { moment: performance.now(), looks: report.looks });
   let before = "";
 
+  /** When the card's picture was last seen: what comes to light under it is dimmed from then on. */
+  let covered = { moment: 0, looks: 0 };
+
   /** What is untrue of a picture of the card: what is said may be how far the light of its view is, and what it predicts. */
   function liesOfCard(picture, now) {
     const said = told();
@@ -160,6 +163,7 @@
     if (!picture) return [];
     if (node === $("#live")) {
       report.drawn += 1;
+      covered = { moment: performance.now(), looks: report.looks };
       return liesOfCard(picture, now);
     }
     const said = told(), bar = $("#progress").getAttribute("aria-valuenow");
@@ -177,8 +181,8 @@
       if (bar !== null && (Number(bar) === 100) === provisional) found.push(["another's bar", bar]);
     }
     const { moment = Infinity, looks = Infinity } = ofThese ? {} : left.get(picture.controls) ?? {};
-    const old = performance.now() - moment;
-    if (old > OLD_MS && report.looks - looks > OLD_FRAMES && Number(getComputedStyle(node).opacity) > DIM) found.push(["not dimmed", `${Math.round(old)} ms: ${differing(picture.controls, now)}`]);
+    const old = performance.now() - Math.max(moment, covered.moment);
+    if (old > OLD_MS && report.looks - Math.max(looks, covered.looks) > OLD_FRAMES && Number(getComputedStyle(node).opacity) > DIM) found.push(["not dimmed", `${Math.round(old)} ms: ${differing(picture.controls, now)}`]);
     const angle = Math.round(picture.view.azimuth);
     if (!$("#picture").alt.includes(`azimuth ${angle}°`)) found.push(["another's words", `${$("#picture").alt}, it is ${angle}°`]);
     if ($("#error-scale").hidden === (picture.view.overlay === "error")) found.push(["another's legend", picture.view.overlay]);

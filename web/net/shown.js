@@ -114,7 +114,7 @@ export class Shown {
 
   /** Whether the picture has all of the screen's pixels. @returns {boolean} */
   get sharp() {
-    return this.#cover !== null || (this.#picture?.sharp ?? false);
+    return this.#picture?.sharp ?? false;
   }
 
   /**

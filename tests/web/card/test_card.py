@@ -316,6 +316,50 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
         assert np.abs(shown - develop(plain, exposure, background=ground)).max() <= 2
 
 
+WRONG = {
+    "bits are counted wrongly": ("irradiance_ratio.glsl", "0x33333333u", "0x11111111u"),
+    "normals are turned": ("field.glsl", "return n == vec3(0.0)", "return n != vec3(0.0)"),
+    "light is too bright": ("view.glsl", "return unit * albedo", "return 2.0 * unit * albedo"),
+}
+SPOIL = """const { fetch } = window;
+  window.fetch = async (url) => {
+    const answer = await fetch(url);
+    if (!String(url).endsWith(given.file)) return answer;
+    const text = await answer.text();
+    if (!text.includes(given.from)) throw new Error(`${given.file} has no ${given.from}`);
+    return new Response(text.replaceAll(given.from, given.to));
+  };
+  window.mend = () => { window.fetch = fetch; };"""
+CHECK = """const { shareThatDiffers } = await import("/web/live/check.js");
+  const server = new Uint8Array(await bench.bytes("server"));
+  return shareThatDiffers(card.read(), server, card.canvas, given);"""
+
+
+@pytest.mark.parametrize("wrong", [None, *WRONG])
+def test_a_driver_that_draws_wrongly_is_found(
+    lab: Lab, make_bench: Make, wrong: str | None
+) -> None:
+    """The card's picture at rest beside the server's, away from edges."""
+    from isogi_core.frame.film import develop, ground_of
+
+    settings = {"lights": [CONSTANT], "bounces": 1, "target_error": 0.05, "projected": False}
+    bench = make_bench(load_scene("demo:orbital", **settings))
+    view = bench.view(size=200)
+    shown = develop(bench.bake(view), 1.0, background="dark")
+    opaque = np.full((*shown.shape[:2], 1), 255)
+    lab.put("server", np.concatenate([shown, opaque], axis=2).astype(np.uint8).tobytes())
+    if wrong:
+        lab.ask(SPOIL, dict(zip(("file", "from", "to"), WRONG[wrong], strict=True)))
+    try:
+        card = CardScene(lab, bench.renderer, view, (200, 200))
+        card.light(view, 0.05)
+        card.picture(view, rest=True, ground=ground_of("dark"))
+        share = lab.ask(CHECK, 0.05)
+    finally:
+        lab.ask("window.mend?.();")
+    assert share > 0.03 if wrong else share < 0.003, share
+
+
 WIDE = (72, 56)
 TENTH = 0.1
 
