@@ -152,7 +152,7 @@ export class Card {
     if (!drawing || this.lost || this.pace.busy || !drawing.isReady(view)) return false;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const size = this.#sizeAt(this.pace.share);
-    drawing.sample(view, size, 0, { soft: this.pace.soft });
+    drawing.sample(view, size, 0);
     drawing.show(view, size);
     this.last = { view, size, samples: 1 };
     this.row = 0;
@@ -176,7 +176,7 @@ export class Card {
     const from = this.row;
     const to = from + this.pace.rowsOf(whole, whole[1] - from, n);
     const isLast = to === whole[1];
-    this.drawing.sample(view, whole, n, { band: [from, to] });
+    this.drawing.sample(view, whole, n, [from, to]);
     this.row = isLast ? 0 : to;
     if (isLast) {
       this.drawing.show(view, whole);

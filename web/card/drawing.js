@@ -145,10 +145,9 @@ export class Drawing {
    * @param {View} view
    * @param {Size} size pixels
    * @param {number} n
-   * @param {{band?: import("./picture.js").Band, soft?: boolean}} [how] a band of it; whether a
-   *   picture that moves has half-shadows
+   * @param {import("./picture.js").Band} [band] of it
    */
-  sample(view, size, n, { band = [0, size[1]], soft = false } = {}) {
+  sample(view, size, n, band = [0, size[1]]) {
     const { document } = this;
     const light = this.#turn(view.light);
     const records = this.#fold(light, keyOf(view.light));
@@ -171,7 +170,6 @@ export class Drawing {
       jitter: jitterOf(n),
       place: discOf(n),
       resting: Number(n > 0),
-      soft: Number(soft),
     });
     picture.end(n, band[1] === size[1]);
   }

@@ -11,7 +11,6 @@ const FEWEST = 0.2; // share of the width on any card
 const BEGIN = 0.25; // share of the width that a card begins with that nobody knows
 const GROWTH = 2; // of the width from picture to picture, at most
 const WORTH = 1.1; // growth that is worth another size
-const SOFT = 2; // what half-shadows multiply the time of a picture by
 const CALM = 60; // pictures after one that was too slow, before they grow again
 const BAND_MS = 8; // of a band of a picture at rest
 const MOST_BANDS = 64; // of a picture
@@ -129,7 +128,6 @@ export function largerShare(share, { low, high }) {
 /** The pace of a card, by a fence behind each draw. */
 export class Pace {
   share = BEGIN; // of the width
-  soft = false; // whether pictures that move have half-shadows, which take about twice as long
   #calm = 0;
   #slow = 0; // pictures in a row that were too slow
   /** @type {Fence|null} */
@@ -217,11 +215,9 @@ export class Pace {
     if (reading.low > TARGET_MS) {
       this.#slow += 1;
       if (this.#slow < 2 && reading.low < 2 * TARGET_MS) return; // one alone may be another's fault
-      if (this.soft) this.soft = false;
-      else this.share = smallerShare(this.share, reading.low);
+      this.share = smallerShare(this.share, reading.low);
       this.#calm = CALM;
     } else if (this.#calm > 0) this.#calm -= 1;
-    else if (this.share === 1) this.soft ||= SOFT * reading.high <= TARGET_MS;
     else this.share = largerShare(this.share, reading);
     if (reading.low <= TARGET_MS) this.#slow = 0;
   }

@@ -317,8 +317,11 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
 
 
 WRONG = {
-    "bits are counted wrongly": ("irradiance_ratio.glsl", "0x33333333u", "0x11111111u"),
-    "normals are turned": ("field.glsl", "return n == vec3(0.0)", "return n != vec3(0.0)"),
+    "texels are read elsewhere": (
+        "irradiance_ratio.glsl",
+        "q = p * density",
+        "q = p.zyx * density",
+    ),
     "light is too bright": ("view.glsl", "return unit * albedo", "return 2.0 * unit * albedo"),
 }
 SPOIL = """const { fetch } = window;
@@ -357,7 +360,7 @@ def test_a_driver_that_draws_wrongly_is_found(
         share = lab.ask(CHECK, 0.05)
     finally:
         lab.ask("window.mend?.();")
-    assert share > 0.03 if wrong else share < 0.003, share
+    assert share > 0.01 if wrong else share < 0.003, share
 
 
 WIDE = (72, 56)

@@ -257,28 +257,6 @@ def test_lobes_cast_shadows_while_the_view_moves(lab: Lab, make_bench: Make) -> 
     assert found.within >= 0.98 and found.rmse <= 0.02, found
 
 
-def test_half_shadows_of_a_moving_view_are_near_to_those_at_rest(
-    lab: Lab, make_bench: Make
-) -> None:
-    """Where the border of a lobe passes more rays follow; elsewhere two are enough. The sun is made
-    wider, for the card alone.
-    """
-    bench = lit_bench(make_bench, "casting", lights=[SKY], target_error=0.05)
-    view = view_at(bench)
-    card = CardScene(lab, bench.renderer, view, SIZE, lobes=True)
-    card.light(view, LOOSE)
-    lab.ask("""const { lobes } = card.drawing.document.light;
-      for (const lobe of lobes) lobe.edges = lobe.edges.map((edge) => edge.map((x) => 20 * x));""")
-    rest = card.picture(view, rest=True)
-    inner = (contrast_of(rest) < 12) & (rest.covers == 1.0)
-    apart = []
-    for soft in (False, True):
-        lab.ask("card.pace.soft = given;", soft)
-        moving = card.picture(view)
-        apart.append(np.sqrt(((moving.light - rest.light)[inner] ** 2).mean()))
-    assert inner.sum() > 200 and apart[1] < 0.6 * apart[0], (apart, inner.sum())
-
-
 def test_samples_at_rest_make_edges_smooth(lab: Lab, under_sky: Workbench) -> None:
     view = view_at(under_sky)
     card = CardScene(lab, under_sky.renderer, view, SIZE)

@@ -37,6 +37,12 @@ test("light of pixels' own is within what is left of the error", () => {
   assert.ok(share(disc((level, x, y) => (y > 40 ? 1.4 * level : level))) > MOST_DIFFER);
 });
 
+test("what is wrong everywhere is found, also within the tail of errors", () => {
+  assert.equal(share(disc((level) => 1.08 * level), disc(), 0.1), 0);
+  assert.ok(share(disc((level) => 1.4 * level), disc(), 0.1) > 0.9);
+  assert.equal(share(disc((level, x) => (x > 60 ? 1.4 * level : level)), disc(), 0.1), 0, "a part alone may be pixels' own light");
+});
+
 test("what differs is counted, in any channel", () => {
   const wrong = disc();
   for (let i = 2; i < wrong.length; i += 4) wrong[i] = 255 - wrong[i];

@@ -56,11 +56,11 @@ async function pageOf(ms, hz, rows = () => 1) {
     card.drawing = {
       texels: { chunks: new Map() },
       isReady: () => true,
-      sample(view, [width, height], n, { band: [from, to] = [0, height], soft }) {
+      sample(view, [width, height], n, [from, to] = [0, height]) {
         let share = 0;
         for (let y = from; y < to; y++) share += (rows(y / height, n) * width) / (SIZE.width * SIZE.height);
-        gl.work((soft ? 2 : 1) * ms * share);
-        draws.push({ at: clock.now(), width, n, ms: ms * share, view, soft });
+        gl.work(ms * share);
+        draws.push({ at: clock.now(), width, n, ms: ms * share, view });
       },
       show: (_, [width]) => shows.push({ at: clock.now(), width, blacks: canvas.blacks }),
     };
@@ -181,20 +181,6 @@ test("what waits to be drawn does not lie over the server's picture", async () =
   assert.equal(live.shows, false);
   await clock.pass(2000);
   assert.equal(live.shows, false);
-});
-
-test("half-shadows are drawn by cards that have the time, and go first", async () => {
-  for (const [ms, soft] of [[2, true], [7, true], [12, false], [60, false]]) {
-    const page = await pageOf(ms, 60);
-    for (let i = 0; i < 4; i++) await drag(page, 60);
-    assert.equal((await drag(page, 60)).at(-1).soft, soft, `${ms} ms`);
-  }
-  const page = await pageOf(2, 60);
-  await drag(page, 60);
-  const { pace, device } = page.card;
-  device.gl.work = (ms) => FakeGL.prototype.work.call(device.gl, 8 * ms); // 16 ms, and 32 with half-shadows
-  await drag(page, 60, 0.2);
-  assert.deepEqual([pace.soft, pace.share], [false, 1]);
 });
 
 test("a card that is lost begins small again", async () => {

@@ -5,13 +5,9 @@ uniform vec3 north[LOBES + 1];
 uniform vec3 shine[LOBES + 1];      // light of a cosine of 1
 uniform vec2 place;                 // of this picture's rays on all discs, in radii; (0, 0) is the middle
 uniform bool resting;               // whether the rays of this picture are one sample of many, all over the discs
-uniform bool soft;                  // whether half-shadows are looked for while the view moves
 uniform float offset;               // voxels along the normal from which rays start
 
 const float PI = 3.14159265358979;
-const float GOLDEN = 2.39996323;    // the golden angle
-const float RIM = 0.8;              // radii from the middle of a disc at which rays look for its border
-const int SOFT_RAYS = 8;            // to a lobe whose border passes
 const float SHARP = 0.00436331;     // sine of a quarter of a degree: lobes up to there are seen along one ray
 
 // Where a ray starts that leaves the surface at p; p itself where that place is solid, in a crease or in noise.
@@ -38,32 +34,13 @@ vec3 way_to_middle(int k, vec3 n, out float brought) {
   return towards[k] + 0.5 * max(s - cosine, 0.0) * n;
 }
 
-// The way to a place of lobe k's disc, in radii, and what it brings where it is free: a part of the mean over all places.
-vec3 way_to_disc(int k, vec3 n, vec2 at, out float brought) {
-  vec3 across = at.x * east[k] + at.y * north[k];
+// The way to a place of lobe k's disc, and what it brings where it is free: a part of the mean over all places.
+vec3 way_to_disc(int k, vec3 n, out float brought) {
+  vec3 across = place.x * east[k] + place.y * north[k];
   float up = sqrt(max(1.0 - dot(across, across), 0.0));
   vec3 w = across + up * towards[k];
   brought = max(dot(n, w), 0.0) / up;
   return w;
-}
-
-// A turn that neighbouring pixels have all kinds of, in radians. Source: Jimenez 2014, interleaved gradient noise.
-float turn_of_pixel() { return 2.0 * PI * fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))); }
-
-// How much of what lobe k brings reaches a point: rays to both ends of a diameter, turned from pixel to pixel, and where they
-// disagree, since the lobe's border passes there, to places all over the disc.
-float seen_of(int k, vec3 start, vec3 n, float turn) {
-  float all = 0.0, free = 0.0;
-  for (int i = 0; i < SOFT_RAYS; i++) {
-    float brought, angle = turn + float(i) * (i < 2 ? PI : GOLDEN), radius = i < 2 ? RIM : sqrt((float(i) - 1.5) / float(SOFT_RAYS - 2));
-    vec3 w = way_to_disc(k, n, radius * vec2(cos(angle), sin(angle)), brought);
-    if (brought > 0.0) {
-      all += brought;
-      if (cast_ray(start, w / spacing, OUTSIDE) < 0.0) free += brought;
-    }
-    if (i == 1 && (free == 0.0 || free == all)) break;
-  }
-  return all > 0.0 ? free / all : 0.0;
 }
 
 // E / pi straight from all lobes at p of normal n.
@@ -71,10 +48,8 @@ vec3 lobe_light(vec3 p, vec3 n) {
   vec3 start = launch(p, n), light = vec3(0.0);
   for (int k = 0; k < LOBES; k++) {
     float brought;
-    vec3 w = resting ? way_to_disc(k, n, place, brought) : way_to_middle(k, n, brought);
-    if (soft && !resting && brought > 0.0 && length(east[k]) > SHARP) {
-      light += brought * seen_of(k, start, n, turn_of_pixel()) * shine[k];
-    } else if (brought > 0.0 && cast_ray(start, w / spacing, OUTSIDE) < 0.0) light += brought * shine[k];
+    vec3 w = resting ? way_to_disc(k, n, brought) : way_to_middle(k, n, brought);
+    if (brought > 0.0 && cast_ray(start, w / spacing, OUTSIDE) < 0.0) light += brought * shine[k];
   }
   return light;
 }
