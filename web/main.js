@@ -344,15 +344,14 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     scene,
     cardSource(scene),
     {
-      open: (allowed) => Card.open(canvas, allowed),
+      open: () => Card.open(canvas),
       size: () => picture.size(1, true),
+      picture: () => $("picture", HTMLImageElement),
       drawn() {
-        const { predicted } = live;
-        const { asked } = shown;
-        if (shown.pictureOf !== asked || (!shown.facts && shown.predicted !== predicted))
-          shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
+        shown.cover({ of: shown.asked, predicted: live.predicted });
         $("stage").dataset.ground = ground(shown.asked.values);
       },
+      gone: () => shown.uncover(),
       lost: () => loop.redraw(),
       refused: (reason) => say(reason),
     },
@@ -376,9 +375,9 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
         return;
       trouble.hide();
       shown.show({ of, draft, sharp, facts });
+      if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
-      if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);

@@ -1,6 +1,7 @@
 /**
  * A server that is three seconds away, in place of the one behind the page's stream, and what looks for lies meanwhile.
- * Each picture is of one colour, which is its number; so whatever lies on the stage says what it was drawn for.
+ * Each picture is of one colour, which is its number; so whatever lies on the stage says what it was drawn for. What the
+ * visitor's card draws over it is known by the controls at the time; the card is a processor, and taken to be quick.
  */
 (() => {
   const DELAY_MS = 3000;
@@ -8,12 +9,14 @@
   const [OLD_MS, OLD_FRAMES] = [700, 40]; // after which an old picture is dimmed: 300, a fade, and a slow machine
   const DIM = 0.8; // opacity below which a picture is
   const CLAIM = /%|percent| left|Done|Refining/;
+  const PREDICTED = / · drawn here, about [^()]* error \(predicted\)$/;
   const WAITS = ["Moving", "Updating"];
+  const UNLIT = 4; // of every so many views, the first picture of one is not lit all over
   const NO_PICTURE = ["compare", "rulers-choice", "isovalue-number", "exposure"]; // of the last one its words count
 
   const $ = (selector) => document.querySelector(selector);
   const pictures = new Map();
-  const report = { changes: 0, looks: 0, lies: [], ...JSON.parse(sessionStorage.getItem("report")) };
+  const report = { changes: 0, looks: 0, drawn: 0, lies: [], ...JSON.parse(sessionStorage.getItem("report")) };
   window.report = report;
 
   let size = ""; // of the stage, as it was last painted
@@ -38,7 +41,8 @@
   function factsOf(number, step) {
     const [final, error] = [(number % 7) / 10, ((number * 7) % 89 + 10) / 1000];
     const left = step === LAST ? null : { low: 5, likely: 10 + (number % 80), high: 100 };
-    const coverage = step === LAST ? { final: 1, converging: 0, provisional: 0 } : { final, converging: 1 - final, provisional: 0 };
+    const unlit = step === 1 && number % UNLIT === 0 ? 0.3 * (1 - final) : 0;
+    const coverage = step === LAST ? { final: 1, converging: 0, provisional: 0 } : { final, converging: 1 - final - unlit, provisional: unlit };
     return { provisional: step < LAST, coverage, error, controls: 9, chunks: { needed: 9, final: 1 }, time_left: left };
   }
 
@@ -65,7 +69,9 @@
     send(text) {
       const message = JSON.parse(text);
       if ("shown" in message) return;
-      this.#newest = { ...message, controls: controls(), step: 0 };
+      const now = controls(), before = this.#newest;
+      const isSame = before && !before.moving && !message.moving && before.controls === now;
+      this.#newest = { ...message, controls: now, step: isSame ? Math.min(before.step, LAST - 1) : 0 }; // light is not forgotten
       leave(this.#newest.controls); // at the earliest now, also where no look falls between two changes
       if (!(this.#drawn?.moving && message.moving)) this.#draw();
     }
@@ -90,10 +96,29 @@
   }
   window.WebSocket = SlowStream;
 
+  /** What the card drew last: the controls at the time, and the canvas's size. */
+  let drawn = null;
+
+  /** Note what the card draws. */
+  async function watchCard() {
+    const { Card } = await import("/web/card/card.js");
+    const { draw } = Card.prototype;
+    Card.prototype.isQuick = async () => true;
+    Card.prototype.draw = function (...given) {
+      const done = draw.apply(this, given);
+      if (done) drawn = { controls: controls(), size: sizeOf(this.canvas), facts: {}, draft: true };
+      return done;
+    };
+  }
+
+  const sizeOf = ({ width, height }) => `${width}×${height}`;
+
   const pixel = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
 
   /** The picture that a person sees, and the element that shows it; null where there is none. */
   function seen() {
+    const live = $("#live");
+    if (!live.hidden && !live.hasAttribute("data-faded")) return { node: live, picture: drawn };
     const node = $("#draft").hidden ? $("#picture") : $("#draft");
     if (node.hidden) return null;
     pixel.drawImage(node, 0, 0, 1, 1);
@@ -108,6 +133,26 @@
   const leave = (text) => left.set(text, { moment: performance.now(), looks: report.looks });
   let before = "";
 
+  /** When the card's picture was last seen: what comes to light under it is dimmed from then on. */
+  let covered = { moment: 0, looks: 0 };
+
+  /** What is untrue of a picture of the card: what is said may be how far the light of its view is, and what it predicts. */
+  function liesOfCard(picture, now) {
+    const said = told();
+    const found = [];
+    const badge = picture.controls === now ? [...WAITS, "Preview"] : WAITS;
+    if (picture.controls === now) {
+      said["#status-line"] = said["#status-line"].replace(PREDICTED, "");
+      if (said["#badge"] === "Preview") said["#status-line"] = said["#status-line"].replace(/^Preview, .* left$/, "");
+      if (said["#badge"] === "Preview") said["#announce"] = said["#announce"].replace(/^Refining, not lit everywhere yet$/, "");
+    }
+    for (const [where, text] of Object.entries(said)) if (CLAIM.test(text)) found.push(["claim for the card's picture", `${where}: ${text}`]);
+    if (!badge.includes(said["#badge"])) found.push(["not said of the card's picture", `“${said["#badge"]}” for ${differing(picture.controls, now)}`]);
+    if (picture.size !== sizeOf($("#live"))) found.push(["black", `${sizeOf($("#live"))}, drawn at ${picture.size}`]);
+    if (!$("#error-scale").hidden) found.push(["legend of no colours", "of the card's picture"]);
+    return found;
+  }
+
   /** What is untrue of what is seen now: names, and what shows it. */
   function lies() {
     const now = controls();
@@ -116,6 +161,11 @@
     before = now;
     const { node, picture } = seen() ?? {};
     if (!picture) return [];
+    if (node === $("#live")) {
+      report.drawn += 1;
+      covered = { moment: performance.now(), looks: report.looks };
+      return liesOfCard(picture, now);
+    }
     const said = told(), bar = $("#progress").getAttribute("aria-valuenow");
     const found = [];
     const { error, provisional } = picture.facts, percent = `${Number((100 * error).toPrecision(2))} %`;
@@ -131,8 +181,8 @@
       if (bar !== null && (Number(bar) === 100) === provisional) found.push(["another's bar", bar]);
     }
     const { moment = Infinity, looks = Infinity } = ofThese ? {} : left.get(picture.controls) ?? {};
-    const old = performance.now() - moment;
-    if (old > OLD_MS && report.looks - looks > OLD_FRAMES && Number(getComputedStyle(node).opacity) > DIM) found.push(["not dimmed", `${Math.round(old)} ms: ${differing(picture.controls, now)}`]);
+    const old = performance.now() - Math.max(moment, covered.moment);
+    if (old > OLD_MS && report.looks - Math.max(looks, covered.looks) > OLD_FRAMES && Number(getComputedStyle(node).opacity) > DIM) found.push(["not dimmed", `${Math.round(old)} ms: ${differing(picture.controls, now)}`]);
     const angle = Math.round(picture.view.azimuth);
     if (!$("#picture").alt.includes(`azimuth ${angle}°`)) found.push(["another's words", `${$("#picture").alt}, it is ${angle}°`]);
     if ($("#error-scale").hidden === (picture.view.overlay === "error")) found.push(["another's legend", picture.view.overlay]);
@@ -155,7 +205,8 @@
   };
   /** Whether the picture of these controls is there, final, and told with its error. */
   report.rests = () => {
-    const { picture } = seen() ?? {};
+    const { node, picture } = seen() ?? {};
+    if (node === $("#live")) return false;
     const error = picture && `Done, ${Number((100 * picture.facts.error).toPrecision(2))} % error`;
     return Boolean(picture) && picture.controls === controls() && !picture.facts.provisional && $("#status-line").textContent === error && Number(getComputedStyle($("#picture")).opacity) === 1;
   };
@@ -168,6 +219,7 @@
     requestAnimationFrame(watch);
   };
   addEventListener("DOMContentLoaded", () => {
+    watchCard();
     watch();
     new ResizeObserver(([{ contentRect: { width, height } }]) => { size = `${width}×${height}`; }).observe($("#stage"));
   });

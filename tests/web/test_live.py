@@ -186,7 +186,7 @@ def angle(search: str) -> float:
     return float(found[1]) if found else math.nan
 
 
-def test_software_is_refused_by_its_name(
+def test_software_is_found_by_its_time(
     fresh: Page, wire: Wire, asked: list[str], live_server: str
 ) -> None:
     open_drawn(fresh, live_server, "")

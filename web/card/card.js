@@ -9,19 +9,20 @@
  * the server for
  *     card.take(answer, turn);                                 // an answer of …/card/light or
  * …/card/transfer
- *     card.draw(view);                                         // while anything moves, once an
+ *     card.draw(view, size);                                   // while anything moves, once an
  * animation frame
  *     card.refine();                                           // at rest, once an animation frame,
  * until it says false
  *
  * `draw` says false while the card is busy: ask again in the next animation frame. It draws fewer
  * pixels while the card is
- * slow. `refine` adds a sample to the last view at full size: edges and half-shadows come smooth.
- * The canvas has the size
- * that its `width` and `height` say; to draw is all that may change its content.
+ * slow. `refine` adds a sample to the last view at full size, band by band: edges and half-shadows
+ * come smooth. The canvas
+ * gets the size that a view is drawn with, since another one makes it black; to draw is all that
+ * may change its content.
  */
 
-import { BUDGET, Refusal, openDevice } from "./device.js";
+import { BUDGET, Refusal, TRIAL_MS, openDevice, timeTrial } from "./device.js";
 import { Drawing, keyOf, programsOf } from "./drawing.js";
 import { turnLight } from "./light.js";
 import { Pace } from "./pace.js";
@@ -36,23 +37,26 @@ import { Volume, joinSlabs } from "./volume.js";
 /** @typedef {{at: string, version: string}} ListedChunk as `GET …/card/chunks` lists them */
 
 const UNLIT = /^0+$/; // version of a chunk without light
+const FORGIVEN_MS = 60_000; // after a loss; a card that is lost once more before draws no longer
 
 /** A graphics card that draws one scene. */
 export class Card {
   /**
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
    * @param {import("./device.js").Device} device
-   * @param {(name: string) => Promise<string>} read text of a shader's file
+   * @param {(name: string) => Promise<string>} readShader text of a shader's file
    */
-  constructor(canvas, device, read) {
+  constructor(canvas, device, readShader) {
     this.canvas = canvas;
     this.device = device;
-    this.read = read;
+    this.readShader = readShader;
     this.lost = false;
-    this.onlost = () => {};
+    this.onlost = (/** @type {boolean} */ _forGood) => {};
     this.onrestored = () => {};
     this.pace = new Pace(device.gl);
     this.loads = 0;
+    this.row = 0; // from which on the next sample of the last view is still to be drawn
+    this.lostAt = -Infinity;
     /** @type {Drawing|null} */
     this.drawing = null;
     /** @type {{view: View, size: [number, number], samples: number}|null} */
@@ -64,14 +68,22 @@ export class Card {
   /**
    * Open the card behind a canvas that nobody else draws on.
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
-   * @param {{software?: boolean, readShader?: (name: string) => Promise<string>}} [given] whether a
-   *   processor may stand in
-   *   for a card, and where shaders are read, by default beside these modules
+   * @param {(name: string) => Promise<string>} [read] text of a shader's file, by default beside
+   *   these modules
    * @returns {Card}
    * @throws {import("./device.js").Refusal} where this browser has no card that can draw
    */
-  static open(canvas, given = {}) {
-    return new Card(canvas, openDevice(canvas, given), given.readShader ?? readShader);
+  static open(canvas, read = readShader) {
+    return new Card(canvas, openDevice(canvas), read);
+  }
+
+  /**
+   * Whether the card draws quickly enough to be of use; the processor that stands in for one does
+   * not, by whatever name.
+   * @returns {Promise<boolean>}
+   */
+  async isQuick() {
+    return (await timeTrial(this.device.gl, this.readShader)) <= TRIAL_MS;
   }
 
   /**
@@ -131,18 +143,26 @@ export class Card {
   /**
    * Draw a view that moves, in as many pixels as the card draws quickly.
    * @param {View} view
+   * @param {{width: number, height: number}} [size] of the canvas from now on, if it is drawn
    * @returns {boolean} whether it was drawn; else the card is lost, compiles, or is busy with the
    *   view before
    */
-  draw(view) {
-    if (!this.drawing || this.lost || this.pace.busy || !this.drawing.isReady(view)) return false;
-    this.#sample(view, this.#sizeAt(this.pace.share), 0);
-    this.pace.time();
+  draw(view, { width, height } = this.canvas) {
+    const { canvas, drawing } = this;
+    if (!drawing || this.lost || this.pace.busy || !drawing.isReady(view)) return false;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const size = this.#sizeAt(this.pace.share);
+    drawing.sample(view, size, 0);
+    drawing.show(view, size);
+    this.last = { view, size, samples: 1 };
+    this.row = 0;
+    this.pace.timePicture(size[0] * size[1]);
     return true;
   }
 
   /**
-   * Draw the last view better: in all pixels, and with a sample more.
+   * Draw the last view better: a band of it in all pixels, and with a sample more. What is shown
+   * changes with the last band of a sample.
    * @returns {boolean} whether there is more to do
    */
   refine() {
@@ -152,17 +172,31 @@ export class Card {
     if (samples > SAMPLES) return false;
     if (this.pace.busy) return true;
     const goesOn = size[0] === whole[0] && size[1] === whole[1];
-    this.#sample(view, whole, goesOn ? samples : 0);
-    this.pace.time(false);
+    const n = goesOn ? samples : 0;
+    const from = this.row;
+    const to = from + this.pace.rowsOf(whole, whole[1] - from, n);
+    const isLast = to === whole[1];
+    this.drawing.sample(view, whole, n, [from, to]);
+    this.row = isLast ? 0 : to;
+    if (isLast) {
+      this.drawing.show(view, whole);
+      this.last = { view, size: whole, samples: n + 1 };
+    }
+    this.pace.timeBand(whole[0] * (to - from), n, isLast);
     return this.last.samples <= SAMPLES;
   }
 
-  /** @param {View} view @param {[number, number]} size @param {number} n */
-  #sample(view, size, n) {
-    const drawing = /** @type {Drawing} */ (this.drawing);
-    drawing.sample(view, size, n);
-    drawing.show(view, size);
-    this.last = { view, size, samples: n + 1 };
+  /**
+   * What the canvas shows of the last view.
+   * @returns {Uint8Array} RGBA, rows from below
+   */
+  read() {
+    const { gl } = this.device;
+    const { width, height } = this.canvas;
+    const pixels = new Uint8Array(4 * width * height);
+    if (this.drawing && this.last) this.drawing.show(this.last.view, this.last.size);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    return pixels;
   }
 
   /**
@@ -185,7 +219,7 @@ export class Card {
   async #load(document, codes, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.read), codes]);
+    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.readShader), codes]);
     if (load !== this.loads) return; // another scene was asked for meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);
@@ -199,18 +233,25 @@ export class Card {
     this.last = null;
   }
 
-  /** @param {Event} event */
+  /**
+   * The card is lost: to its driver, which may have taken it back for a draw that was long. One
+   * that is lost again soon is not asked to come back.
+   * @param {Event} event
+   */
   #lose(event) {
-    event.preventDefault();
+    const forGood = performance.now() - this.lostAt < FORGIVEN_MS;
+    this.lostAt = performance.now();
+    if (!forGood) event.preventDefault();
     this.lost = true;
-    this.onlost();
+    this.onlost(forGood);
   }
 
   async #restore() {
     const { drawing } = this;
     const shown = this.last;
-    this.device = openDevice(this.canvas, { software: this.device.software });
-    this.pace = new Pace(this.device.gl);
+    this.drawing = null; // its textures and programs went with the context
+    this.device = openDevice(this.canvas);
+    this.pace.restart(this.device.gl);
     if (drawing)
       await this.#load(
         drawing.document,

@@ -3,13 +3,27 @@
  * cannot draw.
  */
 
-const SOFTWARE = /swiftshader|llvmpipe|softpipe|basic render|software/i;
+import { Fence, nearest } from "./pace.js";
+import { compile, joined, run } from "./programs.js";
+import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
 /**
  * Bytes of textures that a page takes of a card without asking: phones kill pages that take much
  * more.
  */
 export const BUDGET = 384 * 2 ** 20;
+
+/** Pixels: a quarter of 1280 along each axis, and of 800, which the slowest useful card begins with. */
+const TRIAL_SIZE = /** @type {const} */ ([320, 200]);
+const TRIAL_EDGE = 32; // voxels along a side of its volume: EDGE in trial.frag.glsl
+const TRIALS = 4; // that it is drawn; the first time drivers still compile
+
+/**
+ * Milliseconds that the small picture may take: then a picture of a surface with lobes, of a
+ * quarter of the screen's width, takes about as long, and one of the casting half of that. Cards
+ * of ten years ago take 5, and processors more than 100.
+ */
+export const TRIAL_MS = 20;
 
 /** Why this browser's card does not draw a scene: a sentence for the visitor. */
 export class Refusal extends Error {}
@@ -18,7 +32,6 @@ export class Refusal extends Error {}
  * @typedef {object} Device what a card offers
  * @property {WebGL2RenderingContext} gl
  * @property {string} name of the card, as its driver gives it
- * @property {boolean} software whether the browser draws by its processor
  * @property {number} most3d texels along a side of 3D textures at most
  * @property {number} most2d texels along a side of 2D textures at most
  * @property {number} layers of array textures at most
@@ -27,12 +40,10 @@ export class Refusal extends Error {}
 /**
  * Open the card behind a canvas.
  * @param {HTMLCanvasElement|OffscreenCanvas} canvas of nobody else
- * @param {{software?: boolean}} [allowed] whether a processor may stand in for a card: tests, and
- *   those who compare
  * @returns {Device}
  * @throws {Refusal} where there is no card that can draw
  */
-export function openDevice(canvas, { software = false } = {}) {
+export function openDevice(canvas) {
   const wished = {
     alpha: false,
     antialias: false,
@@ -43,11 +54,6 @@ export function openDevice(canvas, { software = false } = {}) {
   const gl = /** @type {WebGL2RenderingContext|null} */ (canvas.getContext("webgl2", wished));
   if (!gl) throw new Refusal("This browser has no WebGL 2: the server draws.");
   const name = rendererOf(gl);
-  const slow = SOFTWARE.test(name);
-  if (slow && !software)
-    throw new Refusal(
-      `This browser draws WebGL by its processor (${name}): the server is faster, and draws.`,
-    );
   if (
     !gl.getExtension("EXT_color_buffer_float") &&
     !gl.getExtension("EXT_color_buffer_half_float")
@@ -61,11 +67,38 @@ export function openDevice(canvas, { software = false } = {}) {
     gl.MAX_TEXTURE_SIZE,
     gl.MAX_ARRAY_TEXTURE_LAYERS,
   ].map((limit) => gl.getParameter(limit));
-  return { gl, name, software: slow, most3d, most2d, layers };
+  return { gl, name, most3d, most2d, layers };
 }
 
 /** @param {WebGL2RenderingContext} gl @returns {string} */
 function rendererOf(gl) {
   const told = gl.getExtension("WEBGL_debug_renderer_info");
   return String(gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+}
+
+/**
+ * The time of the small picture, the least of a few.
+ * @param {WebGL2RenderingContext} gl
+ * @param {(name: string) => Promise<string>} read text of a shader's file
+ * @returns {Promise<number>} milliseconds
+ */
+export async function timeTrial(gl, read) {
+  const program = await compile(gl, await joined("trial.frag.glsl", read));
+  const voxels = makeTexture(gl, "R8UI", [TRIAL_EDGE, TRIAL_EDGE, TRIAL_EDGE]);
+  fillTexture(gl, voxels, Uint8Array.from({ length: TRIAL_EDGE ** 3 }, (_, i) => (i * 2654435761) >>> 24));
+  const picture = makeTexture(gl, "RGBA16F", TRIAL_SIZE);
+  const target = drawInto(gl, picture);
+  let least = Infinity;
+  for (let i = 0; i < TRIALS && least > TRIAL_MS; i++) {
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, ...TRIAL_SIZE);
+    run(gl, program, { voxels });
+    const reading = await new Promise((done) => new Fence(gl, done));
+    if (!reading) throw new Error("The graphics card was lost.");
+    least = Math.min(least, nearest(TRIAL_MS, reading));
+  }
+  gl.deleteFramebuffer(target);
+  for (const { id } of [voxels, picture]) gl.deleteTexture(id);
+  gl.deleteProgram(program.id);
+  return least;
 }

@@ -141,17 +141,18 @@ export class Drawing {
 
   /**
    * Draw sample n of a view into the picture: the first one replaces it, and the others join its
-   * mean.
+   * mean. It may come in bands, from below to the top.
    * @param {View} view
    * @param {Size} size pixels
    * @param {number} n
+   * @param {import("./picture.js").Band} [band] of it
    */
-  sample(view, size, n) {
+  sample(view, size, n, band = [0, size[1]]) {
     const { document } = this;
     const light = this.#turn(view.light);
     const records = this.#fold(light, keyOf(view.light));
     const picture = this.#pictureOf(size);
-    picture.begin(n, size);
+    picture.begin(n, size, band);
     run(this.gl, (view.lambert && this.local) || this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...raysOf(document.grid, view.camera, size[0], size[1]),
@@ -170,7 +171,7 @@ export class Drawing {
       place: discOf(n),
       resting: Number(n > 0),
     });
-    picture.end(n);
+    picture.end(n, band[1] === size[1]);
   }
 
   /**

@@ -7,6 +7,7 @@ import { drawInto, makeTexture } from "./textures.js";
 
 /** @typedef {import("./textures.js").Texture} Texture */
 /** @typedef {readonly [number, number]} Size pixels along x and y */
+/** @typedef {readonly [number, number]} Band rows from the first to before the second, from below */
 
 /** Samples of a picture at rest, besides the one in the middle. */
 export const SAMPLES = 16;
@@ -73,11 +74,12 @@ export class Picture {
    * join its mean.
    * @param {number} n
    * @param {Size} size
+   * @param {Band} band of it that is drawn next
    */
-  begin(n, size) {
+  begin(n, size, [from, to]) {
     const { gl, targets } = this;
     const [width, height] = size;
-    if (n === 1) {
+    if (n === 1 && from === 0) {
       gl.bindFramebuffer(gl.READ_FRAMEBUFFER, targets[0]);
       gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, targets[1]);
       gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
@@ -87,12 +89,19 @@ export class Picture {
     if (n > 0) gl.enable(gl.BLEND);
     gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
     gl.blendColor(0, 0, 0, 1 / (n + 1));
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, from, width, to - from);
   }
 
-  /** End sample n. @param {number} n */
-  end(n) {
+  /**
+   * A band of sample n is drawn; the last one ends it.
+   * @param {number} n
+   * @param {boolean} isLast
+   */
+  end(n, isLast) {
     this.gl.disable(this.gl.BLEND);
-    this.samples = n + 1;
+    this.gl.disable(this.gl.SCISSOR_TEST);
+    if (isLast) this.samples = n + 1;
   }
 
   /** Give the card's memory back. */

@@ -5,6 +5,7 @@
 
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
+import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
@@ -28,6 +29,7 @@ const LIST_MS = 1000; // between two lists of chunks that a moving view reads
 const MOST_KNOWN = 256; // lists that are kept
 const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
 const SLOW_PICTURES = 4; // in a row, after which the server draws
+const FADED_MS = 200; // after which nobody sees the card's picture any more
 
 /**
  * @typedef {object} Source what the server is asked for
@@ -42,13 +44,14 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  *   what the card has, what of a view that depends on, also but for the albedo, and that
  *
  * @typedef {object} LiveHooks
- * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where
- *   there is none
+ * @property {() => Card} open opens the card; throws a Refusal where there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
+ * @property {() => HTMLImageElement|null} [picture] the server's picture that is on the stage
  * @property {() => void} drawn the card's picture of the newest view is on the stage
+ * @property {() => void} [gone] the card's picture is on the stage no more
  * @property {() => void} lost the card draws no more: the server is to draw the view that moves
- * @property {(reason: string) => void} refused why the card, which was asked for by force, does not
- *   draw
+ * @property {(reason: string) => void} refused why the card does not draw, which was asked for by
+ *   force, or has drawn until now
  */
 
 /** Draws the views of one scene by the card, as far as it can. */
@@ -60,6 +63,8 @@ export class Live {
   #choice;
   /** @type {Card|null} */
   #card = null;
+  /** @type {Promise<Card>|null} */
+  #opening = null;
   /** @type {Loaded|null} */
   #loaded = null;
   /** What the newest list names. @type {CardChunk[]} */
@@ -78,6 +83,12 @@ export class Live {
   #waiting = false; // for a picture of the newest view
   #frame = 0;
   #listed = -LIST_MS;
+  /**
+   * The view at rest by which the card is checked, since when, and whether the card has begun it.
+   * @type {{values: Knobs, since: number, begun: boolean}|null}
+   */
+  #check = null;
+  #isChecked = false;
   #busy = Infinity; // since when
   #slow = 0;
 
@@ -98,12 +109,14 @@ export class Live {
   }
 
   /**
-   * Whether the card draws this view while it moves: also in another albedo, as predicted.
+   * Whether the card draws this view while it moves: also in another albedo, as predicted, but not
+   * under the colours of errors.
    * @param {Knobs} values
    * @returns {boolean}
    */
   draws(values) {
     if (this.#refused || this.#card?.lost || !this.#loaded) return false;
+    if (values.overlay === "error") return false; // colours that only the server knows
     return (
       this.#has(values) ||
       (this.#loaded.look === this.#lookOf(values) &&
@@ -147,6 +160,7 @@ export class Live {
   /** The view is now this one. @param {Knobs} values */
   show(values) {
     this.#values = values;
+    this.#check = null;
     if (!this.draws(values)) {
       this.#hide();
       return;
@@ -167,16 +181,21 @@ export class Live {
    * light all over, and
    * have the card ready for what comes next.
    * @param {Knobs} values
-   * @param {{coverage: {provisional: number}}|null} facts
+   * @param {{provisional?: boolean, coverage: {provisional: number}}|null} facts
    * @param {CardChunk[]} [chunks] that it reads, where the server named them
    */
   rest(values, facts, chunks) {
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    if (values.overlay !== "none" || facts?.coverage.provisional === 0) this.#fade();
+    if (values.overlay !== "none" || facts?.provisional === false || facts?.coverage.provisional === 0)
+      this.#fade();
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
     else this.#prepare(values);
+    if (!card || this.shows || this.#isChecked || values.overlay !== "none") return;
+    if (this.#check?.values !== values)
+      this.#check = { values, since: performance.now(), begun: false };
+    this.#animate();
   }
 
   /** Have the card take on what a view shows. @param {Knobs} values */
@@ -186,7 +205,7 @@ export class Live {
       return;
     this.#preparing = key;
     try {
-      const card = this.#card ?? this.#open();
+      const card = this.#card ?? (await (this.#opening ??= this.#open()));
       const { scene: facts, reason } = await this.#source.document(
         documentQuery(this.#scene, values),
       );
@@ -199,6 +218,7 @@ export class Live {
       this.#loaded = null;
       this.#known.clear();
       await card.load(facts, slabs);
+      this.#isChecked = false;
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
@@ -219,16 +239,21 @@ export class Live {
       this.#list(true);
     } catch (error) {
       this.#preparing = "";
+      this.#opening = null;
       if (error instanceof Refusal) this.#refuse(error.message);
       // the server's pictures say what is wrong with it
       else if (!(error instanceof Trouble)) throw error;
     }
   }
 
-  #open() {
-    const card = (this.#card = this.#hooks.open({ software: this.#choice === "card" }));
-    card.onlost = () => this.#lose();
+  /** Open the card, and see if it is of use; who asks for it by force has seen that. */
+  async #open() {
+    const card = this.#hooks.open();
+    card.onlost = (forGood) => this.#lose(forGood);
     card.onrestored = () => this.#refresh();
+    if (this.#choice !== "card" && !(await card.isQuick()))
+      throw new Refusal("This browser draws WebGL slowly: the server is faster, and draws.");
+    this.#card = card;
     return card;
   }
 
@@ -244,15 +269,20 @@ export class Live {
     if (this.#choice === "card") this.#hooks.refused(reason);
   }
 
-  #lose() {
+  /** @param {boolean} forGood whether it was lost again and again */
+  #lose(forGood) {
     this.#hide();
     this.#hooks.lost();
+    if (!forGood) return;
+    this.#refused = true;
+    this.#hooks.refused("The graphics card was lost twice within a minute: the server draws.");
   }
 
   /** Draw the view once more: there is more light. */
   #refresh() {
-    if (!this.shows || !this.#values) return;
-    this.#waiting = true;
+    if (this.#check) this.#check.begun = false;
+    if (!this.#values || !(this.shows || this.#check)) return;
+    this.#waiting = this.shows;
     this.#animate();
   }
 
@@ -265,16 +295,49 @@ export class Live {
     this.#frame = 0;
     if (!this.#values || !this.#card || !this.#loaded || !this.draws(this.#values)) return;
     if (!this.#waiting) {
-      if (this.shows && !this.#moving && this.#card.refine()) this.#animate();
+      if (!this.shows) this.#prove(this.#card);
+      else if (!this.#moving && this.#card.refine()) this.#animate();
       return;
     }
-    this.#fit();
-    if (
-      this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))
-    )
-      this.#put();
+    if (this.#drawn(this.#card, this.#loaded, this.#values)) this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
+  }
+
+  /**
+   * Have the card draw a view, unless it is busy.
+   * @param {Card} card
+   * @param {Loaded} loaded
+   * @param {Knobs} values
+   * @returns {boolean} whether it does
+   */
+  #drawn(card, { facts, albedo }, values) {
+    return card.draw(cardView(this.#scene, facts, values, albedo), this.#hooks.size());
+  }
+
+  /**
+   * Check the card at the first rest, under the server's picture: once it has the light of that, it
+   * draws the view as well as it can, and both are compared.
+   * @param {Card} card
+   */
+  #prove(card) {
+    const check = this.#check;
+    if (!check || !this.#loaded || this.#moving || this.predicted === null) return;
+    const isSeen = performance.now() - check.since < FADED_MS;
+    if (!isSeen && !check.begun) check.begun = this.#drawn(card, this.#loaded, check.values);
+    if (!check.begun || card.refine()) {
+      this.#animate();
+      return;
+    }
+    const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
+    const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
+    if (share === null) return; // another picture of the server may tell
+    this.#check = null;
+    this.#isChecked = true;
+    if (share <= MOST_DIFFER) return;
+    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels unlike the server: the server draws.`;
+    this.#leave(reason);
+    this.#hooks.refused(reason);
   }
 
   /** The newest view is drawn: show it. */
@@ -298,13 +361,6 @@ export class Live {
   #leave(reason) {
     this.#refuse(reason);
     this.#hooks.lost();
-  }
-
-  /** Give the canvas the pixels of the stage. */
-  #fit() {
-    const { width, height } = this.#hooks.size();
-    if (this.#canvas.width !== width || this.#canvas.height !== height)
-      Object.assign(this.#canvas, { width, height });
   }
 
   /** Ask which chunks the view reads: of one that moves now and then. @param {boolean} [now] */
@@ -355,12 +411,15 @@ export class Live {
     return this.#keyOf({ ...values, albedo: undefined });
   }
 
-  /** Let the server's picture through, softly. */
+  /** Let the server's picture through, softly; what still waited to be drawn would lie over it. */
   #fade() {
+    this.#waiting = false;
     this.#canvas.setAttribute("data-faded", "");
+    this.#hooks.gone?.();
   }
 
   #hide() {
     this.#canvas.hidden = true;
+    this.#hooks.gone?.();
   }
 }

@@ -21,8 +21,10 @@ import { CLOCK } from "./trouble.js";
  * @property {boolean} draft
  * @property {boolean} sharp whether it has all of the screen's pixels
  * @property {Facts|null} facts
- * @property {number|null} [predicted] relative error of a picture that nobody measured, where it
- *   can be told
+ *
+ * @typedef {object} Cover the card's picture, which lies over the server's
+ * @property {Asked} of the view that it is of
+ * @property {number|null} predicted its relative error, where it can be told
  *
  * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
  *   `moving` on there is
@@ -40,6 +42,8 @@ export class Shown {
   #asked;
   /** @type {ShownPicture|null} */
   #picture = null;
+  /** @type {Cover|null} */
+  #cover = null;
   #moving = false;
   #lost = false;
   /** @type {Set<() => void>} */
@@ -66,7 +70,7 @@ export class Shown {
    * @returns {Knobs}
    */
   get values() {
-    return (this.#picture?.of ?? this.#asked).values;
+    return (this.pictureOf ?? this.#asked).values;
   }
 
   /**
@@ -74,26 +78,29 @@ export class Shown {
    * @returns {Asked|null}
    */
   get pictureOf() {
-    return this.#picture?.of ?? null;
+    return (this.#cover ?? this.#picture)?.of ?? null;
   }
 
   /** @returns {State} */
   get state() {
     if (this.#lost) return "trouble";
     if (this.facts) return this.facts.provisional ? "provisional" : "final";
-    if (!this.#picture) return "loading";
+    if (!this.pictureOf) return "loading";
     return this.#moving ? "moving" : "updating";
   }
 
   /**
    * What may be said of the picture: nothing, unless it is the full one of the view that the
-   * controls ask for.
+   * controls ask for. Where the card's lies over it, as it is not lit all over, that is how far its
+   * light is, and not its error, which is of what nobody sees.
    * @returns {Facts|null}
    */
   get facts() {
-    return this.#picture && !this.#picture.draft && this.#isAsked(this.#picture.of)
-      ? this.#picture.facts
-      : null;
+    const picture = this.#picture;
+    if (!picture?.facts || picture.draft || !this.#isAsked(picture.of)) return null;
+    if (!this.#cover) return picture.facts;
+    const waits = picture.facts.provisional && !this.#moving && this.#isAsked(this.#cover.of);
+    return waits ? { ...picture.facts, error: NaN, p99: null, p99_interval: null } : null;
   }
 
   /**
@@ -102,9 +109,7 @@ export class Shown {
    * @returns {number|null}
    */
   get predicted() {
-    return this.#picture && this.#isAsked(this.#picture.of)
-      ? (this.#picture.predicted ?? null)
-      : null;
+    return this.#cover && this.#isAsked(this.#cover.of) ? this.#cover.predicted : null;
   }
 
   /** Whether the picture has all of the screen's pixels. @returns {boolean} */
@@ -117,7 +122,8 @@ export class Shown {
    * @returns {number}
    */
   get leftAt() {
-    return this.#picture && !this.#isAsked(this.#picture.of) ? this.#picture.of.until : Infinity;
+    const of = this.pictureOf;
+    return of && !this.#isAsked(of) ? of.until : Infinity;
   }
 
   /**
@@ -134,7 +140,8 @@ export class Shown {
    * @returns {boolean}
    */
   surpasses(of) {
-    return this.#picture !== null && this.#isAsked(this.#picture.of) && !this.#isAsked(of);
+    const shown = this.pictureOf;
+    return shown !== null && this.#isAsked(shown) && !this.#isAsked(of);
   }
 
   /** Call `listener` whenever anything here has changed. @param {() => void} listener */
@@ -166,10 +173,29 @@ export class Shown {
     this.#tell();
   }
 
-  /** A picture is on the stage now. @param {ShownPicture} picture */
+  /** A picture of the server is on the stage now. @param {ShownPicture} picture */
   show(picture) {
     this.#picture = picture;
     this.#lost = false;
+    this.#tell();
+  }
+
+  /**
+   * The card's picture lies over the server's now.
+   * @param {Cover} cover
+   */
+  cover({ of, predicted }) {
+    const same = this.#cover && this.#cover.of === of && this.#cover.predicted === predicted;
+    if (same && !this.#lost) return;
+    this.#cover = { of, predicted };
+    this.#lost = false;
+    this.#tell();
+  }
+
+  /** The card's picture is gone: the server's last one is seen, whatever that is of. */
+  uncover() {
+    if (!this.#cover) return;
+    this.#cover = null;
     this.#tell();
   }
 
@@ -183,7 +209,8 @@ export class Shown {
   #leave(values, key) {
     this.#asked.until = this.#clock.now();
     this.#asked = { values, key, since: this.#clock.now(), until: Infinity };
-    if (this.#picture && this.#isAsked(this.#picture.of)) this.#picture.of = this.#asked;
+    for (const each of [this.#picture, this.#cover])
+      if (each && this.#isAsked(each.of)) each.of = this.#asked;
     this.#tell();
   }
 

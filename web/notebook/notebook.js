@@ -126,8 +126,7 @@ function liveIn({ canvas, line }, scene, model, bridge) {
     scene,
     bridge.source,
     {
-      open: (allowed) =>
-        Card.open(canvas, { ...allowed, readShader: (name) => bridge.readShader(name) }),
+      open: () => Card.open(canvas, (name) => bridge.readShader(name)),
       size: () => ({ width, height }),
       drawn() {
         line.textContent =

@@ -106,7 +106,7 @@ export class ErrorPanel {
   /** @param {Facts|null} facts of the picture */
   #write(facts) {
     const { moments, latest } = this.#history;
-    const known = latest && facts;
+    const known = latest && facts && Number.isFinite(facts.error);
     find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
     find(this.#root, ".note").textContent = known
       ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft)

@@ -31,7 +31,7 @@ async function open() {
   document.title = find(document, "h1").textContent = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
   const view = new ViewModel(scene, { background: light.background });
-  const card = Card.open(canvas, { software: true });
+  const card = Card.open(canvas);
   const knobs = [...document.querySelectorAll(".knob")];
   for (const knob of knobs) if (knob.matches("[data-light]") && !scene.turns) knob.remove();
   const mirrors = knobs
@@ -62,10 +62,8 @@ function keepDrawn(card, { scene, card: document }, view) {
   const draw = () => {
     asked = 0;
     let finer = true;
-    if (waiting) {
-      fit();
-      waiting = !card.draw(cardView(scene, document, view.values));
-    } else finer = card.refine();
+    if (waiting) waiting = !card.draw(cardView(scene, document, view.values), pixelsOf(stage));
+    else finer = card.refine();
     if (waiting || finer) animate();
     stage.toggleAttribute("data-still", !waiting && !finer);
   };
@@ -84,12 +82,16 @@ function keepDrawn(card, { scene, card: document }, view) {
   return change;
 }
 
-/** Give the canvas the pixels of the stage. */
-function fit() {
-  const { width, height } = sizeOf(stage);
+/**
+ * The pixels of the stage that are drawn.
+ * @param {HTMLElement} element
+ * @returns {{width: number, height: number}}
+ */
+function pixelsOf(element) {
+  const { width, height } = sizeOf(element);
   const ratio = Math.min(devicePixelRatio, 2);
-  const [x, y] = [width, height].map((side) => Math.max(Math.round(side * ratio), 1));
-  if (canvas.width !== x || canvas.height !== y) Object.assign(canvas, { width: x, height: y });
+  const count = (/** @type {number} */ side) => Math.max(Math.round(side * ratio), 1);
+  return { width: count(width), height: count(height) };
 }
 
 /**

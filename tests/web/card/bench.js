@@ -25,7 +25,7 @@ export async function bytes(name) {
 export function device(size = 64) {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [size, size];
-  return openDevice(canvas, { software: true });
+  return openDevice(canvas);
 }
 
 /** What a framebuffer shows, rows from the top, (height, width, 4) float32. */
@@ -68,7 +68,7 @@ export async function loaded({ document: name, slabs, answers = [] }, [width, he
   const { Card } = await import("/web/card/card.js");
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [width, height];
-  const card = Card.open(canvas, { software: true });
+  const card = Card.open(canvas);
   const given = await (await fetch(`/data/${name}`)).json();
   await card.load(given, await Promise.all(slabs.map(bytes)));
   for (const { file, turn } of answers) card.take(await bytes(file), turn);

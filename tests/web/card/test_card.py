@@ -48,9 +48,16 @@ REFUSAL = """const { Refusal, openDevice } = await import("/web/card/device.js")
   catch (error) { return [error instanceof Refusal, error.message]; }"""
 
 
-def test_a_processor_is_refused_by_its_name(lab: Lab) -> None:
-    refused, reason = lab.ask(REFUSAL)
-    assert refused and "SwiftShader" in reason and reason.endswith("draws.")
+def test_a_processor_is_found_by_its_time(lab: Lab) -> None:
+    """By the time of a small picture, whatever it is called; a card's is stubbed."""
+    script = """const { Card } = await import("/web/card/card.js");
+      const card = Card.open(document.createElement("canvas"));
+      const { gl } = card.device;
+      const slow = await card.isQuick();
+      gl.drawArrays = () => {};
+      const quick = await card.isQuick();
+      return [slow, quick, gl.getError()];"""
+    assert lab.ask(script) == [False, True, 0]
 
 
 def test_without_webgl_the_reason_is_a_sentence(browser: Browser) -> None:
@@ -66,10 +73,7 @@ def test_a_card_without_targets_of_floats_is_refused(browser: Browser) -> None:
           WebGL2RenderingContext.prototype.getExtension = function (name) {
             return name.startsWith("EXT_color_buffer") ? null : getExtension.call(this, name);
           };""")
-        script = REFUSAL.replace(
-            'createElement("canvas"))', 'createElement("canvas"), { software: true })'
-        )
-        refused, reason = lab.ask(script)
+        refused, reason = lab.ask(REFUSAL)
         assert refused and "cannot draw into textures of floats: the server draws." in reason
 
 
@@ -228,21 +232,38 @@ def test_a_slow_card_draws_fewer_pixels(lab: Lab, bench: Workbench) -> None:
     view = view_at(bench)
     CardScene(lab, bench.renderer, view, SIZE)
     script = """let time = 0;
-      card.pace.now = () => time;
+      card.pace.clock = { now: () => time, after: () => {} };
+      card.pace.share = 1;
+      const { gl } = card.device, { clientWaitSync } = gl;
+      const pause = () => new Promise((done) => setTimeout(done, 5));
       const widths = [];
       for (let i = 0; i < 6; i++) {
-        while (!card.draw(given.view)) {
-          time += given.ms;
-          await new Promise((done) => setTimeout(done, 5));
-        }
+        while (!card.draw(given.view)) await pause();
         widths.push(card.last.size[0]);
+        gl.clientWaitSync = () => gl.TIMEOUT_EXPIRED;
         time += given.ms;
+        card.pace.busy;
+        gl.clientWaitSync = clientWaitSync;
       }
-      card.refine();
+      while (card.last.samples < 2) {
+        card.refine();
+        await pause();
+      }
       return [...widths, card.last.size[0]];"""
     slow = lab.ask(script, {"view": view_of(view), "ms": 400})
-    assert slow[0] == SIZE[0] and min(slow[:-1]) < 0.5 * SIZE[0]
-    assert slow == [*sorted(slow[:-1], reverse=True), slow[-1]]
+    assert slow[0] == slow[-1] == SIZE[0] and min(slow[:-1]) < 0.5 * SIZE[0]
+    assert slow[:-1] == sorted(slow[:-1], reverse=True)
+
+
+def test_bands_of_a_picture_leave_no_seam(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, 0.3)
+    whole = card.picture(view, rest=True)
+    lab.ask("card.pace.rowsOf = (size, left) => Math.min(given, left);", 7)
+    banded = card.picture(view, rest=True)
+    np.testing.assert_array_equal(banded.light, whole.light)
+    np.testing.assert_array_equal(banded.covers, whole.covers)
 
 
 def test_a_still_view_is_drawn_in_all_pixels(lab: Lab, bench: Workbench) -> None:
@@ -293,6 +314,53 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
         shown = lab.floats(script).reshape(48, 48, 4)[..., :3]
         plain = replace(frame, radiance=plain_light(bench.renderer, view, LOOSE)[0], edges=None)
         assert np.abs(shown - develop(plain, exposure, background=ground)).max() <= 2
+
+
+WRONG = {
+    "texels are read elsewhere": (
+        "irradiance_ratio.glsl",
+        "q = p * density",
+        "q = p.zyx * density",
+    ),
+    "light is too bright": ("view.glsl", "return unit * albedo", "return 2.0 * unit * albedo"),
+}
+SPOIL = """const { fetch } = window;
+  window.fetch = async (url) => {
+    const answer = await fetch(url);
+    if (!String(url).endsWith(given.file)) return answer;
+    const text = await answer.text();
+    if (!text.includes(given.from)) throw new Error(`${given.file} has no ${given.from}`);
+    return new Response(text.replaceAll(given.from, given.to));
+  };
+  window.mend = () => { window.fetch = fetch; };"""
+CHECK = """const { shareThatDiffers } = await import("/web/live/check.js");
+  const server = new Uint8Array(await bench.bytes("server"));
+  return shareThatDiffers(card.read(), server, card.canvas, given);"""
+
+
+@pytest.mark.parametrize("wrong", [None, *WRONG])
+def test_a_driver_that_draws_wrongly_is_found(
+    lab: Lab, make_bench: Make, wrong: str | None
+) -> None:
+    """The card's picture at rest beside the server's, away from edges."""
+    from isogi_core.frame.film import develop, ground_of
+
+    settings = {"lights": [CONSTANT], "bounces": 1, "target_error": 0.05, "projected": False}
+    bench = make_bench(load_scene("demo:orbital", **settings))
+    view = bench.view(size=200)
+    shown = develop(bench.bake(view), 1.0, background="dark")
+    opaque = np.full((*shown.shape[:2], 1), 255)
+    lab.put("server", np.concatenate([shown, opaque], axis=2).astype(np.uint8).tobytes())
+    if wrong:
+        lab.ask(SPOIL, dict(zip(("file", "from", "to"), WRONG[wrong], strict=True)))
+    try:
+        card = CardScene(lab, bench.renderer, view, (200, 200))
+        card.light(view, 0.05)
+        card.picture(view, rest=True, ground=ground_of("dark"))
+        share = lab.ask(CHECK, 0.05)
+    finally:
+        lab.ask("window.mend?.();")
+    assert share > 0.01 if wrong else share < 0.003, share
 
 
 WIDE = (72, 56)

@@ -5,7 +5,6 @@ import { EMPTY, brickShape, findRanges, markCells } from "../../../web/card/cell
 import { codeOf, facesOf } from "../../../web/card/document.js";
 import { bandRotations, turned } from "../../../web/card/harmonics.js";
 import { quadricOf, rotationMatrix, turnLight } from "../../../web/card/light.js";
-import { nextShare } from "../../../web/card/pace.js";
 import { SAMPLES, discOf, jitterOf } from "../../../web/card/picture.js";
 import { joined } from "../../../web/card/programs.js";
 import { pinhole, raysOf, windowOf } from "../../../web/card/rays.js";
@@ -195,23 +194,6 @@ test("damaged light is refused in words", () => {
 
 test("bits are counted", () => {
   for (const [word, count] of [[0, 0], [1, 1], [0xffffffff, 32], [0x80000001, 2], [0x0f0f, 8]]) assert.equal(ones(word), count);
-});
-
-test("a slow card draws fewer pixels, and a fast one all", () => {
-  assert.equal(nextShare(1, 8), 1);
-  assert.equal(nextShare(1, 20), 1);
-  assert.ok(Math.abs(nextShare(1, 30) - Math.sqrt(20 / 30)) < 1e-9);
-  assert.equal(nextShare(0.5, 5), 0.625);
-  assert.equal(nextShare(0.5, 19), 0.5, "what is hardly larger is not worth another size");
-});
-
-test("a card of 30 pictures a second keeps 60 % of the width", () => {
-  for (const ms of [40, 60, 90]) assert.equal(nextShare(1, ms), Math.max(Math.sqrt(20 / ms), 0.6));
-  assert.ok(nextShare(1, 400) < 0.6);
-  assert.ok(nextShare(0.2, 1e6) >= 0.2);
-  let share = 1;
-  for (let i = 0; i < 40; i++) share = nextShare(share, 80 * share ** 2); // 29 ms at 60 %
-  assert.ok(Math.abs(share - 0.6) < 1e-9);
 });
 
 test("samples fill the pixel and the disc evenly", () => {

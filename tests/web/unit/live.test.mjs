@@ -26,12 +26,16 @@ class FakeCard {
   loaded = [];
   drawn = [];
   refined = 0;
+  quick = true;
+  async isQuick() { return this.quick; }
   async load(document, slabs) { this.loaded.push([document, slabs]); }
   lacking() { return { light: [], transfer: [] }; }
   take() {}
-  draw(view) {
-    if (!this.busy) this.drawn.push(view);
-    return !this.busy;
+  draw(view, size) {
+    if (this.busy) return false;
+    Object.assign(canvas, size);
+    this.drawn.push(view);
+    return true;
   }
   refine() {
     this.refined += 1;

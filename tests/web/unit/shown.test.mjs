@@ -113,10 +113,43 @@ test("every change is told", () => {
 
 test("a predicted error is that of the view that the controls ask for", () => {
   assert.equal(shown.predicted, null);
-  shown.show(picture(shown.asked, { draft: true, facts: null, predicted: 0.05 }));
+  shown.cover({ of: shown.asked, predicted: 0.05 });
   assert.deepEqual([shown.predicted, shown.facts], [0.05, null]);
   shown.ask(B);
   assert.equal(shown.predicted, null);
   shown.show(picture(shown.asked));
-  assert.equal(shown.predicted, null, "the server's picture has an error that was measured");
+  shown.uncover();
+  assert.deepEqual([shown.predicted, shown.facts], [null, facts()], "the server's picture has an error that was measured");
+});
+
+test("what was measured of a picture is not said of the card's over it", () => {
+  shown.show(picture(shown.asked, { facts: FINAL }));
+  shown.ask(B);
+  shown.cover({ of: shown.asked, predicted: null });
+  shown.ask({ ...A });
+  assert.deepEqual([shown.state, shown.facts], ["updating", null], "the card's is of another view");
+  shown.cover({ of: shown.asked, predicted: null });
+  assert.deepEqual([shown.state, shown.facts, shown.values.azimuth], ["updating", null, 10]);
+  shown.uncover();
+  assert.deepEqual([shown.state, shown.facts], ["final", FINAL]);
+});
+
+test("of a picture under the card's is said how far its light is", () => {
+  shown.cover({ of: shown.asked, predicted: null });
+  shown.show(picture(shown.asked));
+  assert.deepEqual([shown.state, shown.facts], ["provisional", { ...facts(), error: NaN, p99: null, p99_interval: null }]);
+  shown.move(true);
+  assert.deepEqual([shown.state, shown.facts], ["moving", null]);
+});
+
+test("a picture that comes to light again is as old as it is", async () => {
+  shown.show(picture(shown.asked));
+  await clock.pass(100);
+  shown.ask(B);
+  shown.cover({ of: shown.asked, predicted: null });
+  await clock.pass(900);
+  shown.ask(knobs({ azimuth: 30 }));
+  assert.equal(shown.leftAt, 1000);
+  shown.uncover();
+  assert.equal(shown.leftAt, 100, "not as the card's, which is gone");
 });
