@@ -344,6 +344,7 @@ def test_errors_of_corrected_light_hold_for_many_seeds(wrong: float) -> None:
     assert 0.9 < math.sqrt(np.mean(reported) / np.mean(squares)) < 1.3
 
 
+@pytest.mark.slow
 def test_pixels_of_a_picture_say_what_they_err_by(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
