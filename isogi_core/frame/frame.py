@@ -253,9 +253,10 @@ class Quality:
         """See ``Frame.tail``."""
         if frame.measured is None or self.known is None:
             return None
-        return tail_of(
+        tail = tail_of(
             self.known.controls, frame.controlled, self.known.uncertainty, frame.true_mean
         )
+        return tail.within(frame.measured)
 
     def total_error(self, frame: "Frame") -> np.ndarray:
         """See ``Frame.total_error``."""

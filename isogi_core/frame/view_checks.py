@@ -36,7 +36,14 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, foreseen_paths
+from isogi_core.frame.rays.own_light import (
+    AIM,
+    FILTER_PASSES,
+    MOST_PATHS,
+    Growth,
+    Surroundings,
+    foreseen_paths,
+)
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     QUIETER,
@@ -138,7 +145,7 @@ class PictureCheck:
             ):
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty, tiles)
-        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices)
+        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
         first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
         self.coarse = plan.finer
@@ -236,6 +243,7 @@ class PictureCheck:
         uncertainty: np.ndarray,
         climbs: Sequence[float],
         prices: Prices,
+        tiles: Tiles,
     ) -> Plan:
         """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER
         than before, at least.
@@ -254,6 +262,7 @@ class PictureCheck:
         errors *= max(
             (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
         )
+        errors, noise = self._by_regions(errors, noise, tiles)
         under = frame.quality.lacking and frame.quality.lacking.texels
         if under:
             texels = len(under.places)
@@ -267,6 +276,19 @@ class PictureCheck:
         if texels and not (known.attempt or self.declined):
             plans += by_finer(own, errors, noise, texels, chunks, self._rung(frame), known.target)
         return min(plans, key=lambda plan: plan.cost(prices))
+
+    def _by_regions(
+        self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Squared ``errors`` and variances of ``noise`` (m,), each a mean over pixels around: those
+        that get light of their own make whole regions then, and no scattered pixels whose borders
+        show. Raises Cancelled.
+        """
+        around = Surroundings(self.gbuffer, tiles)
+        found = np.column_stack([noise, errors])
+        for step, _ in FILTER_PASSES:
+            found, _ = around.means(found, noise, step)
+        return found[:, 1], found[:, 0]
 
     def _aim(self, measured: TotalError) -> float:
         """The relative error that the next attempt is to leave."""

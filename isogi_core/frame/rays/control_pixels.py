@@ -235,6 +235,11 @@ CONTROL_STANDARD_ERRORS = 2.2
 not 95 %.
 """
 
+NOISE_FACTOR = 1.3
+"""What the true noise is over its estimate at most, in 95 % of frames: it is 0.7 to 1.4 times that
+in 99 %, and its logarithm is about normal.
+"""
+
 FARTHEST = 20.0
 """The logarithm that an interval's half is cut off at."""
 
@@ -255,8 +260,17 @@ class TotalError:
     def at_least(self, noise: float) -> "TotalError":
         """The error of a picture whose ``noise`` alone is this large: controls of few pixels may
         find less.
+
+        The noise is an estimate, too: the upper end is as far above it as that of the controls is
+        above their middle, or NOISE_FACTOR where this is less.
         """
-        return replace(self, likely=max(self.likely, noise), high=max(self.high, noise))
+        if noise <= self.likely:
+            return self
+        if self.likely > 0.0:
+            factor = min(self.high / self.likely, NOISE_FACTOR)
+        else:
+            factor = NOISE_FACTOR
+        return replace(self, likely=noise, high=max(self.high, min(factor * noise, 1.0)))
 
     @property
     def predicted(self) -> bool:
@@ -340,12 +354,22 @@ class TailError:
     """The error relative to the mean luminance that 99 % of a picture's pixels stay below, and its
     95 % interval.
 
-    An interval up to 1 says that there are too few controls to bound it.
+    An interval up to 1 says that nothing bounds it.
     """
 
     likely: float
     low: float
     high: float
+
+    def within(self, total: TotalError) -> "TailError":
+        """The tail of a picture with a ``total`` error: what the upper end of that allows, at most.
+
+        Where the mean of squared errors is e², no more than a share s of them is above e² / s
+        (Markov's inequality), whatever their distribution. So ten times the upper end of the total
+        bounds 99 % of the pixels where controls are too few for a bound of their own.
+        """
+        bound = max(total.high / math.sqrt(TAIL_SHARE), self.likely)
+        return replace(self, high=min(self.high, bound))
 
 
 def tail_of(

@@ -10,6 +10,11 @@ pixels around it differ by more than their noise (Lee 1980).
 Pixels' own light differs from the light of texels by their error, which is smooth, and by noise.
 The mean difference over pixels around corrects the light of texels, there and beside, where it
 fades out. Of own light as much is kept as differs from the corrected light by more than noise.
+
+The error of the mixture is Stein's unbiased estimate of risk (Stein, Annals of Statistics 9, 1981):
+besides measured differences it needs how far each value follows its noise, which probes show
+(Ramani, Blu and Unser, IEEE Transactions on Image Processing 17, 2008). Probes are contrasts of the
+replicas: distributed as the noise of their mean is, and independent of it.
 """
 
 import math
@@ -17,6 +22,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,19 +100,19 @@ class Surroundings:
 def filter_pixels(
     light: np.ndarray, variance: np.ndarray, gbuffer: GBuffer, tiles: Tiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Linear RGB (m, 3) of the points of a G-buffer, filtered, and the ``variance`` (m,) that its
+    """Linear RGB of the points of a G-buffer, filtered, and the ``variance`` (m,) that its
     luminance has then.
 
-    Raises Cancelled.
+    Further columns of ``light`` (m, 3 or more) are mixed as the colours are. Raises Cancelled.
     """
     around = Surroundings(gbuffer, tiles)
     for step, shared in FILTER_PASSES:
-        shown = light @ LUMINANCE_WEIGHTS
+        shown = light[:, :3] @ LUMINANCE_WEIGHTS
         means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
-        mean = means[:, :3]
-        noise = means[:, 3]
-        square = means[:, 4]
-        kept = beyond_noise(square - (mean @ LUMINANCE_WEIGHTS) ** 2, noise)
+        mean = means[:, :-2]
+        noise = means[:, -2]
+        square = means[:, -1]
+        kept = beyond_noise(square - (mean[:, :3] @ LUMINANCE_WEIGHTS) ** 2, noise)
         light = mean + kept[:, None] * (light - mean)
         variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
     return light, variance
@@ -120,45 +126,106 @@ def beyond_noise(apart: np.ndarray, noise: np.ndarray) -> np.ndarray:
     return np.asarray(signal / np.maximum(signal + noise, 1e-300))
 
 
+class NoisyPixels(NamedTuple):
+    """Light that pixels have of their own: ``light`` (k, 3) linear RGB, the ``variance`` (k,) of
+    its luminance, and ``probes`` (k, n): luminances distributed as its noise is, independent of it.
+    """
+
+    light: np.ndarray
+    variance: np.ndarray
+    probes: np.ndarray
+
+
 def correct(
     light: np.ndarray,
     expected: np.ndarray,
     places: np.ndarray,
-    own: np.ndarray,
-    variance: np.ndarray,
+    own: NoisyPixels,
     gbuffer: GBuffer,
     tiles: Tiles,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light (k, 3) of points in
-    rows ``places``.
+    """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light of points in rows
+    ``places`` (k,); and the mean squared error of these points' luminance then, (k,).
 
-    Its luminance has so much ``variance`` (k,); returns what is left of it, too. A texel's error
-    reaches as far as the texel, so differences are spread a voxel and more: by the error that is
-    ``expected`` (m,) of each point, so that little changes where little is expected. Raises
-    Cancelled.
+    A texel's error reaches as far as the texel, so differences are spread a voxel and more: by the
+    error that is ``expected`` (m,) of each point, so that little changes where little is expected.
+    See ``blended_error`` for the error; where little corrects a pixel it is what is expected of
+    texels. Raises Cancelled.
     """
+    # Differences from texels' light are spread over a voxel, and with them what the probes add.
     around = Surroundings(gbuffer, tiles)
-    known = np.zeros((len(light), 4))
     scale = np.maximum(expected, 1e-3 * expected.mean() + 1e-30)[:, None]
-    known[places] = np.column_stack([(own - light[places]) / scale[places], np.ones(len(places))])
+    found = np.column_stack([own.light - light[places], own.probes]) / scale[places]
+    known = np.zeros((len(light), found.shape[1] + 1))
+    known[places] = np.column_stack([found, np.ones(len(places))])
     none = np.zeros(len(light))
     for level in range(max(math.ceil(math.log2(around.voxel)), 0) + 1):
         known, _ = around.means(known, none, 1 << level)
-    share = np.minimum(known[:, 3:] / FULL_COVERAGE, 1.0)
-    light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(
-        known[:, 3:], 1e-300
-    )
-    apart = own - light[places]
+    share = np.minimum(known[:, -1:] / FULL_COVERAGE, 1.0)
+    ramp = share**2 * (3.0 - 2.0 * share)
+    spread = ramp * scale / np.maximum(known[:, -1:], 1e-300)
+    light = light + spread * known[:, :3]
+    carried = (spread * known[:, 3:-1])[places]
+
+    # What differs from the corrected light by more than noise stays.
+    apart = own.light - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)
-    means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE_WEIGHTS) ** 2]), variance)
-    kept = beyond_noise(means[:, 1], means[:, 0])
+    kept, square = blended_error(own, apart @ LUMINANCE_WEIGHTS, carried, near)
     light[places] += kept[:, None] * apart
-    return light, kept * variance
+    left = ((1.0 - ramp) * scale)[places, 0]
+    return light, np.maximum(square, ((1.0 - kept) * left) ** 2)
+
+
+def blended_error(
+    own: NoisyPixels, apart: np.ndarray, carried: np.ndarray, near: Surroundings
+) -> tuple[np.ndarray, np.ndarray]:
+    """The share of pixels' ``own`` light that is kept beside light that was corrected by it; and
+    the mean squared error of what both make, (k,) each.
+
+    The corrected light is C, own light O with the variance V is ``apart`` (k,) from it by x, and
+    the share is κ = 1 - V / M, at least 0, where M is the mean of x² ``near``. The shown light
+    C + κ x then errs, in the mean, by
+
+        κ V + 2 (1 - κ) cov(O, C) + 4 V / M² · mean(x n)²   if M > V, and
+        M - V + 2 cov(O, C)                                 if it is not.
+
+    The first term is the error that own light leaves where it is kept, or what texels' light errs
+    by beyond noise where it is not; the second the noise that C took over from the same paths; the
+    third that of κ, which follows the noise, too. Probes show them: each adds p to O and p' to C,
+    ``carried`` (k, n), so that cov(O, C) is the mean of p p', and n is p - p'. Of a pixel alone the
+    estimate is rough, so it is the mean over pixels near, and at least the noise that is left,
+    κ² V + 2 κ (1 - κ) cov(O, C) + (1 - κ)² var(C).
+
+    It is assumed that the noise of paths is normal and independent from pixel to pixel, and of the
+    light of texels; noise that the filter, or the correction, has in common between pixels is in
+    the probes. Texels' noise is part of x.
+    """
+    noise = own.probes - carried
+    both = (own.probes * carried).mean(axis=1)
+    values = [own.variance, both, (carried**2).mean(axis=1), apart[:, None] * noise, apart**2]
+    means, _ = near.means(np.column_stack(values), own.variance)
+    (variance, common, left), square = means[:, :3].T, means[:, -1]
+    kept = beyond_noise(square, variance)
+    floor = np.maximum(square, 1e-300)
+    followed = (means[:, 3:-1] ** 2).mean(axis=1) / floor * (variance / floor)
+    risk = np.where(kept > 0.0, kept * variance + 4.0 * followed, square - variance)
+    risk = (risk + 2.0 * (1.0 - kept) * common)[:, None]
+    for step, _ in FILTER_PASSES:
+        risk, _ = near.means(risk, own.variance, step)
+    least = kept**2 * variance + (1.0 - kept) * (
+        2.0 * kept * np.maximum(common, 0.0) + (1.0 - kept) * left
+    )
+    return kept, np.maximum(risk[:, 0], least)
 
 
 REPLICAS = 4
 FIRST_PATHS = 16
 """Independent randomisations of each pixel, and paths of each after the first step."""
+
+CONTRASTS = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
+"""What the replicas count in each probe, over their number: as much as in the mean, with signs that
+make probes independent of it and of each other.
+"""
 
 MOST_PATHS = 1 << 14
 """Paths of each replica, at most: 65,536 from a pixel."""
@@ -186,21 +253,24 @@ class PixelLight:
     by their paths.
 
     It is of REPLICAS, and all points have as many paths of each. They show ``light`` (k, 3), linear
-    RGB, which is filtered, and whose luminance has the ``variance`` (k,). Of all points (m,) the
-    luminance of texels' light is ``expected`` to be so wrong.
+    RGB, which is filtered, and whose luminance has the ``variance`` (k,); ``probes`` (k, contrasts)
+    are distributed as its noise is. Of all points (m,) the luminance of texels' light is
+    ``expected`` to be so wrong.
     """
 
     places: np.ndarray
     estimate: Estimate
     light: np.ndarray
     variance: np.ndarray
+    probes: np.ndarray
     expected: np.ndarray
 
     @classmethod
     def none(cls) -> "PixelLight":
         """No pixel has light of its own."""
         empty = Estimate.none(0, REPLICAS)
-        return cls(np.empty(0, np.int64), empty, np.empty((0, 3)), np.empty(0), np.empty(0))
+        probes = np.empty((0, len(CONTRASTS)))
+        return cls(np.empty(0, np.int64), empty, np.empty((0, 3)), np.empty(0), probes, np.empty(0))
 
     @classmethod
     def of(
@@ -215,8 +285,13 @@ class PixelLight:
         tints = tints_of(paths.light, buffer, tiles)
         grey = (tints @ LUMINANCE_WEIGHTS) ** 2
         variance = pooled_variance(variance_of_mean(means), buffer)
-        light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
-        return cls(places, estimate, light * tints, variance * grey, expected)
+        bare = means / tints[:, None]
+        probes = bare @ LUMINANCE_WEIGHTS @ CONTRASTS.T / REPLICAS
+        found = np.column_stack([bare.mean(axis=1), probes])
+        found, variance = filter_pixels(found, variance / grey, buffer, tiles)
+        light = found[:, :3] * tints
+        probes = found[:, 3:] * np.sqrt(grey)[:, None]
+        return cls(places, estimate, light, variance * grey, probes, expected)
 
     @property
     def count(self) -> int:
@@ -226,7 +301,10 @@ class PixelLight:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        held = self.places, self.estimate, self.light, self.variance, self.expected
+        held = (
+            *(self.places, self.estimate, self.light),
+            *(self.variance, self.probes, self.expected),
+        )
         return sum(each.nbytes for each in held)
 
     def grown(
@@ -272,20 +350,19 @@ class PixelLight:
         own = gbuffer.pixels[self.places]
         tints = tints_of(light, gbuffer, tiles)
         some = tints[self.places]
-        grey = (tints[self.places] @ LUMINANCE_WEIGHTS) ** 2
-        given = (
-            self.expected / (tints @ LUMINANCE_WEIGHTS),
-            self.places,
-            self.light / some,
-            self.variance / grey,
+        grey = (some @ LUMINANCE_WEIGHTS) ** 2
+        given = NoisyPixels(
+            self.light / some, self.variance / grey, self.probes / np.sqrt(grey)[:, None]
         )
-        whole, variance = correct(framebuffer.radiance[pixels] / tints, *given, gbuffer, tiles)
+        expected = self.expected / (tints @ LUMINANCE_WEIGHTS)
+        texels = framebuffer.radiance[pixels] / tints
+        whole, square = correct(texels, expected, self.places, given, gbuffer, tiles)
         framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
         shown = np.maximum(
             framebuffer.radiance[own] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
         )
         framebuffer.state[own] = FINAL
-        framebuffer.error[own] = np.minimum(np.sqrt(variance * grey) / shown, 1.0)
+        framebuffer.error[own] = np.minimum(np.sqrt(square * grey) / shown, 1.0)
 
 
 def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:

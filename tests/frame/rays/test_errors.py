@@ -19,11 +19,13 @@ from isogi_core.frame.rays.control_pixels import (
     TAIL_STANDARD_ERRORS,
     ControlPixels,
     TailError,
+    TotalError,
     bounds,
     chances,
     falls_below,
     gamma_quantile,
     measure_tail,
+    measure_total,
     shares_above,
     shares_of,
     tail_of,
@@ -165,8 +167,12 @@ def lamps(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 KINDS = smooth, rough, rims, lamps
 
 
-def told(kind: Kind, count: int, rng: np.random.Generator) -> tuple[TailError, float]:
-    """What so many controls tell of a picture of a kind, and the truth by all of its points."""
+def told(
+    kind: Kind, count: int, rng: np.random.Generator, bounded: bool = False
+) -> tuple[TailError, float]:
+    """What so many controls tell of a picture of a kind, and the truth by all of its points; the
+    tail ``bounded`` by the total error that they measure.
+    """
     wrong, noise, uncertainty = kind(rng)
     chance = chances(uncertainty)
     places = rng.choice(POINTS, count, p=chance)
@@ -176,7 +182,10 @@ def told(kind: Kind, count: int, rng: np.random.Generator) -> tuple[TailError, f
         drift = math.sqrt(2.0) * rng.normal(size=(count, 2))
     halves = 5.0 - MEAN * noise[places, None] * drift / math.sqrt(2.0)
     controls = ControlPixels(places, 1.0 / (POINTS * chance[places]), halves)
-    tail = tail_of(controls, 5.0 + MEAN * wrong[places], uncertainty, MEAN)
+    shown = 5.0 + MEAN * wrong[places]
+    tail = tail_of(controls, shown, uncertainty, MEAN)
+    if bounded:
+        tail = tail.within(measure_total(controls.weights * controls.squares(shown), MEAN))
     return tail, float(np.percentile(np.abs(wrong), 100.0 * (1.0 - TAIL_SHARE)))
 
 
@@ -206,6 +215,35 @@ def test_few_controls_bound_no_tail(count: int, bounded: bool) -> None:
     tail = measure_tail(none, np.ones(count), np.zeros(count, np.int64), np.zeros(count))
     assert tail.likely < 1e-3 and (tail.high < 1e-2) is bounded
     assert bounded or tail.high == 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_total_bounds_a_tail_that_controls_do_not(kind: Kind) -> None:
+    """256 controls alone leave the interval open in most pictures."""
+    rng = np.random.default_rng(11)
+    found = [told(kind, 256, rng, bounded=True) for _ in range(60)]
+    assert max(tail.high for tail, _ in found) < 1.0
+    assert np.mean([tail.low <= true <= tail.high for tail, true in found]) >= 0.92
+    assert all(tail.low <= tail.likely <= tail.high for tail, _ in found)
+
+
+def test_nothing_of_a_known_bound_is_lost() -> None:
+    total = TotalError(0.02, 0.015, 0.025, 256)
+    assert TailError(0.05, 0.04, 1.0).within(total).high == pytest.approx(0.25)
+    assert TailError(0.05, 0.04, 0.07).within(total) == TailError(0.05, 0.04, 0.07)
+    assert TailError(0.4, 0.3, 1.0).within(total).high == 0.4
+
+
+def test_an_interval_never_ends_at_its_middle() -> None:
+    """Noise above what controls find moves the interval, and leaves it as wide."""
+    total = TotalError(0.010, 0.008, 0.012, 1024)
+    assert total.at_least(0.005) == total
+    raised = total.at_least(0.011)
+    assert (raised.likely, raised.low) == (0.011, 0.008)
+    assert raised.high == pytest.approx(0.011 * 1.2)
+    assert total.at_least(0.5).high == pytest.approx(0.6)
+    assert TotalError(0.0, 0.0, 0.0, 256).at_least(0.01).high == pytest.approx(0.013)
+    assert total.at_least(1.0).high == 1.0
 
 
 def test_a_pixel_that_is_drawn_again_is_one_control() -> None:

@@ -1,13 +1,18 @@
 """Light of pixels' own: which are to have it, how many paths that takes, and how it is filtered."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from isogi_core.bake.noise import RATE
+from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
 from isogi_core.frame.rays.own_light import (
     AIM,
@@ -16,6 +21,7 @@ from isogi_core.frame.rays.own_light import (
     REPLICAS,
     Choice,
     Growth,
+    NoisyPixels,
     PixelLight,
     Surroundings,
     choose_points,
@@ -27,7 +33,13 @@ from isogi_core.frame.rays.pixel_rays import variance_of_mean
 from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.surface_points import SurfacePoints
+from isogi_core.kernels.transport import streams
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.reference import trace_reference
+from tests.frame.conftest import Workbench, luminance, refine_chunk
 
 POINTS = 2000
 PATHS = 512
@@ -61,9 +73,8 @@ def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
     means = 1.0 + deviation * np.array([-1.0, 1.0, -1.0, 1.0]) * np.sqrt(3.0 / 4.0)
     sums = np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3)
     estimate = Estimate(sums, np.full(len(places), count))
-    return PixelLight(
-        places, estimate, np.ones((len(places), 3)), variance_of_mean(estimate.means), NONE
-    )
+    grey = np.ones((len(places), 3))
+    return PixelLight(places, estimate, grey, variance_of_mean(estimate.means), grey, NONE)
 
 
 def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixels) -> None:
@@ -247,9 +258,17 @@ def corrected(
         even = np.ones(len(error))
     else:
         even = expected
-    given = even, places, noisy(np.ones(len(places))), np.full(len(places), GRAIN**2)
-    light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
-    return light @ LUMINANCE_WEIGHTS, variance
+    variance = np.full(len(places), GRAIN**2)
+    given = NoisyPixels(noisy(np.ones(len(places))), variance, probes(len(places)))
+    light, square = correct(
+        (1.0 + error)[:, None].repeat(3, axis=1), even, places, given, gbuffer, Tiles(1)
+    )
+    return light @ LUMINANCE_WEIGHTS, square
+
+
+def probes(count: int, seed: int = 5) -> np.ndarray:
+    """Three luminances for each of so many pixels, distributed as their noise."""
+    return np.random.default_rng(seed).normal(0.0, GRAIN, (count, 3))
 
 
 def from_afar(texel: float) -> GBuffer:
@@ -299,6 +318,95 @@ def test_what_is_left_of_the_noise_is_said() -> None:
     light, variance = corrected(own, error, from_afar(4.0))
     assert ((light - 1.0) ** 2).mean() < 1.5 * variance.mean() + 0.05 * GRAIN**2
     assert variance.mean() < 0.5 * GRAIN**2
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.5, 1.0, 4.0])
+def test_errors_of_corrected_light_hold_for_many_seeds(wrong: float) -> None:
+    """Texels err by waves some pixels long, by so many times the noise of pixels' light."""
+    x, y = (np.arange(SIZE**2) % SIZE, np.arange(SIZE**2) // SIZE)
+    error = wrong * GRAIN * np.sin(x / 2.0) * np.cos(y / 3.0)
+    own = (x + y) % 4 > 0
+    places = np.flatnonzero(own)
+    gbuffer = from_afar(3.0)
+    expected = np.full(SIZE**2, max(wrong, 0.1) * GRAIN)
+    texels = (1.0 + error)[:, None].repeat(3, axis=1)
+    squares = []
+    reported = []
+    for seed in range(16):
+        noise = np.random.default_rng(seed).normal(0.0, GRAIN, len(places))
+        light = (1.0 + noise)[:, None].repeat(3, axis=1)
+        variance = np.full(len(places), GRAIN**2)
+        given = NoisyPixels(light, variance, probes(len(places), 100 + seed))
+        found, square = correct(texels, expected, places, given, gbuffer, Tiles(1))
+        assert (square > 0.0).all()
+        squares.append(((found @ LUMINANCE_WEIGHTS - 1.0)[places] ** 2).mean())
+        reported.append(square.mean())
+    assert 0.9 < math.sqrt(np.mean(reported) / np.mean(squares)) < 1.3
+
+
+@pytest.mark.slow
+def test_pixels_of_a_picture_say_what_they_err_by(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ball less another one, in two lamps: all that has light of its own says so, and by as much
+    as pictures of many seeds err.
+    """
+    bench = Workbench(lamp_lit_mask(tmp_path), tmp_path / "store")
+    view = bench.view(size=64, distance=1.8)
+    frame = baked(bench, view)
+    while bench.renderer.refine(view, 0.02):
+        frame = baked(bench, view)
+    assert frame.quality.known
+    own = frame.quality.known.own
+    on = frame.state > 0
+    assert len(own.places) > 200
+    said = frame.error[on][own.places]
+    assert (said[luminance(frame)[own.places] > 0.0] > 0.0).all()
+
+    # Pictures of the same pixels by other paths, beside the truth.
+    light = RotatedLight(bench.caches.spec("gi"), view)
+    check = bench.renderer.checks.held(view, 0.02)
+    assert check
+    choice = Choice(own.places, 0.0, own.count, own.expected)
+    squares = []
+    reported = []
+    true = trace_reference(bench.renderer, view, 1024)
+    lit = true.mean[true.on].astype(float) @ LUMINANCE_WEIGHTS
+    for seed in range(8):
+        monkeypatch.setattr(streams, "PIXEL_LIGHT_STREAM", 1 << 20 | seed << 4)
+        grown = replace(PixelLight.none(), expected=own.expected).grown(
+            choice, own.count, light, frame.gbuffer, bench.renderer.tiles
+        )
+        check.known = replace(frame.quality.known, own=grown)
+        drawn = bench.renderer.render(view, 0.02)
+        squares.append(((luminance(drawn) - lit)[own.places] ** 2).mean())
+        reported.append(((drawn.error[on] * luminance(drawn))[own.places] ** 2).mean())
+    wrong = math.sqrt(np.mean(squares) - (true.noise * lit.mean()) ** 2)
+    assert math.sqrt(np.mean(reported)) == pytest.approx(wrong, rel=0.2)
+
+
+def baked(bench: Workbench, view: View) -> Frame:
+    """The frame of a view once its texels have as many samples as are enough for now."""
+    while (frame := bench.renderer.render(view, 0.02)).stages:
+        for stage in frame.stages:
+            caches = stage.caches or bench.caches
+            loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
+            for demand in stage.demands:
+                refine_chunk(loader, frame.quality.enough, stage.target, demand)
+    return frame
+
+
+def lamp_lit_mask(folder: Path) -> Scene:
+    """A ball of 18 voxels less one of 9, as a mask, in the light of two lamps."""
+    z, y, x = np.mgrid[:48, :48, :48].astype(float)
+    ball = (x - 23.5) ** 2 + (y - 23.5) ** 2 + (z - 23.5) ** 2 <= 18.0**2
+    bite = (x - 35.5) ** 2 + (y - 31.5) ** 2 + (z - 33.5) ** 2 <= 9.0**2
+    image = np.full((32, 64, 3), 0.02, np.float32)
+    image[[8, 12], [10, 20]] = 200.0
+    write_hdr(folder / "lamps.hdr", image)
+    np.save(folder / "mask.npy", (ball & ~bite).astype(np.uint8))
+    lamps = {"type": "probe", "file": str(folder / "lamps.hdr")}
+    return load_scene(folder / "mask.npy", isovalue=0.5, lights=[lamps])
 
 
 @pytest.mark.parametrize("step", [1, 3])

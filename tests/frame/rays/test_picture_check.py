@@ -162,6 +162,20 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert not coarse.renderer.refine(view)
 
 
+def test_pixels_with_light_of_their_own_make_regions(coarse: Workbench) -> None:
+    """Their light is another than that of texels, so that each border is a step: there are few."""
+    frame = checked(coarse, coarse.view(size=48))
+    assert frame.quality.known
+    places = frame.quality.known.own.places
+    own = np.zeros(frame.state.shape, bool)
+    own.ravel()[frame.gbuffer.pixels[places]] = True
+    on = frame.state > 0
+    down = (own[1:] != own[:-1]) & on[1:] & on[:-1]
+    across = (own[:, 1:] != own[:, :-1]) & on[:, 1:] & on[:, :-1]
+    assert len(places) > 300
+    assert down.sum() + across.sum() < 0.5 * len(places)
+
+
 def test_a_picture_with_outliers_is_not_final(
     coarse: Workbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
