@@ -46,6 +46,7 @@ import { Times } from "./panels/times.js";
 import { attachViews } from "./panels/views.js";
 import { SlicesPane } from "./slices/pane.js";
 import { towardsEye } from "./view/camera.js";
+import { emptyInWords } from "./view/format.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
@@ -308,7 +309,7 @@ function toggleFull() {
  *   parts
  */
 function startLoop(scene, view, picture, { trouble, card, shown, say }) {
-  const status = new Status(document, scene.target_error);
+  const status = new Status(document, scene.target_error, (values) => emptyInWords(scene, values));
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number, moving?: boolean) => ReturnType<typeof frameQuery>} */

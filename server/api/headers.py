@@ -80,6 +80,7 @@ def frame_headers(
         | {
             "Isogi-Provisional": "?0" if frame.final else "?1",
             "Isogi-Coverage": coverage_header(frame.coverage),
+            "Isogi-Surface": str(frame.surface),
             "Isogi-Error": error_header(frame),
             "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
             "ETag": tag,

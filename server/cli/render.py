@@ -16,7 +16,7 @@ from tqdm import tqdm
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
 from isogi_core.frame.fitting import Stand
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
@@ -96,8 +96,30 @@ def render(
         "final": frame.coverage["final"],
         "paths": paths,
         "stopped": stopped_by(frame),
+        "note": why_empty(scene, view) if not frame.surface else "",
         "seconds": time.monotonic() - started,
     }
+
+
+def why_empty(scene: Scene, view: View) -> str:
+    """Why a picture of a view shows no surface, in a sentence that says what to do."""
+    low, high = scene.volume.value_range
+    if low == high:
+        return f"No surface: all values are {low:.6g}."
+    if not low < view.isovalue < high:
+        return (
+            f"No surface at {view.isovalue:.6g}: values go from {low:.6g} to {high:.6g}, choose "
+            "an isovalue between them."
+        )
+    if view.window is not None or scene.source.document.get("cut"):
+        return (
+            f"No surface at {view.isovalue:.6g} in what the cut leaves: cut away less, or choose "
+            "another isovalue."
+        )
+    return (
+        f"No surface at {view.isovalue:.6g} in view: leave the camera out, or choose another "
+        "isovalue."
+    )
 
 
 def stopped_by(frame: Frame) -> str:
@@ -118,12 +140,26 @@ def rendered(facts: Mapping[str, Any]) -> str:
         f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at "
         f"{facts['target_error']:g}"
     )
-    if not facts["pixels"]["surface"]:
-        quality = "no surface in view"
+    if facts["stopped"] == "time" and facts["error"] <= facts["target_error"]:
+        quality = f"{unsure(facts)}, {quality}"
+    if facts["note"]:
+        return f"{facts['file']}: {facts['width']} × {facts['height']}. {facts['note']}"
     return (
         f"{facts['file']}: {facts['width']} × {facts['height']}, "
         f"{states[facts['stopped']]}, {quality}"
     )
+
+
+def unsure(facts: Mapping[str, Any]) -> str:
+    """Why a picture is provisional though its error is below the target, for a person."""
+    if facts["interval"] is None:
+        return "not measured yet"
+    low, high = facts["interval"]
+    if high > facts["target_error"]:
+        return f"between {low:.4f} and {high:.4f}"
+    if facts["p99"] and facts["p99"] > TAIL * facts["target_error"]:
+        return f"1 % of pixels off by more than {facts['p99']:.4f}"
+    return "not all of its light is there"
 
 
 def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:

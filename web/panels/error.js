@@ -4,7 +4,13 @@
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
-import { errorInWords, rangeInWords, shareInWords, timeInWords } from "../view/format.js";
+import {
+  errorInWords,
+  rangeInWords,
+  shareInWords,
+  showsSurface,
+  timeInWords,
+} from "../view/format.js";
 import { Chart } from "./chart.js";
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
@@ -107,7 +113,8 @@ export class ErrorPanel {
   #write(facts) {
     const { moments, latest } = this.#history;
     const known = latest && facts;
-    find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
+    find(this.#root, ".value").textContent =
+      known && showsSurface(facts) ? errorInWords(facts.error) : "";
     find(this.#root, ".note").textContent = known
       ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft)
       : WAITING;

@@ -249,6 +249,7 @@ test("a badge goes when the picture is within its target", () => {
   assert.equal(badge(facts(), 0.02), "Refining · 3.4 % error");
   assert.equal(badge(facts({ error: 1 }), 0.02), "Preview");
   assert.deepEqual([facts({ error: 0.019 }), facts({ provisional: false })].map((each) => badge(each, 0.02)), ["", ""]);
+  assert.equal(badge(facts({ provisional: false, error: 0, surface: 0 }), 0.02), "No surface");
 });
 
 test("the rate of drafts is that of their intervals", () => {

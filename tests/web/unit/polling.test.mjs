@@ -242,7 +242,7 @@ class FakeSocket {
     this.onopen();
   }
   async picture(message) {
-    this.onmessage({ data: JSON.stringify({ draft: false, media_type: "image/png", timing: {}, facts: { provisional: false, time_left: null }, ...message }) });
+    this.onmessage({ data: JSON.stringify({ draft: false, media_type: "image/png", timing: {}, facts: { provisional: false, pixels: { surface: 7 }, time_left: null }, ...message }) });
     this.onmessage({ data: PICTURE });
     await settled();
   }

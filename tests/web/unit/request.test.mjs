@@ -169,11 +169,11 @@ test("stages in a header are read without their total", () => {
 
 test("a frame's facts are read from its headers", () => {
   const headers = new Headers({
-    "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3",
+    "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3", "Isogi-Surface": "1200",
     "Isogi-Error": "0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.062; p99-low=0.051; p99-high=0.079", "Isogi-Time-Left": "low=1, likely=2, high=3", "Server-Timing": "shade;dur=2",
   });
   assert.deepEqual(readFacts(headers), {
-    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, error: 0.018, controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
+    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, surface: 1200, error: 0.018, interval: [0.015, 0.021], controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
     chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3 }, timing: { shade: 2 },
   });
 });
@@ -185,10 +185,10 @@ test("an answer without facts has none, and no error is NaN", () => {
 });
 
 test("a streamed picture has its type and its facts", async () => {
-  const message = { media_type: "image/png", timing: { shade: 2 }, facts: { provisional: false, time_left: null } };
+  const message = { media_type: "image/png", timing: { shade: 2 }, facts: { provisional: false, pixels: { surface: 7 }, time_left: null } };
   const { blob, facts } = streamedFrame(message, new Blob(["abc"]));
   assert.deepEqual([blob.type, await blob.text()], ["image/png", "abc"]);
-  assert.deepEqual(facts, { provisional: false, timeLeft: null, timing: { shade: 2 } });
+  assert.deepEqual(facts, { provisional: false, surface: 7, timeLeft: null, timing: { shade: 2 } });
 });
 
 test("a position is read from the last pixel of an npy frame", () => {
