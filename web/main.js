@@ -123,7 +123,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
-  const { loop, live } = startLoop(scene, view, picture, { trouble, card, shown, say });
+  const { loop, live, ready } = startLoop(scene, view, picture, { trouble, card, shown, say });
   const keys = {
     f: toggleFull,
     p: () => reading.middle(),
@@ -174,8 +174,10 @@ function assemble(scene, knobs, trouble) {
   const description = {
     link: followAddress(scene, view),
     query: () => queryOf(scene, view.values, picture),
+    ready,
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
+    empty: () => emptyInWords(scene, view.values),
     rulers: (/** @type {{width: number, height: number}} */ size) =>
       rulerShapes(scene, view.values, size),
     legend: (/** @type {{width: number, height: number}} */ size) => {
@@ -366,6 +368,8 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     other,
     view,
   );
+  /** @type {{blob: Blob, of: import("./net/shown.js").Asked}|null} */
+  let received = null; // the newest picture of a view at rest
   const loop = new FrameLoop(server, {
     async frame({ blob, facts, chunks, of }, draft) {
       const { sharp } = picture;
@@ -376,6 +380,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       )
         return;
       trouble.hide();
+      if (blob && !draft) received = { blob, of };
       shown.show({ of, draft, sharp, facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
@@ -411,7 +416,13 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   shown.subscribe(tell);
   tell();
   trouble.onRetry = () => loop.settle();
-  return { loop, live };
+  const ready = () => {
+    const { facts } = shown;
+    if (!facts || facts.provisional || received?.of.key !== shown.pictureOf?.key) return null;
+    const { naturalWidth: width, naturalHeight: height } = $("picture", HTMLImageElement);
+    return received?.blob.type === "image/png" ? { blob: received.blob, facts, width, height } : null;
+  };
+  return { loop, live, ready };
 }
 
 /**

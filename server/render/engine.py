@@ -411,14 +411,16 @@ class RenderEngine:
     def time_left(
         self, scene: str, frame: Frame, max_error: float | None = None
     ) -> TimeLeft | None:
-        """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker
-        is at it.
+        """Seconds until the view of a ``frame`` is final; None where that is unknown, nothing more
+        is done for it, or no worker is at it.
         """
         if frame.final:
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
         target = max_error or loaded.scene.target_error
         (bake, chunks) = self._chunks(scene, frame)
+        if not (chunks or frame.refinable):
+            return None
         subject = (scene, surface_key(frame.view), target)
         later = (frame.quality.finer or frame).stages[1:]
         baking = self.baker.time_left(bake, subject, chunks, later)

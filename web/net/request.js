@@ -18,8 +18,11 @@ import { idleKnobs } from "../view/surfaces.js";
  * @property {() => string} link the address of the page with the view in it
  * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the
  *   picture shown
+ * @property {() => {blob: Blob, facts: import("./schemas.js").Facts, width: number, height:
+ *   number}|null} ready that picture, if it is final; null before that
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
+ * @property {() => string} empty what is said of it where it shows no surface
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers
  *   its scale bar and axes
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null}

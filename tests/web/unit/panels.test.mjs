@@ -264,6 +264,8 @@ test("stages have names, and their sum is the last but one", () => {
 test("pictures are offered in the shape of the one shown", () => {
   const sizes = sizesFor({ width: 900, height: 600 });
   assert.deepEqual(sizes.map(({ width, height }) => [width, height]), [[900, 600], [1800, 1200], [1920, 1280], [3840, 2560], [7680, 5120]]);
+  const [first, second] = sizesFor({ width: 2560, height: 1440 }, true);
+  assert.deepEqual([first.width, first.name, second.width], [2560, "as seen, at once", 1920], "what is there comes first");
 });
 
 test("no picture longer than 8192 is offered", () => {
