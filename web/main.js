@@ -63,6 +63,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/model.js").Knobs} Knobs */
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
+const SECOND_MS = 1000;
 const RETRY_MS = 1500;
 const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
 const REFUSED = 422;
@@ -415,6 +416,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   };
   shown.subscribe(tell);
   tell();
+  setInterval(() => shown.left && tell(), SECOND_MS); // the time left passes while nothing comes
   trouble.onRetry = () => loop.settle();
   const ready = () => {
     const { facts } = shown;

@@ -62,6 +62,8 @@ def frame_headers(
     """
     if time_left is not None and not frame.final:
         left = {"Isogi-Time-Left": time_left_header(time_left)}
+        if time_left.overdue:
+            left["Isogi-Overdue"] = "?1"
     else:
         left = {}
     projection = frame.quality.projection

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import ViewError
+from isogi_core.errors import Cancelled, ViewError
 from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
@@ -34,10 +34,11 @@ from isogi_core.reference import (
 )
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import coverage_schema, fit
+from server.clocks import waiting
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import FORMAT_OF_SUFFIX, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
-from server.render.bakes import Patience
+from server.render.bakes import Patience, time_limit
 from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
 from server.views import view_of
@@ -173,8 +174,10 @@ def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[Ren
     """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed
     at the end.
     """
-    with closing(engine_for(scene, settings, hire)) as engine:
-        with compiling(lambda: engine.kernels.progress):
+    with waiting("preparing the scene"):
+        engine = engine_for(scene, settings, hire)
+    with closing(engine):
+        with compiling(lambda: engine.kernels.progress, "starting workers"):
             engine.start(hire=hire)
         yield engine
 
@@ -236,6 +239,7 @@ def draw_refined(
     begun = time.monotonic()
     shown = 0.0
     with Progress("lighting", "") as bar:
+        bar.show(0, 100)
 
         def show(frame: Frame) -> None:
             nonlocal shown
@@ -271,18 +275,32 @@ def awaited(
         deadline = math.inf
     else:
         deadline = time.monotonic() + seconds
-    while True:
-        left = max(0.0, deadline - time.monotonic())
-        frame = engine.frame(scene, view, max_error=max_error, wait=min(FRAME_SECONDS, left))
-        coming = frame.checkable or engine.lacking(scene, frame)[1].demands
-        show(frame)
-        if frame.final or time.monotonic() >= deadline or not coming:
-            return frame
-        if frame.checkable:
-            continue
-        if engine.trouble():
-            raise WorkersError(engine.trouble())
-        patience.check(frame.version, engine.workforce.preparing, engine.unready())
+    # a first picture is drawn however long it takes; what makes it better ends at the deadline
+    frame = None
+    with time_limit(deadline) as over:
+        while True:
+            left = max(0.0, deadline - time.monotonic())
+            try:
+                frame = engine.frame(
+                    scene,
+                    view,
+                    max_error=max_error,
+                    wait=min(FRAME_SECONDS, left) if frame or math.isinf(deadline) else 0.0,
+                    cancelled=over if frame else None,
+                )
+            except Cancelled:
+                if frame is None:
+                    raise
+                return frame
+            coming = frame.checkable or engine.lacking(scene, frame)[1].demands
+            show(frame)
+            if frame.final or time.monotonic() >= deadline or not coming:
+                return frame
+            if frame.checkable:
+                continue
+            if engine.trouble():
+                raise WorkersError(engine.trouble())
+            patience.check(frame.version, engine.workforce.preparing, engine.unready())
 
 
 def reference(

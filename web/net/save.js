@@ -1,7 +1,7 @@
 /** The panel that saves the picture of the view, in full resolution and final. */
 
 import { find } from "../dom.js";
-import { errorInWords, frameInWords } from "../view/format.js";
+import { errorInWords, frameInWords, leftAfter } from "../view/format.js";
 import { readFrame } from "./api.js";
 import { withNotes } from "./png.js";
 import { untilFinal } from "./polling.js";
@@ -26,6 +26,7 @@ import { Sheet, stripsOf, whole, worstOf } from "./strips.js";
 
 const WIDTHS = [1920, 3840, 7680];
 const LONGEST_SIDE = 8192;
+const SECOND_MS = 1000;
 
 /**
  * Sizes to choose from, all of the shape of the picture shown.
@@ -174,18 +175,32 @@ export class Saver {
     const hurried = new Promise((resolve) =>
       hurry.signal.addEventListener("abort", () => best && resolve(best)),
     );
+    let [since, away] = [0, false]; // when the best picture came, and whether the server is away
+    const tell = () => {
+      if (!best || away) return;
+      const timeLeft = leftAfter(best.facts.timeLeft, (performance.now() - since) / 1000);
+      this.#say(`${part}${frameInWords({ ...best.facts, timeLeft }, about)}.`);
+    };
+    const troubled = (/** @type {{detail: string}} */ { detail }) => {
+      away = true;
+      this.#say(detail);
+    };
+    const timer = setInterval(tell, SECOND_MS);
     const refined = async () => {
-      for await (const picture of untilFinal(ask, over, ({ detail }) => this.#say(detail))) {
-        best = picture;
+      for await (const picture of untilFinal(ask, over, troubled)) {
+        [best, since, away] = [picture, performance.now(), false];
         find(this.#panel, "#save-progress", HTMLProgressElement).value =
           (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
-        this.#say(`${part}${frameInWords(picture.facts, about)}.`);
+        tell();
         if (hurry.signal.aborted) break;
       }
       return best;
     };
-    return Promise.race([hurried, refined()]).finally(() => stop.abort());
+    return Promise.race([hurried, refined()]).finally(() => {
+      clearInterval(timer);
+      stop.abort();
+    });
   }
 
   /** @param {Work} work */

@@ -3,6 +3,7 @@
  * they are not.
  */
 
+import { leftAfter } from "../view/format.js";
 import { CLOCK } from "./trouble.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -40,6 +41,7 @@ export class Shown {
   #asked;
   /** @type {ShownPicture|null} */
   #picture = null;
+  #cameAt = 0; // when the picture came
   #moving = false;
   #lost = false;
   /** @type {Set<() => void>} */
@@ -94,6 +96,15 @@ export class Shown {
     return this.#picture && !this.#picture.draft && this.#isAsked(this.#picture.of)
       ? this.#picture.facts
       : null;
+  }
+
+  /**
+   * The time until the picture is done, as what was said of it stands now: it becomes less while
+   * nothing comes.
+   * @returns {import("../view/format.js").Left|null}
+   */
+  get left() {
+    return leftAfter(this.facts?.timeLeft ?? null, (this.#clock.now() - this.#cameAt) / 1000);
   }
 
   /**
@@ -169,6 +180,7 @@ export class Shown {
   /** A picture is on the stage now. @param {ShownPicture} picture */
   show(picture) {
     this.#picture = picture;
+    this.#cameAt = this.#clock.now();
     this.#lost = false;
     this.#tell();
   }

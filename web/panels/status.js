@@ -54,7 +54,8 @@ export class Status {
 
   /** Show how the picture stands to the controls. @param {Shown} shown */
   show(shown) {
-    const { state, facts, sharp, leftAt, waitsSince } = shown;
+    const { state, sharp, leftAt, waitsSince } = shown;
+    const facts = shown.facts && { ...shown.facts, timeLeft: shown.left };
     const stage = find(this.#root, "#stage");
     const about = { target: this.#target, empty: this.#emptyOf(shown.values) };
     const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, about);

@@ -92,17 +92,45 @@ export function timeInWords(seconds) {
 }
 
 /**
+ * What is left, in seconds, and whether the work takes longer than was said before.
+ * @typedef {{low: number, likely: number, high: number, overdue?: boolean}} Left
+ */
+
+/**
+ * What a time left says some seconds later, if nothing else is known: less by these. Once they are
+ * over, the work takes longer than expected, and twice as long; and so on.
+ * @template {Left|null} T
+ * @param {T} left
+ * @param {number} seconds
+ * @returns {T|Left}
+ */
+export function leftAfter(left, seconds) {
+  if (!left) return left;
+  let [passed, span] = [seconds, Math.max(left.likely, 1)];
+  let overdue = left.overdue ?? false;
+  for (; passed >= span; span *= 2) {
+    passed -= span;
+    overdue = true;
+  }
+  const within = passed === seconds; // of what was said
+  const likely = within ? Math.min(span - passed, left.likely) : span - passed;
+  const share = left.likely > 0 ? likely / left.likely : 1;
+  return { low: share * left.low, likely, high: share * left.high, overdue };
+}
+
+/**
  * How long it still takes, such as "about 20 s left".
- * @param {{likely: number}} left seconds
+ * @param {Pick<Left, "likely"|"overdue">} left
  * @returns {string}
  */
-export function leftInWords({ likely }) {
-  return `about ${atLeastOne(likely)} left`;
+export function leftInWords({ likely, overdue }) {
+  const words = `about ${atLeastOne(likely)} left`;
+  return overdue ? `longer than expected, ${words}` : words;
 }
 
 /**
  * The same with its range: "about 20 s left (12 s to 41 s)".
- * @param {{low: number, likely: number, high: number}} left seconds
+ * @param {Left} left
  * @returns {string}
  */
 export function rangeInWords(left) {

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import zlib from "node:zlib";
 import { withNotes } from "../../../web/net/png.js";
 import { MirrorBall, ballPixels } from "../../../web/panels/light.js";
-import { emptyInWords, errorInWords, frameInWords, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/view/format.js";
+import { emptyInWords, errorInWords, frameInWords, leftAfter, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/view/format.js";
 import { SCENE, facts, knobs } from "./fixtures.mjs";
 
 const SIZE = 64;
@@ -165,6 +165,17 @@ test("time left is never less than a second", () => {
 test("time left has its range, where that is one", () => {
   assert.equal(rangeInWords({ low: 12, likely: 20, high: 41 }), "about 20 s left (12 s to 41 s)");
   assert.equal(rangeInWords({ low: 0.1, likely: 0.2, high: 0.4 }), "about 1 s left");
+});
+
+test("a time left passes, and then doubles", () => {
+  const left = { low: 5, likely: 10, high: 20 };
+  assert.equal(leftAfter(null, 5), null);
+  assert.deepEqual(leftAfter(left, 4), { low: 3, likely: 6, high: 12, overdue: false });
+  assert.deepEqual(leftAfter(left, 10), { low: 10, likely: 20, high: 40, overdue: true });
+  assert.deepEqual(leftAfter(left, 25), { low: 2.5, likely: 5, high: 10, overdue: true });
+  assert.deepEqual(leftAfter({ ...left, overdue: true }, 4), { low: 3, likely: 6, high: 12, overdue: true });
+  assert.equal(leftInWords(leftAfter(left, 12)), "longer than expected, about 18 s left");
+  assert.equal(rangeInWords(leftAfter(left, 10)), "longer than expected, about 20 s left (10 s to 40 s)");
 });
 
 test("a frame says how good it is, and how long is left", () => {

@@ -174,8 +174,10 @@ test("a frame's facts are read from its headers", () => {
   });
   assert.deepEqual(readFacts(headers), {
     provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, surface: 1200, error: 0.018, interval: [0.015, 0.021], controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
-    chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3 }, timing: { shade: 2 },
+    chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3, overdue: false }, timing: { shade: 2 },
   });
+  headers.set("Isogi-Overdue", "?1");
+  assert.equal(readFacts(headers).timeLeft.overdue, true);
 });
 
 test("an answer without facts has none, and no error is NaN", () => {
