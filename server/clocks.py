@@ -1,5 +1,6 @@
 """Clocks on the terminal that run while a command is at work; light to import."""
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,15 +35,21 @@ def ticking(draw: Callable[[], object]) -> Iterator[None]:
         thread.join()
 
 
+def watched() -> bool:
+    """Whether a person may see what is drawn: stderr is a terminal."""
+    return sys.stderr.isatty()
+
+
 @contextmanager
 def waiting(what: str) -> Iterator[None]:
-    """Draw a clock of ``what`` is done in the block, from the first second on."""
+    """Draw a clock of ``what`` is done in the block, after REDRAW_SECONDS, on a terminal."""
     bars: list[Any] = []
 
     def draw() -> None:
-        if not bars:
-            bars.append(tqdm(desc=what, bar_format=CLOCK))
-        bars[0].refresh()
+        if not bars and watched():
+            bars.append(tqdm(desc=what, bar_format=CLOCK, leave=False))
+        for bar in bars:
+            bar.refresh()
 
     with ticking(draw):
         yield

@@ -38,7 +38,8 @@ class Progress:
         """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not
         counted.
 
-        If nothing is drawn in the first REDRAW_SECONDS, a clock says that ``soon`` is done.
+        If nothing is drawn in the first REDRAW_SECONDS, a clock says on a terminal that ``soon`` is
+        done.
         """
         self._what = what
         self._unit = unit
@@ -51,7 +52,7 @@ class Progress:
         self._opening = threading.RLock()
         self._later = threading.Timer(clocks.REDRAW_SECONDS, self._begin_late, (soon,))
         self._later.daemon = True
-        if soon:
+        if soon and clocks.watched():
             self._later.start()
 
     def __enter__(self) -> Self:
@@ -134,7 +135,10 @@ class Progress:
         with self._opening:
             if self._bar is None:
                 self._form = form
-                self._bar = tqdm(desc=what, unit=self._unit, total=total, bar_format=form)
+                kept = form != CLOCK
+                self._bar = tqdm(
+                    desc=what, unit=self._unit, total=total, bar_format=form, leave=kept
+                )
                 self._clock.enter_context(ticking(self._redraw))
 
 

@@ -46,6 +46,7 @@ def test_long_work_has_a_clock_before_its_first_progress(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(clocks, "REDRAW_SECONDS", 0.1)
+    monkeypatch.setattr(clocks, "watched", lambda: True)
     with Progress("reading", "slab", soon="opening the file") as bar:
         assert capsys.readouterr().err == "", "it may be over sooner"
         assert wait_for(lambda: "opening the file, 00:00" in capsys.readouterr().err, 20)

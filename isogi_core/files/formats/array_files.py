@@ -31,8 +31,6 @@ from isogi_core.files.packed_files import read_end
 NPY_MAGIC = b"\x93NUMPY"
 ZIP_MAGIC = b"PK\x03\x04"
 
-UNPACK_HINT = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
-
 
 @reader("NumPy", "part", "time", "channel")
 def open_numpy(source: Source) -> Grid:
@@ -80,10 +78,6 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
                 name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")
             ]
             chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
-            if not names:
-                raise VolumeError(
-                    f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK_HINT}."
-                )
             if chosen not in names:
                 listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
                 raise VolumeError(
