@@ -154,7 +154,9 @@ def compiling(progress: Callable[[], KernelProgress | None], soon: str = "") -> 
             if now is None:
                 bar.end()
             else:
-                bar.show(now.done, now.total, note=about_left(now.seconds))
+                seconds = now.seconds
+                left = None if seconds is None else TimeLeft(seconds, seconds, seconds)
+                bar.show(now.done, now.total, left)
 
         with ticking(draw):
             yield

@@ -18,11 +18,12 @@ class SceneLink(BaseModel):
 
 
 class UploadLimits(BaseModel):
-    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all
-    may take.
+    """What an upload may be: ``limit_bytes`` itself, and ``limit_files`` in an archive; and
+    ``free_bytes`` of ``quota_bytes`` that all may take.
     """
 
     limit_bytes: int
+    limit_files: int
     quota_bytes: int
     free_bytes: int
 

@@ -643,11 +643,12 @@ export interface TimeLeft {
 }
 
 /**
- * What an upload may be: `limit_bytes` itself, and `free_bytes` of `quota_bytes` that all
- * may take.
+ * What an upload may be: `limit_bytes` itself, and `limit_files` in an archive; and
+ * `free_bytes` of `quota_bytes` that all may take.
  */
 export interface UploadLimits {
   limit_bytes: number;
+  limit_files: number;
   quota_bytes: number;
   free_bytes: number;
 }

@@ -32,7 +32,7 @@ from isogi_core.reference import (
     save_reference,
     with_bounces,
 )
-from isogi_core.storage.atomic_file import check_folder, write_whole
+from isogi_core.storage.atomic_file import check_folder, check_writable, write_whole
 from server.answers import coverage_schema, fit
 from server.clocks import waiting
 from server.parameters import FrameParams, ViewParams, read
@@ -53,6 +53,10 @@ PLACED = {"distance", "eye", "target", "up"}
 
 LOOKED_AT = 24
 """Pictures of many, at most, whose surfaces are looked at."""
+
+PACKED_PIXEL_BYTES = 1
+NPY_PIXEL_BYTES = 36
+"""Bytes of a pixel that room is looked for, in a packed picture and in an npy."""
 
 REFERENCE_BYTES = 1 << 30
 """Bytes of light that the renderer of a reference may hold."""
@@ -76,6 +80,8 @@ def render(
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
     view_of(scene, params, settings)
+    pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
+    check_writable(output, pixel * params.width * params.height)
 
     with working(scene, settings) as engine:
         if not is_placed(knobs):
@@ -84,6 +90,10 @@ def render(
         frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
         left = engine.time_left(scene.id, frame, params.max_error)
         paths = engine.baker.paths
+        if frame.final:
+            troubles = []
+        else:
+            troubles = engine.unready()
     if params.exposure is None:
         exposure = scene.default_exposure
     else:
@@ -98,6 +108,7 @@ def render(
         "paths": paths,
         "stopped": stopped_by(frame),
         "note": why_empty(scene, view) if not frame.surface else "",
+        "trouble": " ".join(troubles),
         "seconds": time.monotonic() - started,
     }
 

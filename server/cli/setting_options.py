@@ -1,6 +1,7 @@
 """Options that settings make: read, and documented."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,36 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             value = ""
         else:
             value = f", not {first['input']!r}"
-        raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
+        raise click.UsageError(f"{complaint(name, first)}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
+
+
+KINDS = {
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "bool_parsing": "true or false",
+}
+"""What values are to be, by pydantic's types of errors."""
+
+BOUNDS = {
+    "greater_than_equal": ("at least", "ge"),
+    "greater_than": ("more than", "gt"),
+    "less_than_equal": ("at most", "le"),
+    "less_than": ("less than", "lt"),
+}
+"""The same of numbers that are out of range, with the key of the bound."""
+
+
+def complaint(name: str, error: Mapping[str, Any]) -> str:
+    """What a setting is to be, in plain words, by pydantic's ``error``."""
+    if (kind := KINDS.get(error["type"])) is not None:
+        return f"{name} is {kind}"
+    if (bound := BOUNDS.get(error["type"])) is not None:
+        words, key = bound
+        return f"{name} is {words} {error['ctx'][key]:g}"
+    return f"{name}: {error['msg']}"
 
 
 def setting_options() -> list[click.Parameter]:

@@ -3,7 +3,7 @@
 import { find } from "../dom.js";
 import { errorInWords, frameInWords, leftAfter } from "../view/format.js";
 import { readFrame } from "./api.js";
-import { withNotes } from "./png.js";
+import { withNotes } from "./bytes.js";
 import { untilFinal } from "./polling.js";
 import { Sheet, stripsOf, whole, worstOf } from "./strips.js";
 

@@ -44,6 +44,11 @@ def open_numpy(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds {dtype}: save an array of numbers.")
     coloured = len(shape) == 4 and dtype == np.uint8 and shape[-1] in (3, 4)
     field = shape[:-1] if coloured else shape
+    if len(field) < 3:
+        raise VolumeError(
+            f"'{source.name}' has {len(field)} dimensions, {shape}: a volume has three (z, y, x), "
+            "so stack its slices."
+        )
     picked, moment, _ = pick_axes(source, field)
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)

@@ -237,6 +237,42 @@ def test_a_provisional_picture_below_its_target_says_why(known: dict[str, Any], 
     assert rendered({**facts, **below, **known}).startswith(f"a.png: 9 × 9, {said}")
 
 
+def test_an_output_that_cannot_be_written_is_said_first(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before any light is baked; and nothing is left of the trial."""
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    monkeypatch.setattr("server.cli.render.working", lambda *_: pytest.fail("it was begun"))
+    (tmp_path / "a.png").write_bytes(b"old")
+    assert run(["render", "demo:orbital", "-o", str(tmp_path / "a.png"), *SIZE]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.endswith(
+        "a.png cannot be written (No space left on device): make room for 480 bytes, or name "
+        "another place."
+    )
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("a.png", b"old")]
+
+
+def test_a_render_whose_store_is_full_fails_with_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "time", "note": "", "final": 0.5}
+    known = {"error": 0.5, "target_error": 0.02, "interval": None, "p99": None}
+    full = {"trouble": "The store is full: make room, and baking goes on."}
+    monkeypatch.setattr("server.cli.render.render", lambda *_: {**facts, **known, **full})
+    assert run(["render", "demo:orbital", "-o", "a.png"]) == 1
+    said = capsys.readouterr()
+    assert "provisional" in said.out
+    assert (
+        said.err
+        == "isogi: The light is not done. The store is full: make room, and baking goes on.\n"
+    )
+
+
 def test_a_write_that_fails_leaves_the_old_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { sizesFor } from "../../../web/net/save.js";
 import { stripsOf, worstOf } from "../../../web/net/strips.js";
-import { isProbe, tooLarge, volumeName } from "../../../web/net/upload.js";
+import { isProbe, nameOfAll, ofVolumes, tooLarge, volumeName } from "../../../web/net/upload.js";
 import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
@@ -289,10 +289,26 @@ test("a picture of strips is as good as its worst", () => {
   assert.equal(worstOf(/** @type {any} */ ([worst, good, bad])), worst);
 });
 
-test("a file that is too large is refused before it is sent", () => {
-  const limits = { limit_bytes: 3 << 20 };
-  assert.equal(tooLarge({ name: "a.nrrd", size: 3 << 20 }, limits), "");
-  assert.equal(tooLarge({ name: "a.nrrd", size: (3 << 20) + 1 }, limits), "a.nrrd is larger than the 3 MB that an upload may be.");
+test("files that are too large, or too many, are refused before they are sent", () => {
+  const limits = { limit_bytes: 3 << 20, limit_files: 2 };
+  const of = (...sizes) => tooLarge(sizes.map((size, n) => ({ name: `${"abc"[n]}.nrrd`, size })), limits);
+  assert.equal(of(3 << 20), "");
+  assert.equal(of((3 << 20) + 1), "a.nrrd is larger than the 3 MB that an upload may be.");
+  assert.equal(of(2 << 20, 1 << 20), "");
+  assert.equal(of(2 << 20, 2 << 20), "These 2 files are larger than the 3 MB that an upload may be, together.");
+  assert.equal(of(1, 1, 1), "These are 3 files, and 2 are the most that an upload may be.");
+});
+
+test("what systems leave in folders is not sent", () => {
+  const paths = ["scan/b.dcm", "scan/.DS_Store", "DICOMDIR", "__MACOSX/scan/a.dcm", "scan/a", "Thumbs.db"].map((path) => ({ path }));
+  assert.deepEqual(ofVolumes(paths).map(({ path }) => path), ["scan/a", "scan/b.dcm"]);
+});
+
+test("several files are called by their folder, or by their header", () => {
+  const name = (...paths) => nameOfAll(paths.map((path) => ({ path })));
+  assert.equal(name("scan/a", "scan/b"), "scan");
+  assert.equal(name("a.raw", "b.nhdr"), "b.nhdr");
+  assert.equal(name("a.dcm", "b.dcm"), "a.dcm");
 });
 
 test("a volume is named by its file without the ending", () => {

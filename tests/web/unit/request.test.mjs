@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
+import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
@@ -324,4 +324,15 @@ test("an address may say who draws", () => {
   assert.deepEqual(["?draw=card", "?draw=server", "?draw=me", ""].map((search) => readAddress(search).draw), ["card", "server", null, null]);
   assert.deepEqual(complaints("?draw=me", SCENE), ["“me” draws nothing here: choose card or server."]);
   assert.deepEqual(complaints("?draw=card", SCENE), []);
+});
+
+test("links and files of an upload have its name", () => {
+  const upload = { ...SCENE, id: "0123456789abcdef0123456789abcdef", name: "My skull (CT), ä/1.nii" };
+  assert.deepEqual([nameOfFiles(SCENE), nameOfFiles(upload)], ["small", "My-skull-CT-ä-1.nii"]);
+  assert.equal(fileName(upload, { isovalue: 70 }), "My-skull-CT-ä-1.nii-70");
+  assert.equal(nameOfFiles({ ...upload, name: "../.." }), upload.id);
+  const query = writeAddress(upload, knobs());
+  assert.deepEqual([new URLSearchParams(query).get("name"), new URLSearchParams(writeAddress(SCENE, knobs())).get("name")], [upload.name, null]);
+  assert.deepEqual(complaints(query, SCENE), ["There is no scene “My skull (CT), ä/1.nii”: this is Small."]);
+  assert.deepEqual(complaints(query, upload), []);
 });
