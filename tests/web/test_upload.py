@@ -77,12 +77,12 @@ def test_a_folder_of_slices_becomes_a_volume(shown: Page, site: Site, tmp_path: 
     folder = write_series(tmp_path / "scan", letter(), np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine())
     shown.set_input_files("#upload-files", folder)
     shown.wait_for_url("**scene=*", timeout=FINAL_MS)
-    slices = [[b64encode(path.read_bytes()).decode(), path.name] for path in folder.iterdir()]
-    before = shown.url
-    shown.evaluate(DROP_ALL, slices)
-    shown.wait_for_function("before => location.href !== before", arg=before, timeout=FINAL_MS)
     (kept,) = site.client.get("/v1/volumes").json()["volumes"]
     assert kept["name"] == "scan" and kept["size"] == list(letter().shape[::-1])
+    open_shown(shown, str(site.client.base_url))
+    slices = [[b64encode(path.read_bytes()).decode(), path.name] for path in folder.iterdir()]
+    shown.evaluate(DROP_ALL, slices)
+    shown.wait_for_url(f"**scene={kept['id']}*", timeout=FINAL_MS)
     shown.goto("about:blank")
     site.client.delete(kept["href"])
 

@@ -186,7 +186,7 @@ function choiceComplaint(
   if (name === "slices" && !readCrossHair(value))
     return `“${value}” is no place of slices: it is a voxel such as 12,30,5.`;
   if (name === "surfaces" && !areSurfaces(value, surfaces.length))
-    return `“${value}” does not fit the surfaces beside.`;
+    return `“${value}” does not fit the other surfaces of this scene.`;
   if (name === "hide" && !areHidden(value, colours?.labels ?? []))
     return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials))

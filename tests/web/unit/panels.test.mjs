@@ -8,7 +8,7 @@ import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords, tailInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan, stopsInWords, ticksAt } from "../../../web/panels/histogram.js";
-import { knobInWords } from "../../../web/panels/knobs.js";
+import { knobInWords, knobSpoken } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
@@ -227,9 +227,16 @@ test("a volume says its size, its values and its holes", () => {
   const labelled = volumeRows({ ...SCENE, colours: parts });
   assert.deepEqual([labelled.Colours, labelled.Labels], [null, "1 of 2 shown"]);
   const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6, transmission: [0, 0, 0] }, { isovalue: 0.5, name: "", albedo: [0, 0, 0], clear: 0, transmission: [0.4, 0.4, 0.4] }];
-  const beside = [volumeRows({ ...SCENE, surfaces })["Surfaces beside"], rows["Surfaces beside"]];
+  const beside = [volumeRows({ ...SCENE, surfaces })["Other surfaces"], rows["Other surfaces"]];
   assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5, transmission 0.4", ""]);
   assert.deepEqual([rows.Transmission, volumeRows({ ...SCENE, transmission: [0.3, 0.2, 0] }).Transmission], [null, "0.3, 0.2, 0"]);
+});
+
+test("screen readers hear stops and degrees in words", () => {
+  const [usual, twice, half, some] = [1, 2, 0.5, 2 ** 1.5].map((value) => knobSpoken("exposure", value, 1));
+  assert.deepEqual([usual, twice, half, some], ["as the scene has it", "1 stop brighter", "1 stop darker", "1.5 stops brighter"]);
+  assert.deepEqual(["azimuth", "yaw"].map((name) => knobSpoken(name, -40.2, 1)), ["minus 40 degrees", "minus 40 degrees"]);
+  assert.deepEqual([knobSpoken("distance", 2.5, 1), knobInWords("exposure", 2, 1)], ["2.50 radii", "+1 stop"]);
 });
 
 test("the bar tells how much of the time is over", () => {
