@@ -152,7 +152,7 @@ test("a light probe is told by its name", () => {
 });
 
 test("exposure is in stops from the scene's own", () => {
-  assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stops", "0 stops", "+2 stops"]);
+  assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stop", "0 stops", "+2 stops"]);
 });
 
 test("ticks stand at the stops, as the isovalue does on the slider", () => {
