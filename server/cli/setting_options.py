@@ -63,7 +63,7 @@ BOUNDS = {
     "less_than_equal": ("at most", "le"),
     "less_than": ("less than", "lt"),
 }
-"""The same of numbers that are out of range, with the key of the bound."""
+"""What numbers that are out of range are to be, with the key of the bound, by the same types."""
 
 
 def complaint(name: str, error: Mapping[str, Any]) -> str:
