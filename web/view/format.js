@@ -196,8 +196,9 @@ export function showsSurface({ surface }) {
  */
 export function emptyInWords({ volume }, { isovalue, planes }) {
   const [low, high] = volume.value_range;
-  const [from, to, at] = [low, high, isovalue].map((value) => Number(value.toPrecision(6)));
-  if (low === high) return `No surface: all values are ${from}`;
+  if (low === high) return `No surface: all values are ${Number(low.toPrecision(6))}`;
+  const step = niceStep(high - low);
+  const [from, to, at] = [low, high, isovalue].map((value) => showNumber(value, step));
   if (isovalue <= low || isovalue >= high)
     return `No surface at ${at}: values go from ${from} to ${to}`;
   if (planes) return `No surface at ${at} in what the cut leaves: show all of it, or change either`;

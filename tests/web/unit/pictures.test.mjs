@@ -200,6 +200,7 @@ test("a frame without a surface says so, whatever its error", () => {
 test("a view without a surface says why", () => {
   const said = (values, volume = SCENE.volume) => emptyInWords({ volume }, knobs(values));
   assert.equal(said({ isovalue: 255 }), "No surface at 255: values go from 0 to 255");
+  assert.equal(said({ isovalue: 1 }, { ...SCENE.volume, value_range: [1.66e-11, 1] }), "No surface at 1: values go from 0 to 1");
   assert.equal(said({ isovalue: 70 }, { ...SCENE.volume, value_range: [5, 5] }), "No surface: all values are 5");
   assert.equal(said({ isovalue: 70, planes: "x>0" }), "No surface at 70 in what the cut leaves: show all of it, or change either");
   assert.match(said({ isovalue: 70 }), /^No surface at 70 in view: reset/);
