@@ -198,6 +198,10 @@ def open_archive(source: Source) -> Grid:
     headers = [path for path in paths if path.suffix.lower() == HEADER_SUFFIX]
     if len(headers) == 1:
         return nrrd.open_nrrd(folder.at(headers[0]))
+    if any(path.name in ZARR_FILES for path in paths):
+        raise VolumeError(
+            f"'{source.name}' holds a Zarr: unpack it, and give the path of its folder."
+        )
     if len(paths) == 1:
         return _open_by_head(folder.at(paths[0]))
     alone = [path for path in paths[:MOST_LOOKED_AT] if _is_whole(folder.at(path))]
@@ -208,10 +212,6 @@ def open_archive(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds several volumes ({listed}): give one of them.")
     if tiff.slices_in(folder) or any(dicom.may_be_dicom(folder.at(path)) for path in paths):
         return _open_folder(folder)
-    if any(path.name in ZARR_FILES for path in paths):
-        raise VolumeError(
-            f"'{source.name}' holds a Zarr: unpack it, and give the path of its folder."
-        )
     listed = ", ".join(path.name for path in paths[:4])
     raise VolumeError(
         f"'{source.name}' holds {len(paths)} files ({listed}{' …' if len(paths) > 4 else ''}) that "
