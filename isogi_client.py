@@ -152,7 +152,8 @@ class Facts:
     ``error`` is the estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the
     pixels have an error below ``p99``, None where that is not measured. ``time_left`` is None where
     it is unknown or over, ``etag`` names the very picture, and ``timing`` has the milliseconds of
-    the stages of the work on it.
+    the stages of the work on it. So many pixels show a ``surface``, None where the server does not
+    say; the work is ``overdue`` once it takes longer than was said before.
     """
 
     provisional: bool
@@ -167,6 +168,8 @@ class Facts:
     p99_interval: tuple[float, float] | None = None
     etag: str | None = None
     timing: Mapping[str, float] | None = None
+    surface: int | None = None
+    overdue: bool = False
 
     @classmethod
     def of_headers(cls, headers: Mapping[str, str]) -> Self:
@@ -180,15 +183,20 @@ class Facts:
             time_left=TimeLeft(**left) if left else None,
             etag=headers.get("etag"),
             timing=numbers(headers.get("server-timing", "").replace(";dur", "")),
+            surface=int(headers["isogi-surface"]) if "isogi-surface" in headers else None,
+            overdue=headers.get("isogi-overdue") == "?1",
         )
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """The facts in the server's document of a view's coverage."""
-        return cls(**known_in(document, cls))
+        known = {"surface": document.get("pixels", {}).get("surface")}
+        return cls(**known | known_in(document, cls))
 
     def __str__(self) -> str:
         """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
+        if self.surface == 0:
+            return "no surface in view"
         if self.error < 0.1:
             error = f"{100 * self.error:.2g}"
         else:
@@ -462,10 +470,14 @@ def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, 
 
 
 class Bar:
-    """A progress bar, in a notebook or a terminal, for whatever takes ``progress=``.
+    """A progress bar, in a notebook or a terminal, for whatever takes ``progress=``. It is gone at
+    the end, and nothing is drawn of what is done at once.
 
     >>> isogi.frame("casting", wait="final", progress=Bar())
     """
+
+    def __init__(self) -> None:
+        self._line = ""
 
     def __call__(self, news: Facts | Progress | int, total: int = 0) -> None:
         """Draw how far a frame, a job or a film is."""
@@ -478,10 +490,16 @@ class Bar:
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
         filled = PROGRESS_BAR_WIDTH * done // max(total, 1)
-        sys.stderr.write(
-            f"\r{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note:<60}" + "\n" * over
-        )
-        sys.stderr.flush()
+        if over:
+            line = ""
+        else:
+            line = f"{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note}"
+        if line != self._line:
+            # a notebook shows stderr as if it were an error
+            stream = sys.stdout if "ipykernel" in sys.modules else sys.stderr
+            stream.write(f"\r{' ' * len(self._line)}\r{line}")
+            stream.flush()
+            self._line = line
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,10 @@ class ViewError(IsogiError):
     """A view (isovalue, camera, light rotation, size) is outside what the scene allows."""
 
 
+class UnwritableError(IsogiError):
+    """A file that work is to end in cannot be written."""
+
+
 class StoreError(IsogiError):
     """The cache's store cannot be read or written, or holds another scene's light."""
 

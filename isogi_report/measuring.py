@@ -16,7 +16,8 @@ from isogi_report import studies
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, Journal
 from isogi_report.sections import Section
-from server.progress import WEIGHTED_BAR_FORMAT, ticking
+from server.clocks import ticking
+from server.progress import WEIGHTED_BAR_FORMAT
 
 log = logging.getLogger("isogi.report")
 

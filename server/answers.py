@@ -373,6 +373,7 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
         p99_interval=None if frame.tail is None else (frame.tail.low, frame.tail.high),
         provisional=not frame.final,
         time_left=None if time_left is None else TimeLeftSchema(**asdict(time_left)),
+        overdue=time_left is not None and time_left.overdue,
     )
 
 

@@ -17,54 +17,43 @@ from isogi_core.files.scene_file import find_source
 from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
+from server import clocks
+from server.clocks import CLOCK, ticking
 from server.settings import Settings
 from server.values import span
-from worker.progress import TimeLeft
+from worker.progress import Promise, TimeLeft
 
 ITEMS = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
 WEIGHTED_BAR_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"
-
-REDRAW_SECONDS = 1.0
-"""Seconds between two drawings of a bar whose clock runs while a piece of work is done."""
-
-
-CLOCK = "{desc}, {elapsed}"
-
-
-@contextmanager
-def ticking(draw: Callable[[], object]) -> Iterator[None]:
-    """Call ``draw`` every REDRAW_SECONDS, on a thread of its own."""
-    ended = threading.Event()
-
-    def tick() -> None:
-        while not ended.wait(REDRAW_SECONDS):
-            draw()
-
-    thread = threading.Thread(target=tick, name="progress", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 class Progress:
     """A bar on stderr, drawn with the first progress; it begins again with each new name. Close it
     by ``with``.
 
-    Its clock runs while nothing is reported.
+    Its clock runs while nothing is reported, and the time left becomes less: see ``Promise``.
     """
 
-    def __init__(self, what: str = "", unit: str = "step") -> None:
+    def __init__(self, what: str = "", unit: str = "step", soon: str = "") -> None:
         """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not
         counted.
+
+        If nothing is drawn in the first REDRAW_SECONDS, a clock says on a terminal that ``soon`` is
+        done.
         """
         self._what = what
         self._unit = unit
         self._begun = time.monotonic()
         self._bar: Any = None
+        self._form = ""
+        self._note = ""
+        self._promise = Promise(time.monotonic)
         self._clock = ExitStack()
+        self._opening = threading.RLock()
+        self._later = threading.Timer(clocks.REDRAW_SECONDS, self._begin_late, (soon,))
+        self._later.daemon = True
+        if soon and clocks.watched():
+            self._later.start()
 
     def __enter__(self) -> Self:
         return self
@@ -74,10 +63,23 @@ class Progress:
 
     def close(self) -> None:
         """Draw no more, until there is progress again."""
-        self._clock.close()
-        if self._bar is not None:
-            self._bar.close()
+        self._later.cancel()
+        self._clear()
+
+    def _clear(self) -> None:
+        with self._opening:
+            bar = self._bar
+            clock = self._clock.pop_all()
             self._bar = None
+        # the thread of the clock may be drawing, and is waited for
+        clock.close()
+        if bar is not None:
+            bar.close()
+
+    def end(self) -> None:
+        """Draw no more of what was counted; a clock goes on."""
+        if self._form != CLOCK:
+            self._clear()
 
     def name(self, what: str, unit: str) -> None:
         """From now on ``what`` is done: a new bar, where that is another than before."""
@@ -86,51 +88,75 @@ class Progress:
             self._what = what
             self._unit = unit
             self._begun = time.monotonic()
+            self._note = ""
+            self._promise = Promise(time.monotonic)
 
     def begin(self, what: str) -> None:
         """Draw at once that ``what`` is done now, with a clock: how much there is of it is not
         known.
         """
         self.name(what, "")
-        self._open(CLOCK, 0)
+        self._open(what, CLOCK, 0)
 
     def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
         """Draw how much is done, a note, and the time that is left."""
-        self._draw(
-            done, total, " ".join(filter(None, (note, "" if left is None else left_text(left))))
-        )
+        self._note = note
+        if left is not None:
+            self._promise.kept(left)
+        self._open(self._what, ITEMS if self._unit else WEIGHTED_BAR_FORMAT, total)
+        self._bar.total = total
+        self._bar.n = done
+        self._redraw()
 
     def count(self, done: int, total: int) -> None:
         """Draw how much is done, and the time left at the mean pace so far."""
         left = (time.monotonic() - self._begun) * (total - done) / max(done, 1)
-        self._draw(done, total, about_left(left))
+        self.show(done, total, TimeLeft(left, left, left) if done else None)
 
-    def _draw(self, done: int, total: int, postfix: str) -> None:
-        if self._bar is None:
-            self._open(ITEMS if self._unit else WEIGHTED_BAR_FORMAT, total)
-        self._bar.total = total
-        self._bar.n = done
-        self._bar.set_postfix_str(postfix, refresh=False)
-        self._bar.refresh()
+    def _redraw(self) -> None:
+        """Draw the bar with the time that is left now."""
+        bar = self._bar
+        left = self._promise.now
+        said = "" if left is None else left_text(left)
+        if bar is not None:
+            bar.set_postfix_str(" ".join(filter(None, (self._note, said))), refresh=False)
+            bar.refresh()
 
-    def _open(self, form: str, total: int) -> None:
-        self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=form)
-        self._clock.enter_context(ticking(self._bar.refresh))
+    def _begin_late(self, what: str) -> None:
+        """Draw a clock, unless there was progress meanwhile."""
+        with self._opening:
+            if self._bar is None and not self._later.finished.is_set():
+                self._open(what, CLOCK, 0)
+
+    def _open(self, what: str, form: str, total: int) -> None:
+        """Draw a new bar of a ``form``, unless there is one."""
+        if self._bar is not None and form != self._form:
+            self.close()
+        with self._opening:
+            if self._bar is None:
+                self._form = form
+                kept = form != CLOCK
+                self._bar = tqdm(
+                    desc=what, unit=self._unit, total=total, bar_format=form, leave=kept
+                )
+                self._clock.enter_context(ticking(self._redraw))
 
 
 @contextmanager
-def compiling(progress: Callable[[], KernelProgress | None]) -> Iterator[None]:
-    """Draw, while other work is done, how far kernels are compiled; nothing where there are none to
-    compile.
+def compiling(progress: Callable[[], KernelProgress | None], soon: str = "") -> Iterator[None]:
+    """Draw, while other work is done, how far kernels are compiled; where there are none to
+    compile, after a second, a clock of what is ``soon`` done, if anything.
     """
-    with Progress("compiling, once on this machine", "kernel") as bar:
+    with Progress("compiling, once on this machine", "kernel", soon) as bar:
 
         def draw() -> None:
             now = progress()
             if now is None:
-                bar.close()
+                bar.end()
             else:
-                bar.show(now.done, now.total, note=about_left(now.seconds))
+                seconds = now.seconds
+                left = None if seconds is None else TimeLeft(seconds, seconds, seconds)
+                bar.show(now.done, now.total, left)
 
         with ticking(draw):
             yield
@@ -151,8 +177,16 @@ def about_left(seconds: float | None) -> str:
 
 def left_text(left: TimeLeft) -> str:
     """The time left for a person, such as ``about 20 s left (12 s to 41 s)``."""
-    low, likely, high = (span(seconds, digits=2) for seconds in (left.low, left.likely, left.high))
-    return f"about {likely} left ({low} to {high})"
+    low, likely, high = (
+        span(max(seconds, 1.0), digits=2) for seconds in (left.low, left.likely, left.high)
+    )
+    if low == high:
+        text = f"about {likely} left"
+    else:
+        text = f"about {likely} left ({low} to {high})"
+    if left.overdue:
+        return f"longer than expected, {text}"
+    return text
 
 
 def open_scene(
@@ -164,7 +198,7 @@ def open_scene(
     """
     if settings is not None:
         pass_to_core(settings)
-    with Progress("reading the volume") as bar:
+    with Progress("reading the volume", soon="reading the scene") as bar:
         return build_scene(find_source(target, overrides), bar.count)
 
 

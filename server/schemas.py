@@ -18,11 +18,12 @@ class SceneLink(BaseModel):
 
 
 class UploadLimits(BaseModel):
-    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all
-    may take.
+    """What an upload may be: ``limit_bytes`` itself, and ``limit_files`` in an archive; and
+    ``free_bytes`` of ``quota_bytes`` that all may take.
     """
 
     limit_bytes: int
+    limit_files: int
     quota_bytes: int
     free_bytes: int
 
@@ -394,7 +395,8 @@ class Coverage(BaseModel):
     Control pixels, ``controls`` of them, measured it, with a 95 % ``interval``; of none it is a
     prediction, and the interval null. ``noise`` is the noise in it. 99 % of the pixels have an
     error below ``p99``, with a 95 % ``p99_interval``; both are null where that is not measured.
-    ``time_left`` is null where it is unknown, or no worker is at the view.
+    ``time_left`` is null where it is unknown, or no worker is at the view; it is ``overdue`` once
+    the work takes longer than was said before.
     """
 
     chunks: ChunkCounts
@@ -408,6 +410,7 @@ class Coverage(BaseModel):
     p99_interval: tuple[float, float] | None
     provisional: bool
     time_left: TimeLeftSchema | None
+    overdue: bool
 
 
 class PointSchema(BaseModel):

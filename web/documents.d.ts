@@ -256,7 +256,8 @@ export interface ColourScale {
  * Control pixels, `controls` of them, measured it, with a 95 % `interval`; of none it is a
  * prediction, and the interval null. `noise` is the noise in it. 99 % of the pixels have an
  * error below `p99`, with a 95 % `p99_interval`; both are null where that is not measured.
- * `time_left` is null where it is unknown, or no worker is at the view.
+ * `time_left` is null where it is unknown, or no worker is at the view; it is `overdue` once
+ * the work takes longer than was said before.
  */
 export interface Coverage {
   chunks: ChunkCounts;
@@ -270,6 +271,7 @@ export interface Coverage {
   p99_interval: [number, number] | null;
   provisional: boolean;
   time_left: TimeLeft | null;
+  overdue: boolean;
 }
 
 /**
@@ -641,11 +643,12 @@ export interface TimeLeft {
 }
 
 /**
- * What an upload may be: `limit_bytes` itself, and `free_bytes` of `quota_bytes` that all
- * may take.
+ * What an upload may be: `limit_bytes` itself, and `limit_files` in an archive; and
+ * `free_bytes` of `quota_bytes` that all may take.
  */
 export interface UploadLimits {
   limit_bytes: number;
+  limit_files: number;
   quota_bytes: number;
   free_bytes: number;
 }

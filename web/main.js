@@ -46,6 +46,7 @@ import { Times } from "./panels/times.js";
 import { attachViews } from "./panels/views.js";
 import { SlicesPane } from "./slices/pane.js";
 import { towardsEye } from "./view/camera.js";
+import { emptyInWords } from "./view/format.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
@@ -62,6 +63,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/model.js").Knobs} Knobs */
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
+const SECOND_MS = 1000;
 const RETRY_MS = 1500;
 const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
 const REFUSED = 422;
@@ -122,7 +124,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
-  const { loop, live } = startLoop(scene, view, picture, { trouble, card, shown, say });
+  const { loop, live, ready } = startLoop(scene, view, picture, { trouble, card, shown, say });
   const keys = {
     f: toggleFull,
     p: () => reading.middle(),
@@ -173,8 +175,10 @@ function assemble(scene, knobs, trouble) {
   const description = {
     link: followAddress(scene, view),
     query: () => queryOf(scene, view.values, picture),
+    ready,
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
+    empty: () => emptyInWords(scene, view.values),
     rulers: (/** @type {{width: number, height: number}} */ size) =>
       rulerShapes(scene, view.values, size),
     legend: (/** @type {{width: number, height: number}} */ size) => {
@@ -308,7 +312,7 @@ function toggleFull() {
  *   parts
  */
 function startLoop(scene, view, picture, { trouble, card, shown, say }) {
-  const status = new Status(document, scene.target_error);
+  const status = new Status(document, scene.target_error, (values) => emptyInWords(scene, values));
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number, moving?: boolean) => ReturnType<typeof frameQuery>} */
@@ -364,6 +368,8 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     other,
     view,
   );
+  /** @type {{blob: Blob, of: import("./net/shown.js").Asked}|null} */
+  let received = null; // the newest picture of a view at rest
   const loop = new FrameLoop(server, {
     async frame({ blob, facts, chunks, of }, draft) {
       const { sharp } = picture;
@@ -374,6 +380,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       )
         return;
       trouble.hide();
+      if (blob && !draft) received = { blob, of };
       shown.show({ of, draft, sharp, facts });
       if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       $("stage").dataset.ground = ground(of.values);
@@ -408,8 +415,15 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   };
   shown.subscribe(tell);
   tell();
+  setInterval(() => shown.left && tell(), SECOND_MS); // the time left passes while nothing comes
   trouble.onRetry = () => loop.settle();
-  return { loop, live };
+  const ready = () => {
+    const { facts } = shown;
+    if (!facts || facts.provisional || received?.of.key !== shown.pictureOf?.key) return null;
+    const { naturalWidth: width, naturalHeight: height } = $("picture", HTMLImageElement);
+    return received?.blob.type === "image/png" ? { blob: received.blob, facts, width, height } : null;
+  };
+  return { loop, live, ready };
 }
 
 /**

@@ -2,6 +2,7 @@
 
 import math
 import statistics
+import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Sequence
@@ -45,15 +46,20 @@ class Tally:
 # --- time left
 
 
+LEAST_SECONDS = 1.0
+"""Seconds that a time left stands for at least: people are shown no less."""
+
+
 @dataclass(frozen=True)
 class TimeLeft:
     """Seconds until work is done: most likely, and the range within which four of five estimates
-    come true.
+    come true. It is ``overdue`` once the work takes longer than was said before.
     """
 
     low: float
     likely: float
     high: float
+    overdue: bool = False
 
     @classmethod
     def of(cls, work: float, ratios: Sequence[float], rest: float = 0.0) -> "TimeLeft":
@@ -69,7 +75,28 @@ class TimeLeft:
 
     def times(self, pace: float) -> "TimeLeft":
         """The time of the work where each second of it takes ``pace`` seconds."""
-        return TimeLeft(pace * self.low, pace * self.likely, pace * self.high)
+        return replace(self, low=pace * self.low, likely=pace * self.likely, high=pace * self.high)
+
+    def scaled_to(self, likely: float) -> "TimeLeft":
+        """The time with this ``likely`` value, its range as wide as before, relative to that."""
+        if self.likely > 0.0:
+            return self.times(likely / self.likely)
+        return replace(self, low=likely / 2.0, likely=likely, high=2.0 * likely)
+
+    def after(self, seconds: float, span: float | None = None) -> "TimeLeft":
+        """What this says so many ``seconds`` later, if nothing else is known: less by these.
+
+        Once they are over, or a ``span`` of seconds that is given, it is overdue, and twice as
+        long; and so on.
+        """
+        if span is None:
+            span = max(self.likely, LEAST_SECONDS)
+        if seconds < span:
+            return self.scaled_to(min(span - seconds, self.likely))
+        while seconds >= span:
+            seconds -= span
+            span = 2.0 * max(span, LEAST_SECONDS)
+        return replace(self.scaled_to(span - seconds), overdue=True)
 
 
 def log_normal_ratios(spread: float) -> tuple[float, ...]:
@@ -157,6 +184,13 @@ class TimeEstimator:
             known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
+    def end(self, subject: Hashable, worked: float) -> None:
+        """Judge the estimates of a ``subject`` of which nothing is left, if there are any: after so
+        many seconds ``worked``.
+        """
+        if (known := self._subjects.pop(subject, None)) is not None:
+            self._judge(known, Estimate(0.0, self._clock(), worked))
+
     def _subject(self, name: Hashable) -> Subject:
         """The subject of this name, marked as used now; a new one where it was not used for
         FORGET_SECONDS seconds.
@@ -184,6 +218,89 @@ class TimeEstimator:
             if worked > 0.0 and (worked >= each.work or not now.work):
                 self._ratios.append((worked + now.work) / each.work)
                 subject.estimates.remove(each)
+
+
+RAISING = 2.0
+"""How many times as long as a reported time an estimate is that takes its place before it is over.
+"""
+
+
+class Promise:
+    """The time left of one work, as it is reported: it becomes less as time passes, at least.
+
+    An estimate that is less takes its place. One that is more does so once the reported time is
+    over, or at once if it is RAISING times as long: the work is overdue then. If no estimate says
+    more, the reported time doubles. Call under one lock from several threads.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, forget: float = math.inf
+    ) -> None:
+        """Report none yet. Begin again after ``forget`` seconds without an estimate."""
+        self._clock = clock
+        self._forget = forget
+        self._told: TimeLeft | None = None
+        self._estimate = 0.0
+        self._at = self._asked = clock()
+        self._end = math.inf
+
+    @property
+    def now(self) -> TimeLeft | None:
+        """What is reported now, without a new estimate; None before the first."""
+        if self._told is None:
+            return None
+        return self._told.after(self._clock() - self._at, self._end - self._at)
+
+    def kept(self, left: TimeLeft) -> TimeLeft:
+        """What is reported now that this much is ``left``, by a new estimate."""
+        asked = self._asked
+        self._asked = self._clock()
+        told = self._told
+        due = self.now
+        if told is None or due is None or self._asked - asked > self._forget:
+            return self._report(left, left.likely, math.inf)
+        # the reported time is over, or far too short: the work takes longer than expected
+        if self._asked >= self._end or left.likely > max(RAISING * due.likely, told.likely):
+            longer = left.scaled_to(max(left.likely, due.likely))
+            return self._report(replace(longer, overdue=True), left.likely, math.inf)
+        # as much less than before as the estimate is; estimates that were too short see a part of
+        # the work alone, and only the clock is followed then
+        if not told.overdue and self._estimate > 0.0:
+            likely = told.likely * left.likely / self._estimate
+            if likely < due.likely:
+                return self._report(left.scaled_to(likely), left.likely, self._end)
+        return due
+
+    def _report(self, left: TimeLeft, estimate: float, latest: float) -> TimeLeft:
+        """Report what is ``left``; it is over in that time, and at the ``latest`` then."""
+        self._told = left
+        self._estimate = estimate
+        self._at = self._asked
+        self._end = min(self._at + max(left.likely, LEAST_SECONDS), latest)
+        return left
+
+
+MAX_PROMISES = 256
+"""Works whose reported times are kept: those asked for last."""
+
+
+class Promises:
+    """The times left that were reported of several works. Any thread may use it."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """None reported yet."""
+        self._clock = clock
+        self._known: OrderedDict[Hashable, Promise] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def kept(self, work: Hashable, left: TimeLeft) -> TimeLeft:
+        """What is reported of a ``work`` of which this much is ``left``: see ``Promise``."""
+        with self._lock:
+            known = self._known.pop(work, None) or Promise(self._clock, FORGET_SECONDS)
+            self._known[work] = known
+            if len(self._known) > MAX_PROMISES:
+                self._known.popitem(last=False)
+            return known.kept(left)
 
 
 PACE_WINDOW_SECONDS = 20.0

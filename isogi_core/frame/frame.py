@@ -547,10 +547,10 @@ class Frame:
 
     @cached_property
     def total(self) -> TotalError:
-        """The total relative RMSE of the frame: measured or predicted; without global illumination
-        all noise.
+        """The total relative RMSE of the frame: measured or predicted; all noise without global
+        illumination, or if it shows no surface: then the plan's error is of nothing.
         """
-        if self.view.shading != "gi":
+        if self.view.shading != "gi" or not len(self.gbuffer.pixels):
             return TotalError(self.noise, self.noise, self.noise)
         return self.measured or predict_total(self.noise, self.quality.expected)
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from isogi_core.errors import ViewError
+from isogi_core.errors import UnwritableError, ViewError
 
 PARTIAL_SUFFIX = ".partial"
 """Suffix of a file that is being written. Readers and listings pass over it."""
@@ -24,6 +24,25 @@ def check_folder(output: Path) -> None:
     """
     if not output.parent.is_dir():
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+
+
+def check_writable(output: Path, size: int) -> None:
+    """Raise UnwritableError if a file of ``size`` bytes cannot be written to ``output``: before
+    work whose result it is to hold. What is there stays.
+    """
+    trial = output.with_name(f"{output.name}.{uuid4().hex}{PARTIAL_SUFFIX}")
+    try:
+        try:
+            with trial.open("xb") as file:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(file.fileno(), 0, max(size, 1))
+        finally:
+            trial.unlink(missing_ok=True)
+    except OSError as error:
+        raise UnwritableError(
+            f"{output} cannot be written ({error.strerror}): make room for {size:,} bytes, or name "
+            "another place."
+        ) from error
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -57,7 +57,7 @@ ALLOWED_HEADERS = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", 
 
 EXPOSED = (
     *("Isogi-Provisional", "Isogi-Coverage", "Isogi-Error", "Isogi-Chunks"),
-    *("Isogi-Projected", "Isogi-Refined", "Isogi-Time-Left"),
+    *("Isogi-Overdue", "Isogi-Projected", "Isogi-Refined", "Isogi-Surface", "Isogi-Time-Left"),
     *("ETag", "Location", "Preference-Applied", "Retry-After", "Server-Timing", "X-Request-ID"),
 )
 """Response headers that these may read."""

@@ -62,6 +62,8 @@ def frame_headers(
     """
     if time_left is not None and not frame.final:
         left = {"Isogi-Time-Left": time_left_header(time_left)}
+        if time_left.overdue:
+            left["Isogi-Overdue"] = "?1"
     else:
         left = {}
     projection = frame.quality.projection
@@ -80,6 +82,7 @@ def frame_headers(
         | {
             "Isogi-Provisional": "?0" if frame.final else "?1",
             "Isogi-Coverage": coverage_header(frame.coverage),
+            "Isogi-Surface": str(frame.surface),
             "Isogi-Error": error_header(frame),
             "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
             "ETag": tag,

@@ -140,8 +140,8 @@ class Prewarm:
         def frame_of(view: View) -> Frame:
             return self._frame_of(loop, PictureRequest(self.scene.id, view, target))
 
-        def refine(view: View, prices: Prices) -> bool:
-            return self._refine(view, target, prices)
+        def refine(view: View, prices: Prices, over: threading.Event) -> bool:
+            return self._refine(view, target, prices, over)
 
         target = self.order.target_error or self.scene.target_error
         if self.order.deadline is None:
@@ -193,12 +193,12 @@ class Prewarm:
                 self.cancelled.wait(RETRY_SECONDS)
                 context.check()
 
-    def _refine(self, view: View, target: float, prices: Prices) -> bool:
+    def _refine(self, view: View, target: float, prices: Prices, over: threading.Event) -> bool:
         """Check the picture of a view, one step further, and leave as much time to clients that
-        wait for frames.
+        wait for frames. Raises Cancelled once time is ``over``.
         """
         begun = time.monotonic()
-        more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices)
+        more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices, over)
         if self.service.attended:
             self.cancelled.wait(time.monotonic() - begun)
         return more

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import click
 
 from isogi_core.model.lights import ENVIRONMENTS
+from server.clocks import waiting
 from server.knobs import KNOB_GROUPS, KNOBS
 from server.values import Span, seconds_of, seconds_of_age
 
@@ -41,7 +42,8 @@ COMMAND_MODULES = {
 
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
-    return import_module(COMMAND_MODULES[command])
+    with waiting("starting"):
+        return import_module(COMMAND_MODULES[command])
 
 
 Command = Callable[..., Any]

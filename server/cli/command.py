@@ -145,7 +145,7 @@ def render(
     seconds: float | None,
     as_json: bool,
     **given: Any,
-) -> None:
+) -> int:
     """Write a picture of TARGET; the suffix of the output chooses png, jpeg, webp or npy."""
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     knobs = {
@@ -154,7 +154,11 @@ def render(
         if value is not None
     }
     work = module_of("render")
-    show(work.render(scene, output, knobs, settings, seconds), work.rendered, as_json)
+    facts = work.render(scene, output, knobs, settings, seconds)
+    show(facts, work.rendered, as_json)
+    if facts["trouble"]:
+        return complain(f"The light is not done. {facts['trouble']}", 1)
+    return 0
 
 
 @cli.command()

@@ -30,7 +30,7 @@ FIXED_PARAMETERS = (
 
 HEX_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
 
-ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
+ON_THE_PAGE = ("scene", "name", "compare", "rulers", "measure", "slices", "draw")
 """Parameters of a page's link that are none of a picture."""
 
 

@@ -184,7 +184,7 @@ def desk_of(
         target,
         COMMAND,
         lambda view: engine.survey(scene.id, view, target),
-        lambda view, prices: engine.check(scene.id, view, target, prices=prices),
+        lambda view, prices, over: engine.check(scene.id, view, target, prices=prices, over=over),
         report,
         deadline,
         STALLED_SECONDS,

@@ -5,9 +5,10 @@ not made again.
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -15,18 +16,20 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import ViewError
+from isogi_core.frame.frame import Frame
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.film_path import at_step
 from server.cli.render import awaited, is_placed, seen_whole, working
 from server.parameters import FrameParams
 from server.pictures import FORMAT_OF_SUFFIX, encode
-from server.progress import Progress
+from server.progress import Progress, left_text
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change, SceneVariant
 from server.render.variants import Variants
 from server.settings import Settings
 from server.views import view_of
+from worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 RECORD_WRITE_SECONDS = 1.0
 """Seconds between two writings of what is known of the pictures; after a crash, the last ones are
@@ -161,23 +164,48 @@ class Reel:
         missing = self.missing
         shots = self.shots
         variants = Variants(engine, lambda _: None, most=OPEN_STEPS)
+        bar.show(0, len(missing))
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))
+        spent: list[float] = []
         for done, name in enumerate(missing):
+            begun = request.clock()
             shot = shots[name]
             seconds = request.share(len(missing) - done)
             scene = self._at(variants, shot.time)
             with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
                 view = view_of(scene, shot, settings)
-            frame = awaited(engine, scene.id, view, shot.max_error, seconds)
+            later = time_of_others(spent, len(missing) - done - 1)
+            show = partial(self._show, engine, scene, shot, bar, (done, len(missing)), later)
+            frame = awaited(engine, scene.id, view, shot.max_error, seconds, show)
             if shot.exposure is None:
                 exposure = self._scene.default_exposure
             else:
                 exposure = shot.exposure
             picture = encode(frame, FORMAT_OF_SUFFIX[self.path(name).suffix], exposure, shot)
             self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
-            bar.count(done + 1, len(missing))
+            spent.append(request.clock() - begun)
+            bar.show(done + 1, len(missing), time_of_others(spent, len(missing) - done - 1))
+
+    def _show(
+        self,
+        engine: RenderEngine,
+        scene: Scene,
+        shot: FrameParams,
+        bar: Progress,
+        counts: tuple[int, int],
+        later: TimeLeft | None,
+        frame: Frame,
+    ) -> None:
+        """Draw how many pictures are done, of how many, and the time that this one takes and those
+        ``later``.
+        """
+        own = engine.time_left(scene.id, frame, shot.max_error)
+        if own and later:
+            bar.show(*counts, own.plus(later))
+        elif own and not frame.final:
+            bar.show(*counts, note=f"this one: {left_text(own)}")
 
     def _at(self, variants: Variants, time: int | None) -> Scene:
         """The scene at a step of its series; itself where none is named. Raises ParameterError."""
@@ -185,6 +213,18 @@ class Reel:
         if variant.any:
             return variants.make(self._scene, variant, None)
         return self._scene
+
+
+def time_of_others(spent: Sequence[float], count: int) -> TimeLeft | None:
+    """The time that so many further pictures take, by the seconds ``spent`` on each so far; None
+    before there are two.
+
+    The first says nothing of others: its light is theirs, too.
+    """
+    if len(spent) < 2:
+        return None
+    work = count * sum(spent[1:]) / (len(spent) - 1)
+    return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
 
 
 def said(facts: Mapping[str, Any], what: str) -> str:

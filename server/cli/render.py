@@ -14,9 +14,9 @@ import numpy as np
 from tqdm import tqdm
 
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import ViewError
+from isogi_core.errors import Cancelled, ViewError
 from isogi_core.frame.fitting import Stand
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
@@ -32,12 +32,13 @@ from isogi_core.reference import (
     save_reference,
     with_bounces,
 )
-from isogi_core.storage.atomic_file import check_folder, write_whole
+from isogi_core.storage.atomic_file import check_folder, check_writable, write_whole
 from server.answers import coverage_schema, fit
+from server.clocks import waiting
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import FORMAT_OF_SUFFIX, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
-from server.render.bakes import Patience
+from server.render.bakes import Patience, time_limit
 from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
 from server.views import view_of
@@ -52,6 +53,10 @@ PLACED = {"distance", "eye", "target", "up"}
 
 LOOKED_AT = 24
 """Pictures of many, at most, whose surfaces are looked at."""
+
+PACKED_PIXEL_BYTES = 1
+NPY_PIXEL_BYTES = 36
+"""Bytes of a pixel that room is looked for, in a packed picture and in an npy."""
 
 REFERENCE_BYTES = 1 << 30
 """Bytes of light that the renderer of a reference may hold."""
@@ -75,6 +80,8 @@ def render(
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
     view_of(scene, params, settings)
+    pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
+    check_writable(output, pixel * params.width * params.height)
 
     with working(scene, settings) as engine:
         if not is_placed(knobs):
@@ -83,6 +90,10 @@ def render(
         frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
         left = engine.time_left(scene.id, frame, params.max_error)
         paths = engine.baker.paths
+        if frame.final:
+            troubles = []
+        else:
+            troubles = engine.unready()
     if params.exposure is None:
         exposure = scene.default_exposure
     else:
@@ -96,8 +107,31 @@ def render(
         "final": frame.coverage["final"],
         "paths": paths,
         "stopped": stopped_by(frame),
+        "note": why_empty(scene, view) if not frame.surface else "",
+        "trouble": " ".join(troubles),
         "seconds": time.monotonic() - started,
     }
+
+
+def why_empty(scene: Scene, view: View) -> str:
+    """Why a picture of a view shows no surface, in a sentence that says what to do."""
+    low, high = scene.volume.value_range
+    if low == high:
+        return f"No surface: all values are {low:.6g}."
+    if not low < view.isovalue < high:
+        return (
+            f"No surface at {view.isovalue:.6g}: values go from {low:.6g} to {high:.6g}, choose "
+            "an isovalue between them."
+        )
+    if view.window is not None or scene.source.document.get("cut"):
+        return (
+            f"No surface at {view.isovalue:.6g} in what the cut leaves: cut away less, or choose "
+            "another isovalue."
+        )
+    return (
+        f"No surface at {view.isovalue:.6g} in view: leave the camera out, or choose another "
+        "isovalue."
+    )
 
 
 def stopped_by(frame: Frame) -> str:
@@ -118,12 +152,26 @@ def rendered(facts: Mapping[str, Any]) -> str:
         f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at "
         f"{facts['target_error']:g}"
     )
-    if not facts["pixels"]["surface"]:
-        quality = "no surface in view"
+    if facts["stopped"] == "time" and facts["error"] <= facts["target_error"]:
+        quality = f"{unsure(facts)}, {quality}"
+    if facts["note"]:
+        return f"{facts['file']}: {facts['width']} × {facts['height']}. {facts['note']}"
     return (
         f"{facts['file']}: {facts['width']} × {facts['height']}, "
         f"{states[facts['stopped']]}, {quality}"
     )
+
+
+def unsure(facts: Mapping[str, Any]) -> str:
+    """Why a picture is provisional though its error is below the target, for a person."""
+    if facts["interval"] is None:
+        return "not measured yet"
+    low, high = facts["interval"]
+    if high > facts["target_error"]:
+        return f"between {low:.4f} and {high:.4f}"
+    if facts["p99"] and facts["p99"] > TAIL * facts["target_error"]:
+        return f"1 % of pixels off by more than {facts['p99']:.4f}"
+    return "not all of its light is there"
 
 
 def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
@@ -137,8 +185,10 @@ def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[Ren
     """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed
     at the end.
     """
-    with closing(engine_for(scene, settings, hire)) as engine:
-        with compiling(lambda: engine.kernels.progress):
+    with waiting("preparing the scene"):
+        engine = engine_for(scene, settings, hire)
+    with closing(engine):
+        with compiling(lambda: engine.kernels.progress, "starting workers"):
             engine.start(hire=hire)
         yield engine
 
@@ -200,6 +250,7 @@ def draw_refined(
     begun = time.monotonic()
     shown = 0.0
     with Progress("lighting", "") as bar:
+        bar.show(0, 100)
 
         def show(frame: Frame) -> None:
             nonlocal shown
@@ -235,18 +286,32 @@ def awaited(
         deadline = math.inf
     else:
         deadline = time.monotonic() + seconds
-    while True:
-        left = max(0.0, deadline - time.monotonic())
-        frame = engine.frame(scene, view, max_error=max_error, wait=min(FRAME_SECONDS, left))
-        coming = frame.checkable or engine.lacking(scene, frame)[1].demands
-        show(frame)
-        if frame.final or time.monotonic() >= deadline or not coming:
-            return frame
-        if frame.checkable:
-            continue
-        if engine.trouble():
-            raise WorkersError(engine.trouble())
-        patience.check(frame.version, engine.workforce.preparing, engine.unready())
+    # a first picture is drawn however long it takes; what makes it better ends at the deadline
+    frame = None
+    with time_limit(deadline) as over:
+        while True:
+            left = max(0.0, deadline - time.monotonic())
+            try:
+                frame = engine.frame(
+                    scene,
+                    view,
+                    max_error=max_error,
+                    wait=min(FRAME_SECONDS, left) if frame or math.isinf(deadline) else 0.0,
+                    cancelled=over if frame else None,
+                )
+            except Cancelled:
+                if frame is None:
+                    raise
+                return frame
+            coming = frame.checkable or engine.lacking(scene, frame)[1].demands
+            show(frame)
+            if frame.final or time.monotonic() >= deadline or not coming:
+                return frame
+            if frame.checkable:
+                continue
+            if engine.trouble():
+                raise WorkersError(engine.trouble())
+            patience.check(frame.version, engine.workforce.preparing, engine.unready())
 
 
 def reference(

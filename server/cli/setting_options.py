@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,6 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         if not first["loc"]:
             raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
         name = str(first["loc"][0])
-        wrong = first["msg"].removeprefix("Value error, ")
         if first["type"] == "extra_forbidden":
             raise click.UsageError(
                 f"There is no setting '{name}': {advice(name, Settings.model_fields)}"
@@ -50,7 +49,7 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             value = ""
         else:
             value = f", not {first['input']!r}"
-        raise click.UsageError(f"{name}: {wrong}{value}.") from None
+        raise click.UsageError(f"{complaint(name, first)}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
 
@@ -83,6 +82,33 @@ def hint(name: str, known: Iterable[str]) -> str:
     if close := get_close_matches(name.removeprefix(PREFIX).upper(), words, 1):
         return f"did you mean {words[close[0]]}?"
     return "`isogi serve --help` lists all."
+
+
+KINDS = {
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "bool_parsing": "true or false",
+}
+"""What values are to be, by pydantic's types of errors."""
+
+BOUNDS = {
+    "greater_than_equal": ("at least", "ge"),
+    "greater_than": ("more than", "gt"),
+    "less_than_equal": ("at most", "le"),
+    "less_than": ("less than", "lt"),
+}
+"""What numbers that are out of range are to be, with the key of the bound, by the same types."""
+
+
+def complaint(name: str, error: Mapping[str, Any]) -> str:
+    """What a setting is to be, in plain words, by pydantic's ``error``."""
+    if (kind := KINDS.get(error["type"])) is not None:
+        return f"{name} is {kind}"
+    if (bound := BOUNDS.get(error["type"])) is not None:
+        words, key = bound
+        return f"{name} is {words} {error['ctx'][key]:g}"
+    return f"{name}: {error['msg'].removeprefix('Value error, ')}"
 
 
 def setting_options() -> list[click.Parameter]:

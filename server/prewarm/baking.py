@@ -113,7 +113,8 @@ class PrewarmContext:
     """What a prewarm of one ``scene`` to a ``target`` error works with, for a ``viewer``.
 
     ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of
-    the check of its picture, which weighs its ways at given prices, and says whether there was one.
+    the check of its picture, which weighs its ways at given prices, and says whether there was one;
+    it raises Cancelled once an event is set.
     ``report`` takes each step, and ``cancelled`` stops it. Baking ends at ``deadline``, and the
     workers are taken for broken after ``patience`` seconds without anything new. Texels of whole
     isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is told when they are
@@ -125,7 +126,7 @@ class PrewarmContext:
     target: float
     viewer: Viewer
     frame_of: Callable[[View], Frame]
-    refine: Callable[[View, Prices], bool]
+    refine: Callable[[View, Prices, threading.Event], bool]
     report: Callable[[Step], None]
     deadline: float = math.inf
     patience: float = math.inf

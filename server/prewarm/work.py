@@ -21,7 +21,7 @@ import numpy as np
 from isogi_core.bake.noise import Effort, Until, relative_error
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
-from isogi_core.errors import ViewError
+from isogi_core.errors import Cancelled, ViewError
 from isogi_core.frame.card.blocks import Coding
 from isogi_core.frame.card.coded_picture import ControlPictures
 from isogi_core.frame.frame import Frame
@@ -46,6 +46,7 @@ from server.prewarm.baking import (
 )
 from server.prewarm.order import GOLDEN, Levels, PrewarmOrder, Views, order_of, views_around
 from server.prewarm.record import Errors, Summary, failures_of
+from server.render.bakes import time_limit
 from server.schemas import TimeLeftSchema
 from server.settings import Settings
 from worker.errors import WorkersError
@@ -165,9 +166,15 @@ class Pictures:
         context = self._context
         frame = context.frame_of(view)
         more = True
-        while more and frame.checkable and not context.late(end):
-            more = context.refine(view, SHARED_PRICES if self._sample else AWAITED)
-            frame = context.frame_of(view)
+        prices = SHARED_PRICES if self._sample else AWAITED
+        with time_limit(end) as over:
+            while more and frame.checkable and not context.late(end):
+                try:
+                    more = context.refine(view, prices, over)
+                except Cancelled:
+                    context.check()
+                    return frame
+                frame = context.frame_of(view)
         return frame
 
     def _take(self, number: int, frame: Frame, found: Survey) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import math
 import threading
 import time
 import weakref
@@ -275,6 +276,24 @@ class Patience:
         elif now - self._since > self._seconds:
             why = " ".join(reasons) or "The workers bake nothing new."
             raise WorkersError(f"No light came for {self._seconds:g} seconds. {why}")
+
+
+@contextmanager
+def time_limit(end: float) -> Iterator[threading.Event]:
+    """An event for the block that is set once the monotonic clock is at the ``end``: it cancels a
+    step that would take longer, between two of its tiles.
+    """
+    over = threading.Event()
+    if math.isinf(end):
+        yield over
+        return
+    timer = threading.Timer(max(end - time.monotonic(), 0.0), over.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield over
+    finally:
+        timer.cancel()
 
 
 @dataclass(eq=False)

@@ -49,7 +49,14 @@ from server.render.workforce import (
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
-from worker.progress import ASSUMED_WORK_RATIOS, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
+from worker.progress import (
+    ASSUMED_WORK_RATIOS,
+    UNREHEARSED_SPREAD,
+    Promises,
+    TimeEstimator,
+    TimeLeft,
+    log_normal_ratios,
+)
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
@@ -70,39 +77,6 @@ def time_of_paths(
     return TimeLeft.of(
         work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD)
     )
-
-
-MAX_TIME_LEFT_RATIO = 1.1
-"""How many times as long as before the time left of a picture may become from one answer to the
-next.
-"""
-
-MAX_KEPT_PICTURES = 256
-"""Pictures whose last answers are kept."""
-
-
-class Promises:
-    """The times left that were reported of pictures: no time leaps up before those that wait. Any
-    thread may use it.
-    """
-
-    def __init__(self) -> None:
-        """None reported yet."""
-        self._told: OrderedDict[Hashable, TimeLeft] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """The time to report of a ``picture`` with an estimate of what is ``left``: at most
-        MAX_TIME_LEFT_RATIO times the last one.
-        """
-        with self._lock:
-            before = self._told.pop(picture, None)
-            if before is not None and left.likely > MAX_TIME_LEFT_RATIO * before.likely > 0.0:
-                left = left.times(MAX_TIME_LEFT_RATIO * before.likely / left.likely)
-            self._told[picture] = left
-            if len(self._told) > MAX_KEPT_PICTURES:
-                self._told.popitem(last=False)
-            return left
 
 
 REMEMBERED = 4096
@@ -158,6 +132,8 @@ class RenderEngine:
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
         self._promises = Promises()
+        self._estimator = TimeEstimator()
+        self._estimating = threading.Lock()
         self._listeners: list[Listener] = []
         self.again: Callable[[str], Scene | None] = lambda _: None
         self._stopped = threading.Event()
@@ -328,14 +304,14 @@ class RenderEngine:
         target: float,
         cancelled: threading.Event | None = None,
         prices: Prices = AWAITED,
+        over: threading.Event | None = None,
     ) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame``
-        does.
+        does, and Cancelled once time is ``over``, too.
         """
-        if cancelled:
-            tiles = self._checking.cancelled_by(cancelled)
-        else:
-            tiles = self._checking
+        tiles = self._checking
+        for event in filter(None, (cancelled, over)):
+            tiles = tiles.cancelled_by(event)
         return self._find(scene).check(view, target, tiles, prices)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
@@ -411,14 +387,19 @@ class RenderEngine:
     def time_left(
         self, scene: str, frame: Frame, max_error: float | None = None
     ) -> TimeLeft | None:
-        """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker
-        is at it.
+        """Seconds until the view of a ``frame`` is final; None where that is unknown, nothing more
+        is done for it, or no worker is at it.
         """
+        picture = (scene, frame.view, max_error)
         if frame.final:
+            with self._estimating:
+                self._estimator.end(picture, time.monotonic())
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
         target = max_error or loaded.scene.target_error
         (bake, chunks) = self._chunks(scene, frame)
+        if not (chunks or frame.refinable):
+            return None
         subject = (scene, surface_key(frame.view), target)
         later = (frame.quality.finer or frame).stages[1:]
         baking = self.baker.time_left(bake, subject, chunks, later)
@@ -429,8 +410,18 @@ class RenderEngine:
             spent = self.baker.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
         if baking.high > 0.0:
-            return self._promises.kept((scene, frame.view, target), baking)
+            return self._promises.kept(picture, self._learnt(picture, baking))
         return None
+
+    def _learnt(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
+        """An estimate of what is ``left`` of a ``picture``, corrected by how those of other
+        pictures came true: which steps are still to come is not known beforehand.
+        """
+        with self._estimating:
+            learnt = self._estimator.estimate(picture, left.likely, time.monotonic())
+        if left.likely > 0.0:
+            return left.scaled_to(learnt.likely)
+        return left
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the

@@ -27,7 +27,7 @@ from isogi_core.errors import IsogiError
 from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
 from server.errors import BusyError, FullError, UnknownJobError, UnknownResultError
 from server.render.scheduling import AdmissionLimit, Place
-from worker.progress import TimeLeft
+from worker.progress import Promise, TimeLeft
 
 log = logging.getLogger("isogi.server")
 
@@ -80,13 +80,20 @@ class Job:
     status: Status = Status.ACCEPTED
     message: str = "This begins soon."
     progress: int = 0
-    time_left: TimeLeft | None = None
     results: tuple[Result, ...] = ()
     document: BaseModel | None = None
     created: datetime = field(default_factory=now)
     started: datetime | None = None
     finished: datetime | None = None
     updated: datetime = field(default_factory=now)
+    promise: Promise | None = field(default=None, repr=False)
+
+    @property
+    def time_left(self) -> TimeLeft | None:
+        """The time that the rest takes, as it is reported now; None if that is unknown."""
+        if self.promise is None:
+            return None
+        return self.promise.now
 
     @property
     def expires(self) -> datetime | None:
@@ -99,7 +106,11 @@ class Job:
         """Say that so large a share is done, and the time that the rest takes."""
         self.progress = max(self.progress, int(100 * share))
         self.message = message
-        self.time_left = left
+        if left is None:
+            self.promise = None
+        else:
+            self.promise = self.promise or Promise()
+            self.promise.kept(left)
         self.updated = now()
 
     def begin(self) -> None:

@@ -5,6 +5,7 @@ what it raises.
 import ast
 import http.server
 import io
+import json
 import sys
 import threading
 import warnings
@@ -23,6 +24,7 @@ from PIL import Image
 
 import isogi_client
 from isogi_client import (
+    Bar,
     BusyError,
     Facts,
     Isogi,
@@ -44,6 +46,7 @@ from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
 from tests.loaded import load_scene
 from worker.pool import WorkerPool
 
+NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "notebook.ipynb"
 VIEW: dict[str, Any] = {"width": 40, "height": 30}
 
 
@@ -459,3 +462,40 @@ def test_a_document_that_is_too_deep_is_a_sentence(elsewhere: str) -> None:
             isogi.scenes()
         with pytest.raises(NotFoundError, match="The server answered 404"):
             isogi.scene("refused")
+
+
+def test_a_bar_is_quiet(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    """Nothing of what is done at once, nothing twice, and nothing left at the end."""
+    bar = Bar()
+    bar(3, 3)
+    assert capsys.readouterr() == ("", "")
+    bar(1, 3)
+    bar(1, 3)
+    drawn = capsys.readouterr().err
+    assert drawn.count("1 of 3 frames") == 1
+    bar(3, 3)
+    assert capsys.readouterr().err.strip(" \r") == ""
+    monkeypatch.setitem(sys.modules, "ipykernel", object())
+    bar(1, 3)
+    assert capsys.readouterr() == (drawn, ""), "as any other output of a cell"
+
+
+def test_the_notebook_leaves_its_view_open() -> None:
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    code = ["".join(each["source"]) for each in cells if each["cell_type"] == "code"]
+    assert not any("close()" in each for each in code)
+
+
+def test_facts_of_a_frame_say_that_it_shows_no_surface() -> None:
+    headers = {
+        "isogi-provisional": "?0",
+        "isogi-coverage": "final=1.000, converging=0.000, provisional=0.000",
+        "isogi-error": "0.00000; noise=0.00000; predicted",
+        "isogi-chunks": "needed=0, final=0",
+        "isogi-surface": "0",
+    }
+    facts = Facts.of_headers(headers)
+    assert (facts.surface, facts.error, str(facts)) == (0, 0.0, "no surface in view")
+    document = {"provisional": False, "coverage": {}, "error": 0.0, "chunks": {}}
+    known = Facts.of_document({**document, "pixels": {"surface": 7}})
+    assert known.surface == 7 and Facts.of_document(document).surface is None

@@ -43,6 +43,8 @@ def test_python(own_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert code.count(HERE) == 1
     with contextlib.redirect_stdout(said):
         exec(compile(code.replace(HERE, own_server), str(PAGE), "exec"), names)
+    if "viewer" in names:
+        names["viewer"].close()
     names["isogi"].close()
     lines = said.getvalue().splitlines()
     assert lines[0].startswith("[24, 20, 16] 0.5 ")
@@ -110,7 +112,7 @@ def test_the_cells_run(own_server: str, capsys: pytest.CaptureFixture[str]) -> N
             assert ended._repr_png_().startswith(b"\x89PNG")
         elif hasattr(ended, "_repr_html_"):
             assert "data:image/webp;base64,UklGR" in ended._repr_html_()
-    assert "12 of 12 frames" in capsys.readouterr().err
+    assert "of 12 frames" in capsys.readouterr().err
     assert np.asarray(names["numbers"]).shape == (240, 320, 9)
     assert np.asarray(names["frame"]).shape == (240, 320, 3)
     names["isogi"].close()

@@ -19,6 +19,7 @@ from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import texel_shading
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
@@ -170,6 +171,16 @@ def test_a_picture_without_surface_is_final_and_empty(workbench: Make) -> None:
         frame = bench.renderer.render(bench.view(size=8, shading=shading))
         assert not frame.state.any() and not frame.radiance.any()
         assert not frame.provisional and frame.noise == 0.0 and frame.coverage["final"] == 1.0
+        assert frame.total == TotalError(0.0, 0.0, 0.0), "an error of nothing"
+
+
+def test_an_isovalue_beyond_all_values_has_no_error(workbench: Make) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
+    seen = bench.view(size=16)
+    gone = replace(seen, isovalue=float(bench.scene.volume.value_range[1]))
+    assert bench.renderer.render(seen).total.likely > 0.0
+    frame = bench.renderer.render(gone)
+    assert frame.final and frame.total == TotalError(0.0, 0.0, 0.0)
 
 
 def test_one_pixel_is_a_picture(orbital: Workbench) -> None:

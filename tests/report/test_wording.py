@@ -13,7 +13,7 @@ from isogi_report import measuring
 from isogi_report.heading import standpoint
 from isogi_report.measuring import Pieces
 from isogi_report.sections import Cell, Column, Table, text_column, text_columns
-from server import progress
+from server import clocks
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_time_left_is_never_more_than_the_limit(clock: list[float]) -> None:
 def test_the_bar_shows_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.01)
+    monkeypatch.setattr(clocks, "REDRAW_SECONDS", 0.01)
     with Pieces("report", 2.0, 0.0, 3600.0).ticking() as bar:
         bar.begin("half of it")
         time.sleep(0.2)

@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.files.mappings import budget
 from isogi_core.files.volume_copies import copies_folder, most_bytes
-from server import progress
+from server import clocks, progress
 from server.progress import Progress, open_scene
 from server.settings import Settings
 from tests.server.sockets import wait_for
@@ -31,7 +31,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_a_clock_runs_where_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.2)
+    monkeypatch.setattr(clocks, "REDRAW_SECONDS", 0.2)
     with Progress() as bar:
         bar.begin("compiling")
         assert "compiling, 00:00" in capsys.readouterr().err, "drawn at once"
@@ -40,6 +40,34 @@ def test_a_clock_runs_where_nothing_is_reported(
         bar.show(1, 2)
         assert "1/2 views, 00:00" in capsys.readouterr().err
         assert wait_for(lambda: "1/2 views, 00:01" in capsys.readouterr().err, 20)
+
+
+def test_long_work_has_a_clock_before_its_first_progress(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(clocks, "REDRAW_SECONDS", 0.1)
+    monkeypatch.setattr(clocks, "watched", lambda: True)
+    with Progress("reading", "slab", soon="opening the file") as bar:
+        assert capsys.readouterr().err == "", "it may be over sooner"
+        assert wait_for(lambda: "opening the file, 00:00" in capsys.readouterr().err, 20)
+        bar.show(1, 2)
+        assert "1/2 slabs" in capsys.readouterr().err
+    with clocks.waiting("starting"):
+        assert wait_for(lambda: "starting, 00:00" in capsys.readouterr().err, 20)
+
+
+def test_a_time_left_that_is_over_is_said_to_be_longer(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Progress("baking", "chunk") as bar:
+        bar.show(1, 9, TimeLeft(5.0, 10.0, 20.0))
+        assert "about 10 s left (5 s to 20 s)" in capsys.readouterr().err
+        clock[0] += 6.0
+        bar.show(1, 9, TimeLeft(5.0, 10.0, 20.0))
+        assert "about 4 s left" in capsys.readouterr().err, "the estimate stands, time passes"
+        clock[0] += 5.0
+        bar.show(1, 9)
+        assert "longer than expected, about 19 s left" in capsys.readouterr().err
 
 
 def test_each_name_has_a_bar_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:

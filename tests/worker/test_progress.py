@@ -1,11 +1,19 @@
+import random
+from collections.abc import Callable
+from itertools import groupby
+
 import pytest
 
 from tests.worker.clock import Clock
 from worker.progress import (
     ASSUMED_WORK_RATIOS,
+    LEAST_SECONDS,
     MAX_KNOWN_RATIOS,
+    MAX_PROMISES,
     PACE_WINDOW_SECONDS,
     Pace,
+    Promise,
+    Promises,
     TimeEstimator,
     TimeLeft,
 )
@@ -139,3 +147,75 @@ def test_each_second_takes_as_long_as_workers_lately_took(clock: Clock) -> None:
     pace.working(2)
     assert pace.value == pytest.approx(1.5, rel=0.05), "nothing was asked for"
     assert TimeLeft(1.0, 2.0, 4.0).times(1.5) == TimeLeft(1.5, 3.0, 6.0)
+
+
+# --- times as they are reported
+
+
+def test_a_time_passes_and_then_doubles() -> None:
+    left = TimeLeft(5.0, 10.0, 20.0)
+    assert left.after(4.0) == TimeLeft(3.0, 6.0, 12.0)
+    assert left.after(10.0) == TimeLeft(10.0, 20.0, 40.0, overdue=True)
+    assert left.after(25.0) == TimeLeft(2.5, 5.0, 10.0, overdue=True)
+    assert left.after(30.0) == TimeLeft(20.0, 40.0, 80.0, overdue=True)
+    assert TimeLeft(0.0, 0.0, 0.0).after(LEAST_SECONDS).likely == 2.0 * LEAST_SECONDS
+
+
+def test_what_is_promised_follows_progress_and_the_clock(clock: Clock) -> None:
+    promise = Promise(clock)
+    assert promise.now is None
+    assert promise.kept(TimeLeft(5.0, 10.0, 20.0)).likely == 10.0
+    clock.now += 2.0
+    assert promise.kept(TimeLeft(5.0, 10.0, 20.0)).likely == 8.0, "time has passed"
+    assert promise.kept(TimeLeft(2.0, 4.0, 8.0)).likely == 4.0, "less is left"
+    assert promise.kept(TimeLeft(3.0, 6.0, 12.0)) == TimeLeft(2.0, 4.0, 8.0), "no need to say more"
+    longer = promise.kept(TimeLeft(20.0, 40.0, 80.0))
+    assert longer == TimeLeft(20.0, 40.0, 80.0, overdue=True), "far more: said at once"
+
+
+def test_a_promise_that_nobody_asked_for_is_made_again(clock: Clock) -> None:
+    told = Promises(clock)
+    told.kept("one", TimeLeft(1.0, 2.0, 4.0))
+    clock.now += 100.0
+    assert told.kept("one", TimeLeft(1.0, 2.0, 4.0)) == TimeLeft(1.0, 2.0, 4.0)
+    for number in range(MAX_PROMISES):
+        told.kept(number, TimeLeft(1.0, 2.0, 4.0))
+    assert told.kept("one", TimeLeft(5.0, 9.0, 40.0)) == TimeLeft(5.0, 9.0, 40.0)
+
+
+def stuck(left: float, at: float) -> float:
+    """An estimate that never changes."""
+    return 2.0
+
+
+def blind(left: float, at: float) -> float:
+    """One that sees a tenth of the work, with noise."""
+    return 0.1 * left * (1.0 + 0.3 * random.Random(at).random())
+
+
+def in_phases(left: float, at: float) -> float:
+    """One that sees no further than the present quarter of a minute of work."""
+    return left % 15.0
+
+
+@pytest.mark.parametrize("estimate", [stuck, blind, in_phases])
+@pytest.mark.parametrize("whole", [7.0, 60.0, 400.0])
+@pytest.mark.parametrize("asking", [0.3, 1.0, 7.0])
+def test_no_number_stands_longer_than_itself(
+    clock: Clock, estimate: Callable[[float, float], float], whole: float, asking: float
+) -> None:
+    """Once a reported time is over and the work is not, more is said, and that it is overdue."""
+    promise = Promise(clock)
+    told: list[tuple[float, TimeLeft]] = []
+    while clock.now < whole:
+        likely = estimate(whole - clock.now, clock.now)
+        told.append((clock.now, promise.kept(TimeLeft(likely / 2, likely, 2 * likely))))
+        clock.now += asking
+    for number, (at, left) in enumerate(told):
+        later = [each for then, each in told[number + 1 :] if then >= at + max(left.likely, 1.0)]
+        assert all(each.overdue for each in later)
+    for likely, run in groupby(told, key=lambda each: each[1].likely):
+        moments = [at for at, _ in run]
+        assert moments[-1] - moments[0] <= max(likely, 1.0) + asking
+    wrong = [left.likely < (whole - at) / 2.0 for at, left in told]
+    assert sum(wrong) <= 0.8 * len(told) + 3, "doubling comes near the truth"

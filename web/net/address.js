@@ -9,7 +9,7 @@ import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
-import { cutQuery } from "./request.js";
+import { cutQuery, isUpload } from "./request.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
@@ -29,6 +29,7 @@ const CHOICES = [
 const KNOWN = new Set([
   ...CHOICES,
   "scene",
+  "name",
   "target",
   "token",
   "measure",
@@ -94,6 +95,7 @@ export function readAddress(search) {
  */
 export function writeAddress(scene, values) {
   const query = new URLSearchParams({ scene: scene.id });
+  if (isUpload(scene)) query.set("name", scene.name);
   const idle = idleKnobs(values.material);
   for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) {
     const value = /** @type {number} */ (values[name]);
@@ -145,7 +147,9 @@ export function complaints(search, scene) {
     return number === "isovalue" ? isovalueComplaint(scene, Number(value)) : "";
   };
   const lost =
-    named && named !== scene.id ? [`There is no scene “${named}”: this is ${scene.name}.`] : [];
+    named && named !== scene.id
+      ? [`There is no scene “${query.get("name") ?? named}”: this is ${scene.name}.`]
+      : [];
   return [...lost, ...[...query].map(([name, value]) => complaint(name, value)).filter(Boolean)];
 }
 
@@ -182,7 +186,7 @@ function choiceComplaint(
   if (name === "slices" && !readCrossHair(value))
     return `“${value}” is no place of slices: it is a voxel such as 12,30,5.`;
   if (name === "surfaces" && !areSurfaces(value, surfaces.length))
-    return `“${value}” does not fit the surfaces beside.`;
+    return `“${value}” does not fit the other surfaces of this scene.`;
   if (name === "hide" && !areHidden(value, colours?.labels ?? []))
     return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials))

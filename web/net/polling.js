@@ -165,7 +165,8 @@ export function refinementPause(elapsed, unchanged) {
 /**
  * Pictures of one view, each better than the one before, however long that takes and through losses
  * of the server; the
- * last is final, unless no more light is coming.
+ * last is final, unless no more light is coming: the server then waits for none, and foresees no
+ * time until it is final.
  * @param {(waitMs: number, etag: string|null) => Promise<Frame>} ask sends one request
  * @param {AbortSignal} signal
  * @param {(trouble: Trouble) => void} onTrouble called when the server is away, or busy
@@ -182,9 +183,11 @@ export async function* untilFinal(ask, signal, onTrouble, clock = CLOCK) {
       const frame = await ask(waitMs, etag);
       ({ etag, facts } = { etag: frame.etag, facts: frame.facts ?? facts });
       if (frame.blob && facts) yield { blob: frame.blob, facts };
-      unchanged = frame.blob || clock.now() - began > waitMs / 2 ? 0 : unchanged + 1;
+      const held = clock.now() - began > waitMs / 2;
+      unchanged = frame.blob || held || frame.facts?.timeLeft ? 0 : unchanged + 1;
       waitMs = FINAL_WAIT_MS;
-      if (unchanged) await pause(PAUSE_MS, signal, clock);
+      // a server that answers at once is not asked at once again
+      if (!frame.blob && !held) await pause(PAUSE_MS, signal, clock);
     } catch (error) {
       const delay = retryDelay(error, 0, [PAUSE_MS]);
       if (delay === null) throw error;

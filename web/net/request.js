@@ -18,8 +18,11 @@ import { idleKnobs } from "../view/surfaces.js";
  * @property {() => string} link the address of the page with the view in it
  * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the
  *   picture shown
+ * @property {() => {blob: Blob, facts: import("./schemas.js").Facts, width: number, height:
+ *   number}|null} ready that picture, if it is final; null before that
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
+ * @property {() => string} empty what is said of it where it shows no surface
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers
  *   its scale bar and axes
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null}
@@ -121,14 +124,40 @@ export function describe(scene, values) {
   return `Isosurface of ${scene.name} at ${short(values.isovalue)}, seen from ${from}; ${shadingName(values.shading)}`;
 }
 
+const DIGEST = /^[0-9a-f]{20}([0-9a-f]{12})?$/; // the id of an upload
+const MOST_LETTERS = 40; // of a file's name
+
+/**
+ * Whether a scene is an upload, whose id tells people nothing.
+ * @param {Pick<Scene, "id">} scene
+ * @returns {boolean}
+ */
+export function isUpload({ id }) {
+  return DIGEST.test(id);
+}
+
+/**
+ * What files of a scene are called: by its id, or an upload by its name.
+ * @param {Pick<Scene, "id"|"name">} scene
+ * @returns {string}
+ */
+export function nameOfFiles(scene) {
+  if (!isUpload(scene)) return scene.id;
+  const words = scene.name
+    .replace(/[^\p{L}\p{N}.]+/gu, "-")
+    .slice(0, MOST_LETTERS)
+    .replace(/^[-.]+|[-.]+$/g, "");
+  return words || scene.id;
+}
+
 /**
  * The name of a view's file, without an ending.
- * @param {Pick<Scene, "id">} scene
+ * @param {Pick<Scene, "id"|"name">} scene
  * @param {Pick<Knobs, "isovalue">} values knobs of the view
  * @returns {string}
  */
 export function fileName(scene, values) {
-  return `${scene.id}-${short(values.isovalue)}`;
+  return `${nameOfFiles(scene)}-${short(values.isovalue)}`;
 }
 
 /**

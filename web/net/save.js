@@ -1,11 +1,11 @@
 /** The panel that saves the picture of the view, in full resolution and final. */
 
 import { find } from "../dom.js";
-import { errorInWords, frameInWords } from "../view/format.js";
+import { errorInWords, frameInWords, leftAfter } from "../view/format.js";
 import { readFrame } from "./api.js";
-import { withNotes } from "./png.js";
+import { withNotes } from "./bytes.js";
 import { untilFinal } from "./polling.js";
-import { Sheet, stripsOf, worstOf } from "./strips.js";
+import { Sheet, stripsOf, whole, worstOf } from "./strips.js";
 
 /** @typedef {import("./request.js").Description} Description */
 /** @typedef {import("./schemas.js").Facts} Facts */
@@ -16,36 +16,37 @@ import { Sheet, stripsOf, worstOf } from "./strips.js";
  * @property {AbortController} controller stops it
  * @property {AbortController} hurry has it end with what is there
  * @property {import("./strips.js").Stamp|null} stamp what is drawn over it, at a corner
+ * @property {Picture|null} ready the picture, where it is on the stage, and final
  * @property {string} size
  * @property {string} link
  * @property {string} file
  * @property {string} alt
+ * @property {string} empty what is said of it where it shows no surface
  */
 
 const WIDTHS = [1920, 3840, 7680];
 const LONGEST_SIDE = 8192;
-const LEAST_WIDTH = 1920; // what is offered first
+const SECOND_MS = 1000;
 
 /**
  * Sizes to choose from, all of the shape of the picture shown.
  * @param {{width: number, height: number}} shown
- * @returns {{width: number, height: number, name: string}[]} narrowest first
+ * @param {boolean} [ready] whether that picture is final, so that it is a file at once
+ * @returns {{width: number, height: number, name: string}[]} that of the picture shown, which is
+ *   offered first, then others, narrowest first
  */
-export function sizesFor(shown) {
+export function sizesFor(shown, ready = false) {
   /** @type {(width: number, name: string) => {width: number, height: number, name: string}} */
   const wide = (width, name) => ({
     width,
     height: Math.round((shown.height * width) / shown.width),
     name,
   });
-  const all = [
-    wide(shown.width, "as seen"),
-    wide(2 * shown.width, "twice"),
-    ...WIDTHS.map((width) => wide(width, "")),
-  ];
-  return all
+  const others = [wide(2 * shown.width, "twice"), ...WIDTHS.map((width) => wide(width, ""))]
     .filter(({ width, height }) => Math.max(width, height) <= LONGEST_SIDE)
+    .filter(({ width }) => width !== shown.width)
     .sort((a, b) => a.width - b.width);
+  return [wide(shown.width, ready ? "as seen, at once" : "as seen"), ...others];
 }
 
 /**
@@ -77,11 +78,11 @@ export class Saver {
 
   #offer() {
     if (this.#work) return;
-    const sizes = sizesFor(this.#description.query());
-    const first = sizes.find(({ width }) => width >= LEAST_WIDTH) ?? sizes.at(-1);
+    const ready = this.#description.ready();
+    const sizes = sizesFor(ready ?? this.#description.query(), ready !== null);
     const options = sizes.map(({ width, height, name }) => {
       const text = [`${width} × ${height}`, name].filter(Boolean).join(", ");
-      return new Option(text, `${width}×${height}`, false, width === first?.width);
+      return new Option(text, `${width}×${height}`);
     });
     find(this.#panel, "#save-size").replaceChildren(...options);
     const [box, coloured] = [
@@ -102,7 +103,7 @@ export class Saver {
     const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement)
       .value.split("×")
       .map(Number);
-    const { link, query, file, alt, rulers, legend } = this.#description;
+    const { link, query, ready, file, alt, empty, rulers, legend } = this.#description;
     const over = [
       ...(this.#box("rulers").checked ? [rulers] : []),
       ...(this.#box("legend").checked ? [legend] : []),
@@ -113,10 +114,12 @@ export class Saver {
       controller,
       hurry,
       stamp,
+      ready: readyAt(ready(), { width, height }),
       size: `${width} × ${height}`,
       link: link(),
       file: file(),
       alt: alt(),
+      empty: empty(),
     };
     this.#begin(work);
     try {
@@ -133,7 +136,7 @@ export class Saver {
    * @param {Work} work
    */
   async #make(query, size, work) {
-    const strips = stripsOf(size);
+    const strips = work.ready ? [whole(size)] : stripsOf(size);
     if (strips.length === 1 && !work.stamp)
       return this.#finish(await this.#refine(query, work, 0, 1), work);
     /** @type {Facts[]} */
@@ -158,7 +161,9 @@ export class Saver {
    * @param {number} strips
    * @returns {Promise<Picture>}
    */
-  async #refine(query, { controller: { signal }, hurry }, n, strips) {
+  async #refine(query, { controller: { signal }, hurry, ready, empty }, n, strips) {
+    if (ready) return ready;
+    const about = { target: this.#scene.target_error, empty };
     /** @type {Picture|null} */
     let best = null;
     const stop = new AbortController();
@@ -170,20 +175,32 @@ export class Saver {
     const hurried = new Promise((resolve) =>
       hurry.signal.addEventListener("abort", () => best && resolve(best)),
     );
+    let [since, away] = [0, false]; // when the best picture came, and whether the server is away
+    const tell = () => {
+      if (!best || away) return;
+      const timeLeft = leftAfter(best.facts.timeLeft, (performance.now() - since) / 1000);
+      this.#say(`${part}${frameInWords({ ...best.facts, timeLeft }, about)}.`);
+    };
+    const troubled = (/** @type {{detail: string}} */ { detail }) => {
+      away = true;
+      this.#say(detail);
+    };
+    const timer = setInterval(tell, SECOND_MS);
     const refined = async () => {
-      for await (const picture of untilFinal(ask, over, ({ detail }) => this.#say(detail))) {
-        best = picture;
+      for await (const picture of untilFinal(ask, over, troubled)) {
+        [best, since, away] = [picture, performance.now(), false];
         find(this.#panel, "#save-progress", HTMLProgressElement).value =
           (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
-        this.#say(`${part}${frameInWords(picture.facts)}.`);
+        tell();
         if (hurry.signal.aborted) break;
       }
-      if (!best?.facts.provisional || hurry.signal.aborted) return best;
-      this.#say(`${part}No more light is coming: ${frameInWords(best.facts)}.`);
-      return hurried;
+      return best;
     };
-    return Promise.race([hurried, refined()]).finally(() => stop.abort());
+    return Promise.race([hurried, refined()]).finally(() => {
+      clearInterval(timer);
+      stop.abort();
+    });
   }
 
   /** @param {Work} work */
@@ -198,9 +215,12 @@ export class Saver {
    * @param {Picture} picture
    * @param {Work} work
    */
-  async #finish({ blob, facts }, { link, file, alt, size }) {
+  async #finish({ blob, facts }, { link, file, alt, size, hurry, empty }) {
     const name = `${file}${facts.provisional ? "-preview" : ""}.png`;
-    const state = [frameInWords(facts), size, this.#missed(facts)].filter(Boolean).join(", ");
+    const ended = facts.provisional && !hurry.signal.aborted ? "no more light is coming" : "";
+    const state = [frameInWords(facts, { empty }), size, this.#missed(facts), ended]
+      .filter(Boolean)
+      .join(", ");
     download(
       await withNotes(blob, {
         Title: latin(alt),
@@ -255,6 +275,16 @@ export class Saver {
   #say(words) {
     find(this.#panel, ".note").textContent = words;
   }
+}
+
+/**
+ * The picture on the stage, if it is final and of this size.
+ * @param {ReturnType<Description["ready"]>} ready
+ * @param {{width: number, height: number}} size
+ * @returns {Picture|null}
+ */
+function readyAt(ready, { width, height }) {
+  return ready && ready.width === width && ready.height === height ? ready : null;
 }
 
 // of a picture, in whose pixels a stamp is drawn; in larger ones it grows

@@ -26,9 +26,10 @@
 /** @typedef {Record<State, number>} Coverage shares of the surface pixels */
 
 /**
- * @typedef {Pick<CoverageDocument, "provisional"|"coverage"|"error"|"controls"|"p99"|"p99_interval"|"chunks">
- *   & {timeLeft: CoverageDocument["time_left"], timing: Record<string, number>}} Facts what a frame says about itself: its
- * error is NaN where the server gives none, and its timing has the milliseconds of each stage of its making
+ * @typedef {Pick<CoverageDocument, "provisional"|"coverage"|"error"|"interval"|"controls"|"p99"|"p99_interval"|"chunks">
+ *   & {surface: number, timeLeft: import("../view/format.js").Left|null, timing: Record<string, number>}} Facts what a frame says
+ * about itself: its error is NaN where the server gives none, as is the number of pixels that show the surface, and its
+ * timing has the milliseconds of each stage of its making
  */
 
 /**
@@ -44,7 +45,7 @@
  * @property {boolean} draft
  * @property {string} media_type
  * @property {Record<string, number>} timing
- * @property {Omit<Facts, "timeLeft"|"timing"> & Pick<CoverageDocument, "time_left">} facts
+ * @property {Omit<Facts, "surface"|"timeLeft"|"timing"> & Pick<CoverageDocument, "pixels"|"time_left"|"overdue">} facts
  * @property {import("../documents.js").CardChunk[]} [chunks] that the picture reads, where they were asked for
  * @property {{status?: number, detail?: string}} [problem] in place of all others
  */
@@ -70,9 +71,10 @@ export function readFacts(headers) {
       provisional: 0,
       ...parsePairs(headers.get("Isogi-Coverage")),
     },
+    surface: Number.parseInt(headers.get("Isogi-Surface") ?? "", 10),
     ...readErrors(headers.get("Isogi-Error") ?? ""),
     chunks: { needed: 0, final: 0, ...parsePairs(headers.get("Isogi-Chunks")) },
-    timeLeft: readTimeLeft(headers.get("Isogi-Time-Left")),
+    timeLeft: readTimeLeft(headers),
     timing: parseTiming(headers.get("Server-Timing")),
   };
 }
@@ -80,10 +82,12 @@ export function readFacts(headers) {
 /**
  * What a header such as `0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.06; …` says of errors.
  * @param {string} header
- * @returns {Pick<Facts, "error"|"controls"|"p99"|"p99_interval">}
+ * @returns {Pick<Facts, "error"|"interval"|"controls"|"p99"|"p99_interval">}
  */
 function readErrors(header) {
   const {
+    low: least,
+    high: most,
     controls = 0,
     p99 = null,
     "p99-low": low,
@@ -91,6 +95,7 @@ function readErrors(header) {
   } = parsePairs(header.replaceAll(";", ","));
   return {
     error: Number.parseFloat(header),
+    interval: controls ? [least, most] : null,
     controls,
     p99,
     p99_interval: p99 === null ? null : [low, high],
@@ -104,12 +109,12 @@ function readErrors(header) {
  * @returns {{blob: Blob, facts: Facts, chunks?: StreamMessage["chunks"]}}
  */
 export function streamedFrame(
-  { media_type: type, timing, chunks, facts: { time_left: timeLeft, ...facts } },
+  { media_type: type, timing, chunks, facts: { time_left: left, overdue, pixels, ...facts } },
   data,
 ) {
   return {
     blob: new Blob([data], { type }),
-    facts: { ...facts, timeLeft, timing },
+    facts: { ...facts, surface: pixels.surface, timeLeft: left && { ...left, overdue }, timing },
     ...(chunks && { chunks }),
   };
 }
@@ -137,8 +142,10 @@ export function parseTiming(text) {
   return Object.fromEntries(named.map(([name, ms]) => [name, Number(ms)]));
 }
 
-/** @param {string|null} text @returns {Facts["timeLeft"]} */
-function readTimeLeft(text) {
+/** @param {Headers} headers @returns {Facts["timeLeft"]} */
+function readTimeLeft(headers) {
+  const text = headers.get("Isogi-Time-Left");
   const { low, likely, high } = parsePairs(text);
-  return text === null ? null : { low, likely, high };
+  const overdue = headers.get("Isogi-Overdue") === "?1";
+  return text === null ? null : { low, likely, high, overdue };
 }

@@ -3,6 +3,7 @@
  * they are not.
  */
 
+import { leftAfter } from "../view/format.js";
 import { CLOCK } from "./trouble.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -44,6 +45,7 @@ export class Shown {
   #picture = null;
   /** @type {Cover|null} */
   #cover = null;
+  #cameAt = 0; // when the picture came
   #moving = false;
   #lost = false;
   /** @type {Set<() => void>} */
@@ -101,6 +103,15 @@ export class Shown {
     if (!this.#cover) return picture.facts;
     const waits = picture.facts.provisional && !this.#moving && this.#isAsked(this.#cover.of);
     return waits ? { ...picture.facts, error: NaN, p99: null, p99_interval: null } : null;
+  }
+
+  /**
+   * The time until the picture is done, as what was said of it stands now: it becomes less while
+   * nothing comes.
+   * @returns {import("../view/format.js").Left|null}
+   */
+  get left() {
+    return leftAfter(this.facts?.timeLeft ?? null, (this.#clock.now() - this.#cameAt) / 1000);
   }
 
   /**
@@ -176,6 +187,7 @@ export class Shown {
   /** A picture of the server is on the stage now. @param {ShownPicture} picture */
   show(picture) {
     this.#picture = picture;
+    this.#cameAt = this.#clock.now();
     this.#lost = false;
     this.#tell();
   }

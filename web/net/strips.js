@@ -23,11 +23,16 @@ const OVERLAP = 2; // rows that neighbours share, so that edges are smooth acros
  */
 export function stripsOf({ width, height }) {
   const high = Math.max(1, Math.floor(STRIP / width) - 2 * OVERLAP);
-  if (width * height <= STRIP) return [{ rows: [0, height], from: 0, to: height }];
+  if (width * height <= STRIP) return [whole({ height })];
   return Array.from({ length: Math.ceil(height / high) }, (_, n) => {
     const [from, to] = [n * high, Math.min((n + 1) * high, height)];
     return { rows: [Math.max(0, from - OVERLAP), Math.min(height, to + OVERLAP)], from, to };
   });
+}
+
+/** The one strip that is all of a picture. @param {{height: number}} size @returns {Strip} */
+export function whole({ height }) {
+  return { rows: [0, height], from: 0, to: height };
 }
 
 /**

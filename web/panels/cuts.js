@@ -95,9 +95,9 @@ const SIDES = 6; // of a box
  * @param {boolean} oblique whether there are planes along no axis
  */
 function cutInWords(opened, oblique) {
-  if (!opened) return "All stays lit as a whole, and cut faces show values.";
+  if (!opened) return "The light stays that of the whole, and cut faces show values.";
   return oblique
-    ? "Light comes in by the sides of the box. Oblique planes are windows, and show values: of voxels, their faces would be stairs."
+    ? "Light comes in by the sides of the box. Oblique planes only hide what is before them, and show values: cut voxels would leave steps there."
     : "What is left is lit again.";
 }
 

@@ -4,7 +4,13 @@
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
-import { errorInWords, rangeInWords, shareInWords, timeInWords } from "../view/format.js";
+import {
+  errorInWords,
+  rangeInWords,
+  shareInWords,
+  showsSurface,
+  timeInWords,
+} from "../view/format.js";
 import { Chart } from "./chart.js";
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
@@ -92,25 +98,39 @@ export class ErrorPanel {
    * Show what is known of the picture on the stage, and what led to it: another view begins a
    * history of its own, unless
    * its light is the same.
-   * @param {Pick<import("../net/shown.js").Shown, "asked"|"facts">} shown
+   * @param {Pick<import("../net/shown.js").Shown, "asked"|"facts"|"left">} shown
    */
-  show({ asked, facts }) {
+  show({ asked, facts, left }) {
     const light = JSON.stringify(lightKnobs(asked.values));
-    if (light === this.#light && facts === this.#facts) return;
+    if (light === this.#light && facts === this.#facts) return this.#writeNote(facts, left);
     if (light !== this.#light) this.#history.begin();
     if (facts) this.#history.add(facts);
     [this.#light, this.#facts] = [light, facts];
     this.#write(facts);
+    this.#writeNote(facts, left);
+  }
+
+  /**
+   * Say how far the picture is; also of one that has not changed, as time passes.
+   * @param {Facts|null} facts of the picture
+   * @param {Facts["timeLeft"]} left
+   */
+  #writeNote(facts, left) {
+    const { latest } = this.#history;
+    const note = find(this.#root, ".note");
+    const words =
+      latest && facts && Number.isFinite(facts.error)
+        ? momentInWords({ ...facts, seconds: latest.seconds }, left)
+        : WAITING;
+    if (note.textContent !== words) note.textContent = words;
   }
 
   /** @param {Facts|null} facts of the picture */
   #write(facts) {
     const { moments, latest } = this.#history;
     const known = latest && facts && Number.isFinite(facts.error);
-    find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
-    find(this.#root, ".note").textContent = known
-      ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft)
-      : WAITING;
+    find(this.#root, ".value").textContent =
+      known && showsSurface(facts) ? errorInWords(facts.error) : "";
     find(this.#root, ".tail").textContent = known ? tailInWords(facts) : "";
     find(this.#root, "svg", SVGSVGElement).setAttribute(
       "aria-label",

@@ -54,6 +54,10 @@ export function attachHistogram(form, scene, view, say) {
     svgElement("title", {}, stopsInWords(scene.stops_note)),
     ticks,
   );
+  find(form, "#stops-note").textContent = stopsInWords(scene.stops_note);
+  // labels have no isovalue: their surface is that of the parts shown
+  if (scene.colours?.labels.length)
+    for (const part of form.querySelectorAll("#isovalue-part > .of-values")) hide(part);
   /** @param {Knobs} values */
   const mirror = ({ isovalue }) => {
     slider.value = String(isovalue);
@@ -66,6 +70,11 @@ export function attachHistogram(form, scene, view, say) {
   };
   mirror(view.values);
   view.subscribe(mirror);
+}
+
+/** @param {Element} part */
+function hide(part) {
+  part.toggleAttribute("hidden", true);
 }
 
 /**

@@ -83,7 +83,25 @@ export function knobInWords(name, value, exposure) {
   if (unit === "step") return `step ${value}`;
   if (unit === "radii") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / exposure).toFixed(1));
-  return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");
+  const stop = Math.abs(stops) === 1 ? "stop" : "stops";
+  return `${stops > 0 ? "+" : ""}${stops} ${stop}`.replace("-", "−");
+}
+
+/**
+ * The same as a screen reader says it, without signs.
+ * @param {NumberKnob} name
+ * @param {number} value
+ * @param {number} exposure the scene's own, that others are stops from
+ * @returns {string}
+ */
+export function knobSpoken(name, value, exposure) {
+  const minus = value < 0 ? "minus " : "";
+  if (UNITS[name] === "degrees") return `${minus}${Math.round(Math.abs(value))} degrees`;
+  if (name !== "exposure") return knobInWords(name, value, exposure);
+  const stops = Number(Math.log2(value / exposure).toFixed(1));
+  if (stops === 0) return "as the scene has it";
+  const words = knobInWords(name, value, exposure).replace(/^[+−]/, "");
+  return `${words} ${stops > 0 ? "brighter" : "darker"}`;
 }
 
 /**
@@ -119,7 +137,9 @@ export function attachSlider(knob, scene, view) {
       name === "isovalue"
         ? String(inShort(scene, name, value))
         : knobInWords(name, value, scene.defaults.exposure);
-    input.setAttribute("aria-valuetext", output.value);
+    const spoken =
+      name === "isovalue" ? output.value : knobSpoken(name, value, scene.defaults.exposure);
+    input.setAttribute("aria-valuetext", spoken);
   };
 }
 

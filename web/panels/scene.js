@@ -87,7 +87,7 @@ export function volumeRows({
     Labels: colours?.labels.length
       ? `${colours.colours.length} of ${colours.labels.length} shown`
       : null,
-    "Surfaces beside": surfaces.map(surfaceInWords).join("; "),
+    "Other surfaces": surfaces.map(surfaceInWords).join("; "),
     "Albedos to choose from":
       albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };

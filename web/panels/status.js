@@ -9,6 +9,7 @@ import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from 
 /** @typedef {import("../net/shown.js").Shown} Shown */
 /** @typedef {import("../net/shown.js").State} State */
 /** @typedef {import("../net/trouble.js").Clock} Clock */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
 
 const ALMOST = 0.99; // the most that a bar shows of what is not done
 const OLD_MS = 300; // after which a picture that the controls have left is dimmed
@@ -28,6 +29,7 @@ const WORDS = {
 export class Status {
   #root;
   #target;
+  #emptyOf;
   #clock;
   #old;
   #late;
@@ -36,11 +38,13 @@ export class Status {
   /**
    * @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce`
    * @param {number} target relative error at which a picture is good enough to go without a badge
+   * @param {(values: Knobs) => string} emptyOf what is said of a view that shows no surface
    * @param {Clock} [clock]
    */
-  constructor(root, target, clock = CLOCK) {
+  constructor(root, target, emptyOf, clock = CLOCK) {
     this.#root = root;
     this.#target = target;
+    this.#emptyOf = emptyOf;
     this.#clock = clock;
     const stage = find(root, "#stage");
     this.#old = markedFrom(stage, "data-old", clock);
@@ -50,16 +54,17 @@ export class Status {
 
   /** Show how the picture stands to the controls. @param {Shown} shown */
   show(shown) {
-    const { state, facts, sharp, leftAt, waitsSince } = shown;
+    const { state, sharp, leftAt, waitsSince } = shown;
+    const facts = shown.facts && { ...shown.facts, timeLeft: shown.left };
     const stage = find(this.#root, "#stage");
-    const { badge, line } =
-      WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, this.#target);
+    const about = { target: this.#target, empty: this.#emptyOf(shown.values) };
+    const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, about);
     const more = facts || !shown.predicted ? "" : predictedInWords(shown.predicted);
     stage.dataset.state = state;
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
     this.#write("#status-line", line + more);
     this.#write("#badge", badge);
-    this.#write("#announce", facts ? announcement(facts, sharp) : "");
+    this.#write("#announce", facts ? announcement(facts, sharp, about) : "");
     this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);
@@ -104,8 +109,8 @@ export function doneOf({ provisional, timeLeft }, seconds) {
  * @param {Facts} facts
  * @param {number} done
  */
-function sharesOf({ coverage }, done) {
-  const lit = showsSurface(coverage) ? 1 - coverage.provisional : 1;
+function sharesOf(facts, done) {
+  const lit = showsSurface(facts) ? 1 - facts.coverage.provisional : 1;
   return { final: done, converging: (1 - done) * lit, provisional: (1 - done) * (1 - lit) };
 }
 
@@ -133,13 +138,14 @@ function markedFrom(node, name, clock) {
  * What is said of the full picture of a view. One that was done, and becomes sharp, has no badge.
  * @param {Facts} facts
  * @param {boolean} sharp whether it has all of the screen's pixels
- * @param {number} target relative error
+ * @param {{target: number, empty: string}} about see `frameInWords`
  * @returns {{badge: string, line: string}}
  */
-export function wordsOf(facts, sharp, target) {
-  return sharp
-    ? { badge: "", line: frameInWords(facts).replace(/^(Refining|Preview)/, "Sharpening") }
-    : { badge: badge(facts, target), line: frameInWords(facts) };
+export function wordsOf(facts, sharp, about) {
+  const line = frameInWords(facts, about);
+  return sharp && showsSurface(facts)
+    ? { badge: "", line: line.replace(/^(Refining|Preview)/, "Sharpening") }
+    : { badge: badge(facts, about.target), line };
 }
 
 /**
@@ -152,12 +158,15 @@ export function predictedInWords(error) {
 }
 
 /**
- * What stands on a picture that is not within its target: it counts down to that.
- * @param {Pick<Facts, "provisional"|"error">} facts
+ * What stands on a picture that is not within its target: it counts down to that; or on one that
+ * shows nothing.
+ * @param {Pick<Facts, "provisional"|"error"|"surface">} facts
  * @param {number} target relative error
  * @returns {string}
  */
-export function badge({ provisional, error }, target) {
+export function badge(facts, target) {
+  const { provisional, error } = facts;
+  if (!showsSurface(facts)) return "No surface";
   if (!provisional || error <= target) return "";
   return error < PREVIEW ? `Refining · ${errorInWords(error)} error` : "Preview";
 }
@@ -166,10 +175,11 @@ export function badge({ provisional, error }, target) {
  * What screen readers say: it changes once light is everywhere and at the end, not at every frame.
  * @param {Facts} facts
  * @param {boolean} [sharp] whether the picture has all of the screen's pixels
+ * @param {{target: number, empty: string}} [about] see `frameInWords`
  * @returns {string}
  */
-export function announcement(facts, sharp = false) {
-  if (!facts.provisional) return frameInWords(facts);
+export function announcement(facts, sharp = false, about) {
+  if (!facts.provisional) return frameInWords(facts, about);
   return sharp
     ? "Sharpening"
     : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;

@@ -5,6 +5,7 @@
 
 import { find, textElement } from "../dom.js";
 import { readAddress, writeAddress } from "../net/address.js";
+import { nameOfFiles } from "../net/request.js";
 import { download } from "../net/save.js";
 
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
@@ -72,7 +73,7 @@ export function parseViews(text) {
  */
 export function attachViews(part, scene, view, query) {
   const key = `isogi: views of ${scene.id}`;
-  const file = `${scene.id}-views.json`;
+  const file = `${nameOfFiles(scene)}-views.json`;
   let kept = parseViews(stored(key));
   const save = find(part, "#views-save", HTMLButtonElement);
   const build = () => {
@@ -80,7 +81,7 @@ export function attachViews(part, scene, view, query) {
     save.disabled = kept.length < 2;
     find(part, "#views-line").hidden = save.disabled;
     find(part, "code").textContent =
-      `isogi film ${scene.id}.toml --views-file ${file} -o ${scene.id}.mp4`;
+      `isogi film ${scene.id}.toml --views-file ${file} -o ${nameOfFiles(scene)}.mp4`;
   };
   const change = (/** @type {KeptView[]} */ views) => {
     kept = views;

@@ -1,6 +1,10 @@
 /** Numbers, shares, errors, times, shadings and the state of a frame, as a person reads them. */
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
+/**
+ * @typedef {Pick<Facts,
+ *   "provisional"|"surface"|"error"|"controls"|"interval"|"p99"|"timeLeft">} StateFacts
+ */
 
 /** @type {Record<string, string>} */
 const SHADING_NAMES = {
@@ -88,17 +92,45 @@ export function timeInWords(seconds) {
 }
 
 /**
+ * What is left, in seconds, and whether the work takes longer than was said before.
+ * @typedef {{low: number, likely: number, high: number, overdue?: boolean}} Left
+ */
+
+/**
+ * What a time left says some seconds later, if nothing else is known: less by these. Once they are
+ * over, the work takes longer than expected, and twice as long; and so on.
+ * @template {Left|null} T
+ * @param {T} left
+ * @param {number} seconds
+ * @returns {T|Left}
+ */
+export function leftAfter(left, seconds) {
+  if (!left) return left;
+  let [passed, span] = [seconds, Math.max(left.likely, 1)];
+  let overdue = left.overdue ?? false;
+  for (; passed >= span; span *= 2) {
+    passed -= span;
+    overdue = true;
+  }
+  const within = passed === seconds; // of what was said
+  const likely = within ? Math.min(span - passed, left.likely) : span - passed;
+  const share = left.likely > 0 ? likely / left.likely : 1;
+  return { low: share * left.low, likely, high: share * left.high, overdue };
+}
+
+/**
  * How long it still takes, such as "about 20 s left".
- * @param {{likely: number}} left seconds
+ * @param {Pick<Left, "likely"|"overdue">} left
  * @returns {string}
  */
-export function leftInWords({ likely }) {
-  return `about ${atLeastOne(likely)} left`;
+export function leftInWords({ likely, overdue }) {
+  const words = `about ${atLeastOne(likely)} left`;
+  return overdue ? `longer than expected, ${words}` : words;
 }
 
 /**
  * The same with its range: "about 20 s left (12 s to 41 s)".
- * @param {{low: number, likely: number, high: number}} left seconds
+ * @param {Left} left
  * @returns {string}
  */
 export function rangeInWords(left) {
@@ -109,15 +141,19 @@ export function rangeInWords(left) {
 /**
  * The state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done, 0.8 %
  * error".
- * @param {Pick<Facts, "provisional"|"coverage"|"error"|"controls"|"timeLeft">} facts
+ * @param {StateFacts} facts
+ * @param {{target?: number, empty?: string}} [about] the relative error at which it is done, and
+ *   what is said of a frame that shows no surface
  * @returns {string}
  */
-export function frameInWords({ provisional, coverage, error, controls, timeLeft }) {
-  if (!provisional && !showsSurface(coverage)) return "Done, no surface in view";
+export function frameInWords(facts, { target = 0, empty = "No surface in view" } = {}) {
+  const { provisional, error, controls, timeLeft } = facts;
+  if (!showsSurface(facts)) return empty;
   const known = error > 0 && error < PREVIEW;
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
+  const reason = known ? reasonInWords(facts, target) : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
-  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, left]
+  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, reason, left]
     .filter(Boolean)
     .join(", ");
 }
@@ -125,13 +161,48 @@ export function frameInWords({ provisional, coverage, error, controls, timeLeft 
 /** Relative error from which on a picture is called a preview. */
 export const PREVIEW = 0.9;
 
+// error that 99 % of the pixels of a picture that is done stay below, over its target
+const TAIL = 5;
+
+/**
+ * Why a picture is not done though its error is below the target; "" where that is not so.
+ * @param {StateFacts} facts
+ * @param {number} target relative error
+ * @returns {string}
+ */
+export function reasonInWords({ provisional, error, controls, interval, p99 }, target) {
+  if (!provisional || !(error <= target)) return "";
+  if (!controls) return "not measured yet";
+  if (interval && interval[1] > target)
+    return `between ${errorInWords(interval[0])} and ${errorInWords(interval[1])}`;
+  if (p99 && p99 > TAIL * target) return `1 % of pixels off by more than ${errorInWords(p99)}`;
+  return "not all of its light is there yet";
+}
+
 /**
  * Whether a frame shows any surface.
- * @param {import("../net/schemas.js").Coverage} coverage
+ * @param {Pick<Facts, "surface">} facts
  * @returns {boolean}
  */
-export function showsSurface(coverage) {
-  return coverage.final + coverage.converging + coverage.provisional > 0;
+export function showsSurface({ surface }) {
+  return surface !== 0;
+}
+
+/**
+ * What is said of a view whose picture shows no surface: why, and what to do.
+ * @param {Pick<import("../net/schemas.js").Scene, "volume">} scene
+ * @param {Pick<import("./model.js").Knobs, "isovalue"|"planes">} values knobs of the view
+ * @returns {string}
+ */
+export function emptyInWords({ volume }, { isovalue, planes }) {
+  const [low, high] = volume.value_range;
+  if (low === high) return `No surface: all values are ${Number(low.toPrecision(6))}`;
+  const step = niceStep(high - low);
+  const [from, to, at] = [low, high, isovalue].map((value) => showNumber(value, step));
+  if (isovalue <= low || isovalue >= high)
+    return `No surface at ${at}: values go from ${from} to ${to}`;
+  if (planes) return `No surface at ${at} in what the cut leaves: show all of it, or change either`;
+  return `No surface at ${at} in view: reset the view, or choose another isovalue`;
 }
 
 /** @param {number} seconds */

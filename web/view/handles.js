@@ -241,7 +241,8 @@ export function tell(element, { name, value, range: [low, high] }) {
   [element.ariaValueMin, element.ariaValueMax, element.ariaValueNow] = [low, high, value].map(
     String,
   );
-  element.ariaValueText = String(Number(value.toPrecision(4)));
+  const [from, to, at] = [low, high, value].map((each) => Number(each.toPrecision(4)));
+  element.ariaValueText = `${name} ${at}, within ${from} to ${to}`;
 }
 
 /** @param {number} at @param {number} size */

@@ -43,7 +43,7 @@ const [AXIS, LETTER] = [24, 33];
 /** @type {Place} */
 const CROSS = [40, 40];
 const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
-const DEPTH = "at the target’s depth"; // where a scale bar is right in perspective
+const DEPTH = "at the point turned about"; // where a scale bar is right in perspective
 // of a scale bar: of the picture's width, and in any picture
 const LONGEST = { share: 0.25, pixels: 150 };
 

@@ -31,8 +31,6 @@ from isogi_core.files.packed_files import read_end
 NPY_MAGIC = b"\x93NUMPY"
 ZIP_MAGIC = b"PK\x03\x04"
 
-UNPACK_HINT = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
-
 
 @reader("NumPy", "part", "time", "channel")
 def open_numpy(source: Source) -> Grid:
@@ -46,6 +44,11 @@ def open_numpy(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds {dtype}: save an array of numbers.")
     coloured = len(shape) == 4 and dtype == np.uint8 and shape[-1] in (3, 4)
     field = shape[:-1] if coloured else shape
+    if len(field) < 3:
+        raise VolumeError(
+            f"'{source.name}' has {len(field)} dimensions, {shape}: a volume has three (z, y, x), "
+            "so stack its slices."
+        )
     picked, moment, _ = pick_axes(source, field)
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)
@@ -80,10 +83,6 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
                 name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")
             ]
             chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
-            if not names:
-                raise VolumeError(
-                    f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK_HINT}."
-                )
             if chosen not in names:
                 listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
                 raise VolumeError(

@@ -29,7 +29,7 @@ from isogi_core.files.formats.source import (
     reader,
 )
 from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
-from isogi_core.files.packed_files import READ_BYTES, line_of, open_regular, stamp_of
+from isogi_core.files.packed_files import READ_BYTES, line_of, stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
 
 DECODER_PACKAGES = {
@@ -117,7 +117,7 @@ def open_dicom(source: Source) -> Grid:
     """
     library("pydicom", "DICOM")
     _check_inflated(source)
-    folder = source.path is not None and source.path.is_dir()
+    folder = source.is_folder
     headers: Headers = list(_headers(source)) if folder else [(source.path, _read_header(source))]
     if not headers or "Rows" not in headers[0][1]:
         raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
@@ -154,7 +154,7 @@ def open_dicom(source: Source) -> Grid:
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
     notes = (*notes, *((LUMINANCE_NOTE,) if coloured else slices[0].packing.notes))
-    stamp = partial(_stamp_of_files, source, files)
+    stamp = source.stamp if source.archive else partial(_stamp_of_files, source, files)
     if affine is not None:
         placed = "its slices' positions"
     else:
@@ -187,7 +187,7 @@ def _check_inflated(source: Source) -> None:
     """Raise VolumeError where an upload inflates to more than its voxels may be: pydicom does that
     all at once.
     """
-    if source.path is not None:
+    if source.path is not None or source.is_folder:
         return
     with source.open() as file:
         head = file.read(META_BYTES)
@@ -218,20 +218,21 @@ def _read_header(source: Source) -> Any:
 
 def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
     """The headers of all images in a folder; files that are none are passed over."""
-    assert source.path is not None, "a folder has a path"
-    for path in sorted(source.path.iterdir()):
-        if not path.is_file() or not _may_be_dicom(path):
+    for path in source.paths:
+        file = source.at(path)
+        if not may_be_dicom(file):
             continue
-        header = _read_header(Source(str(path), path))
+        _check_inflated(file)
+        header = _read_header(file)
         if "Rows" in header:
             yield path, header
 
 
-def _may_be_dicom(path: Path) -> bool:
+def may_be_dicom(source: Source) -> bool:
     """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not
     always written.
     """
-    with open_regular(path) as file:
+    with source.open() as file:
         head = file.read(132)
     return is_dicom(head) or (head[1:2] == b"\0" and head[0] in (2, 8) and head[3:4] == b"\0")
 
@@ -449,7 +450,7 @@ class Frames:
             if place.path is None:
                 source = self._source
             else:
-                source = Source(str(place.path), place.path)
+                source = self._source.at(place.path)
             with source.open() as file:
                 self._file = place.path, pydicom.dcmread(file, force=True)
         data = self._file[1]

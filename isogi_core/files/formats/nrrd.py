@@ -421,10 +421,10 @@ def data_names(source: Source, header: Header) -> list[str] | None:
     )
     if given is None:
         return None
-    if source.path is None:
+    if source.path is None and source.member is None:
         raise VolumeError(
-            f"'{source.name}' is a header whose data is in another file: save both as one "
-            ".nrrd file."
+            f"'{source.name}' is a header whose data is in another file, {given[:80]}: send both "
+            "together, or save both as one .nrrd file."
         )
     pattern = _PATTERN.fullmatch(given)
     if given.split()[:1] == ["LIST"]:
@@ -479,7 +479,7 @@ def open_nrrd(source: Source) -> Grid:
         layout = layout_of(source, header)
         dtype = number_type(source.name, header)
         with _data(source, header, file) as parts:
-            files = [Path(part.name) for part in parts if part is not file]
+            files = [Path(part.name) for part in parts if part is not file and source.path]
             cut = _cut_notes(source, header, parts, layout.numbers * dtype.itemsize)
     return Grid(
         layout.shape,
@@ -579,8 +579,12 @@ def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[b
     if names is None:
         yield [file]
         return
-    assert source.path is not None, "a header that names files has a path"
     with ExitStack() as opened:
+        if source.member is not None:
+            beside = [source.at(source.member.parent / name) for name in names]
+            yield [opened.enter_context(each.open()) for each in beside]
+            return
+        assert source.path is not None, "a header that names files has a path"
         yield [
             opened.enter_context(open_regular(_beside(source.path.parent, name))) for name in names
         ]

@@ -96,7 +96,8 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
         (brain_files.is_minc(head, suffix), brain_files.open_minc),
         (head.startswith(hdf5.HDF5_MAGIC), hdf5.open_hdf5),
         (head.startswith(hdf5.NETCDF_MAGIC), hdf5.open_netcdf),
-        (head.startswith((array_files.NPY_MAGIC, array_files.ZIP_MAGIC)), array_files.open_numpy),
+        (head.startswith(array_files.NPY_MAGIC), array_files.open_numpy),
+        (head.startswith(array_files.ZIP_MAGIC), open_archive),
         (b"<VTKFile" in head and b"ImageData" in head, image_files.open_vti),
         (
             b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"),
@@ -175,10 +176,63 @@ def _unpacked_head(source: Source) -> bytes:
 
 def _open_folder(source: Source) -> Grid:
     """Open a folder of slices: TIFF where it holds such, else DICOM."""
-    assert source.path is not None, "a folder has a path"
-    if tiff.slices_in(source.path):
+    if tiff.slices_in(source):
         return tiff.open_tiff_folder(source)
     return dicom.open_dicom(source)
+
+
+HEADER_SUFFIX = ".nhdr"
+"""How a header's name ends whose voxels are in other files."""
+
+SLICES_HINT = "slices of DICOM or TIFF, or a header (.nhdr) with its data"
+
+
+def open_archive(source: Source) -> Grid:
+    """Open a ZIP file as a grid: of arrays of NumPy; else slices, a header with its data, or the
+    only file in it. Raises VolumeError.
+    """
+    folder = source.unpacked_archive()
+    paths = folder.paths
+    if any(path.suffix == ".npy" for path in paths):
+        return array_files.open_numpy(source)
+    headers = [path for path in paths if path.suffix.lower() == HEADER_SUFFIX]
+    if len(headers) == 1:
+        return nrrd.open_nrrd(folder.at(headers[0]))
+    if any(path.name in ZARR_FILES for path in paths):
+        raise VolumeError(
+            f"'{source.name}' holds a Zarr: unpack it, and give the path of its folder."
+        )
+    if len(paths) == 1:
+        return _open_by_head(folder.at(paths[0]))
+    alone = [path for path in paths[:MOST_LOOKED_AT] if _is_whole(folder.at(path))]
+    if len(alone) == 1:
+        return _open_by_head(folder.at(alone[0]))
+    if len(alone) > 1:
+        listed = ", ".join(path.name for path in alone[:4])
+        raise VolumeError(f"'{source.name}' holds several volumes ({listed}): give one of them.")
+    if tiff.slices_in(folder) or any(dicom.may_be_dicom(folder.at(path)) for path in paths):
+        return _open_folder(folder)
+    listed = ", ".join(path.name for path in paths[:4])
+    raise VolumeError(
+        f"'{source.name}' holds {len(paths)} files ({listed}{' …' if len(paths) > 4 else ''}) that "
+        f"are no one volume: give {SLICES_HINT}."
+    )
+
+
+MOST_LOOKED_AT = 64
+"""Files of an archive of which it is asked whether they are a volume alone."""
+
+
+def _is_whole(source: Source) -> bool:
+    """Whether a file is a volume alone, and no slice of one."""
+    with source.open() as file:
+        head = file.read(HEAD_BYTES)
+    opener = opener_for(head, _unpacked_head(source), Path(source.name).suffix.lower())
+    return opener is not None and opener not in (tiff.open_tiff, dicom.open_dicom)
+
+
+ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
+"""Names of files by which a folder is a Zarr."""
 
 
 TIFF_CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
@@ -227,16 +281,20 @@ LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
     (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters", "nibabel.minc2")),
     (0, b"CDF", ("nibabel.externals.netcdf", "nibabel.minc1")),
-    (0, b"PK", ("encodings.cp437",)),
     (0, b"<", VTK_MODULES),
 )
 """Libraries that a file may need, by what it has at some byte."""
 
+ARCHIVE_MODULES = ("encodings.cp437", "zipfile")
+
 
 def libraries_for(head: bytes) -> list[str]:
     """Modules that a file may need which begins with ``head``: more than it does, and never
-    less.
+    less. An archive may hold files of all kinds but VTK's.
     """
+    if head.startswith(b"PK"):
+        kinds = [names for _, _, names in LIBRARIES if names is not VTK_MODULES]
+        return [*ARCHIVE_MODULES, *dict.fromkeys(name for names in kinds for name in names)]
     return [name for at, mark, names in LIBRARIES if head[at:].startswith(mark) for name in names]
 
 

@@ -15,6 +15,7 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
+from isogi_core.files.formats.archive import Archive
 from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Grid, Shape, slab_layers
 from isogi_core.files.packed_files import (
     PACKING_DAMAGE,
@@ -40,6 +41,7 @@ class Source:
     for messages.
 
     ``chosen`` says which part of it is meant, by FILE_CHOICES. At most so many ``voxels`` are read.
+    The files of an ``archive`` are read as those of a folder, or one of them, its ``member``.
     """
 
     name: str
@@ -47,12 +49,51 @@ class Source:
     file: IO[bytes] | None = None
     chosen: Mapping[str, str] = field(default_factory=dict)
     voxels: int = MAX_VOXELS
+    archive: Archive | None = None
+    member: Path | None = None
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it holds files: a folder, or an archive."""
+        if self.archive is not None:
+            return self.member is None
+        return self.path is not None and self.path.is_dir()
+
+    @property
+    def paths(self) -> list[Path]:
+        """The paths of the files of a folder or an archive, in their order."""
+        if self.archive is not None:
+            return self.archive.paths
+        assert self.path is not None, "a folder has a path"
+        return sorted(path for path in self.path.iterdir() if path.is_file())
+
+    def at(self, path: Path) -> "Source":
+        """The file at one of its ``paths``."""
+        if self.archive is not None:
+            return replace(self, name=str(path), member=path)
+        return Source(str(path), path)
+
+    def unpacked_archive(self) -> "Source":
+        """This ZIP file as a folder of what is in it. Raises VolumeError."""
+        if self.path is None:
+            assert self.file is not None, "a source has a path or a file"
+            file = self.file
+        else:
+            file = open_regular(self.path)
+        with reading(self.name, "ZIP"):
+            return replace(
+                self, archive=Archive(file, self.name, self.voxels, owner=self.path is not None)
+            )
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
         """The file at its beginning, as it lies on the disk. Raises VolumeError where it cannot be
         read.
         """
+        if self.archive is not None and self.member is not None:
+            with self.archive.opened(self.member) as member:
+                yield member
+            return
         if self.path is None:
             assert self.file is not None, "a source has a path or a file"
             self.file.seek(0)

@@ -320,10 +320,10 @@ def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
     return (x, y, float(given.get("Z", x))), unit
 
 
-def slices_in(folder: Path) -> list[Path]:
-    """The TIFF files in a folder, in the order of the numbers in their names."""
+def slices_in(folder: Source) -> list[Path]:
+    """The TIFF files in a folder or an archive, in the order of the numbers in their names."""
     return sorted(
-        (path for path in folder.iterdir() if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers
+        (path for path in folder.paths if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers
     )
 
 
@@ -341,13 +341,16 @@ def open_tiff_folder(source: Source) -> Grid:
     unlike the others.
     """
     tifffile = library("tifffile", "TIFF")
-    assert source.path is not None, "a folder has a path"
     source.refuse_others()
-    files = slices_in(source.path)
+    files = slices_in(source)
     _check_gaps(source, files)
     kinds: list[tuple[Shape, Packing, bool]] = []
     for file in files:
-        with reading(str(file), "TIFF"), tifffile.TiffFile(file) as whole:
+        with (
+            reading(str(file), "TIFF"),
+            source.at(file).open() as content,
+            tifffile.TiffFile(content) as whole,
+        ):
             page = whole.pages[0]
             coloured = page.axes.endswith(COLOUR_AXIS)
             kinds.append((page.shape, _packing(page, page.dtype, coloured), coloured))
@@ -364,8 +367,8 @@ def open_tiff_folder(source: Source) -> Grid:
             raise VolumeError(f"'{file.name}' in '{source.name}' {others}: move it elsewhere.")
     (ny, nx, *_), packing, coloured = usual
     source.check((len(files), ny, nx))
-    slabs = partial(_slices, files, coloured, packing)
-    stamp = partial(stamp_of, files)
+    slabs = partial(_slices, source, files, coloured, packing)
+    stamp = source.stamp if source.archive else partial(stamp_of, files)
     notes = (LUMINANCE_NOTE,) if coloured else packing.notes
     return Grid(
         (len(files), ny, nx),
@@ -398,9 +401,11 @@ def _check_gaps(source: Source, files: list[Path]) -> None:
             )
 
 
-def _slices(files: list[Path], coloured: bool, packing: Packing) -> Iterator[np.ndarray]:
+def _slices(
+    source: Source, files: list[Path], coloured: bool, packing: Packing
+) -> Iterator[np.ndarray]:
     tifffile = library("tifffile", "TIFF")
     for file in files:
-        with reading(str(file), "TIFF"):
-            values = tifffile.imread(file, key=0)
+        with reading(str(file), "TIFF"), source.at(file).open() as content:
+            values = tifffile.imread(content, key=0)
         yield packing.apply(luminance_of_colours(values) if coloured else values)[None]

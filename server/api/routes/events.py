@@ -30,6 +30,7 @@ from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
 from server.render.bakes import stream_viewer
+from server.schemas import TimeLeftSchema
 from worker.bake_requests import Viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
@@ -169,7 +170,8 @@ async def progress(
     frame = shown.frame
     waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
     left = await asyncio.to_thread(engine.time_left, picture.scene, frame, picture.target)
-    return {"waiting": waiting, "time_left": asdict(left) if left else None}
+    known = None if left is None else TimeLeftSchema(**asdict(left)).model_dump()
+    return {"waiting": waiting, "time_left": known, "overdue": bool(left and left.overdue)}
 
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from isogi_core.files.formats.archive import MAX_MEMBERS
 from isogi_core.frame.framing import PANORAMA_FORMAT, paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
@@ -273,7 +274,10 @@ def limits(uploads: Uploads) -> UploadLimits | None:
     if not uploads.on:
         return None
     return UploadLimits(
-        limit_bytes=uploads.limit, quota_bytes=uploads.quota, free_bytes=uploads.free
+        limit_bytes=uploads.limit,
+        limit_files=MAX_MEMBERS,
+        quota_bytes=uploads.quota,
+        free_bytes=uploads.free,
     )
 
 

@@ -100,8 +100,8 @@ def test_a_wrong_file_is_told_for_what_it_seems(
         open_upload(io.BytesIO(content), name, 1 << 20)
 
 
-def test_a_zip_file_without_arrays_says_to_unpack_it(tmp_path: Path) -> None:
+def test_a_zip_file_of_a_zarr_says_to_unpack_it(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "image.ome.zarr.zip", "w") as whole:
         whole.writestr("zarr.json", "{}")
-    with pytest.raises(VolumeError, match="is a ZIP file without an array of NumPy: unpack it"):
+    with pytest.raises(VolumeError, match="holds a Zarr: unpack it"):
         open_file(tmp_path / "image.ome.zarr.zip", {})

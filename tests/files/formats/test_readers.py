@@ -480,3 +480,13 @@ def test_shared_maps_hold_what_mrcfile_reads(shared_data: Path, name: str) -> No
         np.testing.assert_allclose(
             np.sort(grid.spacing), np.sort(whole.voxel_size.tolist()), rtol=1e-5
         )
+
+
+@pytest.mark.parametrize("shape", [(7,), (4, 5)])
+def test_an_array_of_fewer_dimensions_says_what_to_do(
+    tmp_path: Path, shape: tuple[int, ...]
+) -> None:
+    np.save(tmp_path / "flat.npy", np.zeros(shape))
+    said = rf"flat.npy' has {len(shape)} dimensions, .*: a volume has three \(z, y, x\)"
+    with pytest.raises(VolumeError, match=said):
+        open_file(tmp_path / "flat.npy", {})

@@ -169,7 +169,7 @@ def test_a_frame_that_is_not_final_tells_the_time_left(client: httpx.Client) -> 
     low, likely, high = pairs(answer.headers["isogi-time-left"]).values()
     assert 0.0 <= low <= likely <= high and high > 0.0
     told = client.get("/v1/scenes/small/coverage", params={**VIEW, **strict}).json()
-    assert told["time_left"].keys() == {"low", "likely", "high"}
+    assert told["time_left"].keys() == {"low", "likely", "high"} and not told["overdue"]
 
 
 def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:

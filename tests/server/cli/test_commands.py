@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -199,6 +200,77 @@ def test_render_in_no_time_says_how_far_it_came(
     assert line.startswith(f"{output}: 24 × 20, ")
     assert "of the surface at 0.5" in line
     assert Image.open(io.BytesIO(output.read_bytes())).format == "JPEG"
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize(
+    ("most", "options", "said"),
+    [
+        (255, ["--isovalue", 255], "No surface at 255: values go from 0 to 255, choose an"),
+        (255, ["--isovalue", 9, "--window", "x>-100"], "No surface at 9 in what the cut leaves"),
+        (0, [], "No surface: all values are 0."),
+    ],
+)
+def test_a_picture_without_a_surface_says_why(
+    told: Told, store: Path, tmp_path: Path, most: int, options: list[str], said: str
+) -> None:
+    values = np.linspace(0, most, 512).reshape(8, 8, 8).round().astype(np.uint8)
+    np.save(tmp_path / "ramp.npy", values)
+    asked = ("render", tmp_path / "ramp.npy", "-o", tmp_path / "a.png", *SIZE, *options)
+    assert said in told(*asked, "--workers", 1, "--store", store)
+    facts = json.loads(told(*asked, "--workers", 1, "--store", store, "--json"))
+    assert (facts["error"], facts["stopped"]) == (0.0, "target") and said in facts["note"]
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"interval": (0.015, 0.023)}, "provisional, between 0.0150 and 0.0230, error 0.0180"),
+        ({"interval": None}, "provisional, not measured yet, error 0.0180"),
+        ({"p99": 0.12}, "provisional, 1 % of pixels off by more than 0.1200, error 0.0180"),
+        ({"error": 0.021}, "provisional, error 0.0210"),
+    ],
+)
+def test_a_provisional_picture_below_its_target_says_why(known: dict[str, Any], said: str) -> None:
+    facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "time", "note": "", "final": 1.0}
+    below = {"error": 0.018, "target_error": 0.02, "interval": (0.015, 0.019), "p99": 0.05}
+    assert rendered({**facts, **below, **known}).startswith(f"a.png: 9 × 9, {said}")
+
+
+def test_an_output_that_cannot_be_written_is_said_first(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before any light is baked; and nothing is left of the trial."""
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    monkeypatch.setattr("server.cli.render.working", lambda *_: pytest.fail("it was begun"))
+    (tmp_path / "a.png").write_bytes(b"old")
+    assert run(["render", "demo:orbital", "-o", str(tmp_path / "a.png"), *SIZE]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.endswith(
+        "a.png cannot be written (No space left on device): make room for 480 bytes, or name "
+        "another place."
+    )
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("a.png", b"old")]
+
+
+def test_a_render_whose_store_is_full_fails_with_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "time", "note": "", "final": 0.5}
+    known = {"error": 0.5, "target_error": 0.02, "interval": None, "p99": None}
+    full = {"trouble": "The store is full: make room, and baking goes on."}
+    monkeypatch.setattr("server.cli.render.render", lambda *_: {**facts, **known, **full})
+    assert run(["render", "demo:orbital", "-o", "a.png"]) == 1
+    said = capsys.readouterr()
+    assert "provisional" in said.out
+    assert (
+        said.err
+        == "isogi: The light is not done. The store is full: make room, and baking goes on.\n"
+    )
 
 
 def test_a_write_that_fails_leaves_the_old_file(

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from server.cli.film_path import film_path, view_in, views_in
-from server.cli.reel import ReelRequest
+from server.cli.reel import ReelRequest, time_of_others
 from server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.server.asking import Told
@@ -144,6 +144,13 @@ def test_the_tint_of_a_link_colours_the_albedo() -> None:
 def test_budgets_share_what_is_left() -> None:
     for each, whole, share in ((None, None, None), (3, None, 3), (3, 20, 2), (None, 5, 0)):
         assert ReelRequest(Path(), None, each, whole, lambda: 110.0, 100.0).share(5) == share
+
+
+def test_the_first_picture_says_nothing_of_others() -> None:
+    """Its light is theirs, too: a film was to take nine hours by it."""
+    assert time_of_others([], 9) is None and time_of_others([100.0], 9) is None
+    left = time_of_others([100.0, 2.0, 4.0], 5)
+    assert left is not None and left.low < left.likely == 15.0 < left.high
 
 
 def test_a_film_goes_on_and_becomes_a_movie(small_scene: Path, tmp_path: Path, told: Told) -> None:

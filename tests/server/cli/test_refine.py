@@ -1,11 +1,13 @@
 """Refining until a frame is final, with an engine that follows a script."""
 
+import time
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
 from server.cli import render
 from worker.errors import WorkersError
@@ -63,7 +65,8 @@ def refine(engine: Script, max_error: float | None = None, seconds: float | None
 def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
     engine = Script("a", "b", "c", "final")
     assert refine(engine, max_error=0.1).version == "final"
-    assert engine.asked == [{"max_error": 0.1, "wait": render.FRAME_SECONDS}] * 4
+    assert [each["wait"] for each in engine.asked] == [render.FRAME_SECONDS] * 4
+    assert all(each["max_error"] == 0.1 for each in engine.asked)
     bar = capsys.readouterr().err
     assert "lighting" in bar and "about 3.3 min left (1 min to 2 h)" in bar
 
@@ -77,7 +80,25 @@ def test_it_ends_when_the_time_is_spent() -> None:
 def test_it_asks_once_where_there_is_no_time() -> None:
     engine = Script("a", "final")
     assert refine(engine, seconds=0).version == "a"
-    assert engine.asked == [{"max_error": None, "wait": 0.0}]
+    assert engine.asked == [{"max_error": None, "wait": 0.0, "cancelled": None}]
+
+
+class Slow(Script):
+    """An engine whose steps end when they are cancelled alone."""
+
+    def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
+        if (cancelled := more["cancelled"]) is not None:
+            assert cancelled.wait(30.0), "a step that nobody ends"
+            raise Cancelled("Time is over.")
+        return super().frame(scene, view, **more)
+
+
+def test_a_step_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first picture is drawn; a step that would go on is ended, and that picture kept."""
+    monkeypatch.setattr(render, "time", time)
+    engine = Slow("a", "final")
+    assert refine(engine, seconds=0.2).version == "a"
+    assert [each["wait"] for each in engine.asked] == [0.0]
 
 
 def test_it_gives_up_where_nothing_changes() -> None:

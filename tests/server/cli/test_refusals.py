@@ -21,6 +21,8 @@ LINES = [
         "There is no option '--isovlaue': did you mean '--isovalue'?",
     ),
     ("serve --prot 3", "There is no option '--prot': did you mean '--port'?"),
+    ("serve --port abc", "port is a whole number, not 'abc'."),
+    ("serve --port 99999", "port is at most 65535, not "),
     ("serve --qqqqqqqq", "There is no option '--qqqqqqqq': --help lists all."),
     *[(f"serve demo:orbital --host {host}", "ISOGI_TOKEN") for host in ("0.0.0.0", "::")],
     ("serve demo:orbital --host unix:/run/isogi.sock", "isogi listens at addresses"),

@@ -3,6 +3,7 @@ nothing more.
 """
 
 import shutil
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.errors import Cancelled
 from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -25,6 +27,7 @@ from server.cli.prewarm import prewarm
 from server.prewarm.baking import Step
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, Summary
+from server.prewarm.work import Pictures
 from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.baking import bake_each_texel
@@ -212,10 +215,31 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     work = Prewarm(service, SimpleNamespace(id="a scene"), order_of({}))  # type: ignore[arg-type]
     rests: list[float] = []
     monkeypatch.setattr(work.cancelled, "wait", rests.append)
-    assert work._refine("a view", 0.1, SHARED_PRICES) and not rests  # type: ignore[arg-type]
+    over = threading.Event()
+    step = ("a view", 0.1, SHARED_PRICES, over)
+    assert work._refine(*step) and not rests  # type: ignore[arg-type]
     service.attended = True
-    assert work._refine("a view", 0.1, SHARED_PRICES) and rests[0] >= 0.05  # type: ignore[arg-type]
-    assert asked == [("a scene", "a view", 0.1, work.cancelled, SHARED_PRICES)] * 2
+    assert work._refine(*step) and rests[0] >= 0.05  # type: ignore[arg-type]
+    assert asked == [("a scene", "a view", 0.1, work.cancelled, SHARED_PRICES, over)] * 2
+
+
+def test_a_check_ends_with_the_time() -> None:
+    """A step that would go on is cancelled, and the picture taken as it was before."""
+
+    def refine(view: str, prices: Prices, over: threading.Event) -> bool:
+        assert over.wait(30.0), "a step that nobody ends"
+        raise Cancelled("Time is over.")
+
+    frame = SimpleNamespace(checkable=True)
+    context: Any = SimpleNamespace(
+        frame_of=lambda view: frame,
+        refine=refine,
+        late=lambda end: time.monotonic() >= end,
+        check=lambda: None,
+    )
+    views: Any = ["a view"]
+    pictures = Pictures(context, views, sample=False, rung=FIRST_LEVEL)
+    assert pictures._checked(views[0], time.monotonic() + 0.2) is frame
 
 
 @pytest.mark.parametrize("order", ["viewed", "whole"])

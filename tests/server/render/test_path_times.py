@@ -9,13 +9,7 @@ from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from server.render.engine import (
-    MAX_KEPT_PICTURES,
-    MAX_TIME_LEFT_RATIO,
-    Promises,
-    RenderEngine,
-    time_of_paths,
-)
+from server.render.engine import RenderEngine, time_of_paths
 from tests.server.inline import LONG, view_of
 from worker.progress import TimeLeft
 
@@ -53,21 +47,6 @@ def test_each_drawing_of_the_picture_takes_its_time() -> None:
     drawing = {"primary": 0.25, "shade": 0.5, "bake": 9.0, "queue": 9.0}
     left = time_of_paths(PathsLeft(100.0, times=3, pace=0.01), Cost(), 2, drawing)
     assert left.likely == pytest.approx(1.0 + 3 * 0.75)
-
-
-def test_a_time_left_never_leaps_up() -> None:
-    told = Promises()
-    long = TimeLeft(10.0, 20.0, 40.0)
-    assert told.kept("one", TimeLeft(1.0, 2.0, 4.0)) == TimeLeft(1.0, 2.0, 4.0)
-    assert told.kept("other", long) == long
-    risen = told.kept("one", long)
-    assert risen.likely == pytest.approx(MAX_TIME_LEFT_RATIO * 2.0) and risen.high == pytest.approx(
-        2.0 * risen.likely
-    )
-    assert told.kept("one", TimeLeft(0.1, 0.2, 0.4)).likely == 0.2
-    for number in range(MAX_KEPT_PICTURES):
-        told.kept(number, long)
-    assert told.kept("one", long) == long
 
 
 def test_times_of_two_works_add_up() -> None:

@@ -80,7 +80,7 @@ export function settled() {
 /** What a frame says about itself, with other facts where they are given. */
 export function facts(values = {}) {
   return {
-    provisional: true, coverage: { final: 0.5, converging: 0.25, provisional: 0.25 }, error: 0.034,
+    provisional: true, surface: 800, coverage: { final: 0.5, converging: 0.25, provisional: 0.25 }, error: 0.034,
     chunks: { needed: 240, final: 182 }, timeLeft: null, timing: {}, ...values,
   };
 }

@@ -2,13 +2,13 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { sizesFor } from "../../../web/net/save.js";
 import { stripsOf, worstOf } from "../../../web/net/strips.js";
-import { isProbe, tooLarge, volumeName } from "../../../web/net/upload.js";
+import { isProbe, nameOfAll, ofVolumes, tooLarge, volumeName } from "../../../web/net/upload.js";
 import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords, tailInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan, stopsInWords, ticksAt } from "../../../web/panels/histogram.js";
-import { knobInWords } from "../../../web/panels/knobs.js";
+import { knobInWords, knobSpoken } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
@@ -152,7 +152,7 @@ test("a light probe is told by its name", () => {
 });
 
 test("exposure is in stops from the scene's own", () => {
-  assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stops", "0 stops", "+2 stops"]);
+  assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stop", "0 stops", "+2 stops"]);
 });
 
 test("ticks stand at the stops, as the isovalue does on the slider", () => {
@@ -227,9 +227,16 @@ test("a volume says its size, its values and its holes", () => {
   const labelled = volumeRows({ ...SCENE, colours: parts });
   assert.deepEqual([labelled.Colours, labelled.Labels], [null, "1 of 2 shown"]);
   const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6, transmission: [0, 0, 0] }, { isovalue: 0.5, name: "", albedo: [0, 0, 0], clear: 0, transmission: [0.4, 0.4, 0.4] }];
-  const beside = [volumeRows({ ...SCENE, surfaces })["Surfaces beside"], rows["Surfaces beside"]];
+  const beside = [volumeRows({ ...SCENE, surfaces })["Other surfaces"], rows["Other surfaces"]];
   assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5, transmission 0.4", ""]);
   assert.deepEqual([rows.Transmission, volumeRows({ ...SCENE, transmission: [0.3, 0.2, 0] }).Transmission], [null, "0.3, 0.2, 0"]);
+});
+
+test("screen readers hear stops and degrees in words", () => {
+  const [usual, twice, half, some] = [1, 2, 0.5, 2 ** 1.5].map((value) => knobSpoken("exposure", value, 1));
+  assert.deepEqual([usual, twice, half, some], ["as the scene has it", "1 stop brighter", "1 stop darker", "1.5 stops brighter"]);
+  assert.deepEqual(["azimuth", "yaw"].map((name) => knobSpoken(name, -40.2, 1)), ["minus 40 degrees", "minus 40 degrees"]);
+  assert.deepEqual([knobSpoken("distance", 2.5, 1), knobInWords("exposure", 2, 1)], ["2.50 radii", "+1 stop"]);
 });
 
 test("the bar tells how much of the time is over", () => {
@@ -249,6 +256,7 @@ test("a badge goes when the picture is within its target", () => {
   assert.equal(badge(facts(), 0.02), "Refining · 3.4 % error");
   assert.equal(badge(facts({ error: 1 }), 0.02), "Preview");
   assert.deepEqual([facts({ error: 0.019 }), facts({ provisional: false })].map((each) => badge(each, 0.02)), ["", ""]);
+  assert.equal(badge(facts({ provisional: false, error: 0, surface: 0 }), 0.02), "No surface");
 });
 
 test("the rate of drafts is that of their intervals", () => {
@@ -263,6 +271,8 @@ test("stages have names, and their sum is the last but one", () => {
 test("pictures are offered in the shape of the one shown", () => {
   const sizes = sizesFor({ width: 900, height: 600 });
   assert.deepEqual(sizes.map(({ width, height }) => [width, height]), [[900, 600], [1800, 1200], [1920, 1280], [3840, 2560], [7680, 5120]]);
+  const [first, second] = sizesFor({ width: 2560, height: 1440 }, true);
+  assert.deepEqual([first.width, first.name, second.width], [2560, "as seen, at once", 1920], "what is there comes first");
 });
 
 test("no picture longer than 8192 is offered", () => {
@@ -286,10 +296,26 @@ test("a picture of strips is as good as its worst", () => {
   assert.equal(worstOf(/** @type {any} */ ([worst, good, bad])), worst);
 });
 
-test("a file that is too large is refused before it is sent", () => {
-  const limits = { limit_bytes: 3 << 20 };
-  assert.equal(tooLarge({ name: "a.nrrd", size: 3 << 20 }, limits), "");
-  assert.equal(tooLarge({ name: "a.nrrd", size: (3 << 20) + 1 }, limits), "a.nrrd is larger than the 3 MB that an upload may be.");
+test("files that are too large, or too many, are refused before they are sent", () => {
+  const limits = { limit_bytes: 3 << 20, limit_files: 2 };
+  const of = (...sizes) => tooLarge(sizes.map((size, n) => ({ name: `${"abc"[n]}.nrrd`, size })), limits);
+  assert.equal(of(3 << 20), "");
+  assert.equal(of((3 << 20) + 1), "a.nrrd is larger than the 3 MB that an upload may be.");
+  assert.equal(of(2 << 20, 1 << 20), "");
+  assert.equal(of(2 << 20, 2 << 20), "These 2 files are larger than the 3 MB that an upload may be, together.");
+  assert.equal(of(1, 1, 1), "These are 3 files, and 2 are the most that an upload may be.");
+});
+
+test("what systems leave in folders is not sent", () => {
+  const paths = ["scan/b.dcm", "scan/.DS_Store", "DICOMDIR", "__MACOSX/scan/a.dcm", "scan/a", "Thumbs.db"].map((path) => ({ path }));
+  assert.deepEqual(ofVolumes(paths).map(({ path }) => path), ["scan/a", "scan/b.dcm"]);
+});
+
+test("several files are called by their folder, or by their header", () => {
+  const name = (...paths) => nameOfAll(paths.map((path) => ({ path })));
+  assert.equal(name("scan/a", "scan/b"), "scan");
+  assert.equal(name("a.raw", "b.nhdr"), "b.nhdr");
+  assert.equal(name("a.dcm", "b.dcm"), "a.dcm");
 });
 
 test("a volume is named by its file without the ending", () => {

@@ -1,10 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import zlib from "node:zlib";
-import { withNotes } from "../../../web/net/png.js";
+import { withNotes } from "../../../web/net/bytes.js";
 import { MirrorBall, ballPixels } from "../../../web/panels/light.js";
-import { errorInWords, frameInWords, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/view/format.js";
-import { facts } from "./fixtures.mjs";
+import { emptyInWords, errorInWords, frameInWords, leftAfter, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/view/format.js";
+import { SCENE, facts, knobs } from "./fixtures.mjs";
 
 const SIZE = 64;
 const STILL = { azimuth: 0, elevation: 0, yaw: 0, pitch: 0, roll: 0 };
@@ -167,6 +167,17 @@ test("time left has its range, where that is one", () => {
   assert.equal(rangeInWords({ low: 0.1, likely: 0.2, high: 0.4 }), "about 1 s left");
 });
 
+test("a time left passes, and then doubles", () => {
+  const left = { low: 5, likely: 10, high: 20 };
+  assert.equal(leftAfter(null, 5), null);
+  assert.deepEqual(leftAfter(left, 4), { low: 3, likely: 6, high: 12, overdue: false });
+  assert.deepEqual(leftAfter(left, 10), { low: 10, likely: 20, high: 40, overdue: true });
+  assert.deepEqual(leftAfter(left, 25), { low: 2.5, likely: 5, high: 10, overdue: true });
+  assert.deepEqual(leftAfter({ ...left, overdue: true }, 4), { low: 3, likely: 6, high: 12, overdue: true });
+  assert.equal(leftInWords(leftAfter(left, 12)), "longer than expected, about 18 s left");
+  assert.equal(rangeInWords(leftAfter(left, 10)), "longer than expected, about 20 s left (10 s to 40 s)");
+});
+
 test("a frame says how good it is, and how long is left", () => {
   const left = { low: 12, likely: 40, high: 60 };
   assert.equal(frameInWords(facts({ error: 0.018, timeLeft: left })), "Refining, about 1.8 % error, about 40 s left");
@@ -180,9 +191,28 @@ test("a finished frame says its error, if there is any", () => {
   assert.equal(frameInWords(facts({ provisional: false, error: NaN })), "Done");
 });
 
-test("a finished frame without a surface says so", () => {
-  const coverage = { final: 0, converging: 0, provisional: 0 };
-  assert.equal(frameInWords(facts({ provisional: false, error: 0, coverage })), "Done, no surface in view");
+test("a frame without a surface says so, whatever its error", () => {
+  const empty = facts({ provisional: false, error: 0.022, surface: 0, coverage: { final: 1, converging: 0, provisional: 0 } });
+  assert.equal(frameInWords(empty), "No surface in view");
+  assert.equal(frameInWords(empty, { empty: "No surface at 255: values go from 0 to 255" }), "No surface at 255: values go from 0 to 255");
+});
+
+test("a view without a surface says why", () => {
+  const said = (values, volume = SCENE.volume) => emptyInWords({ volume }, knobs(values));
+  assert.equal(said({ isovalue: 255 }), "No surface at 255: values go from 0 to 255");
+  assert.equal(said({ isovalue: 1 }, { ...SCENE.volume, value_range: [1.66e-11, 1] }), "No surface at 1: values go from 0 to 1");
+  assert.equal(said({ isovalue: 70 }, { ...SCENE.volume, value_range: [5, 5] }), "No surface: all values are 5");
+  assert.equal(said({ isovalue: 70, planes: "x>0" }), "No surface at 70 in what the cut leaves: show all of it, or change either");
+  assert.match(said({ isovalue: 70 }), /^No surface at 70 in view: reset/);
+});
+
+test("a frame below its target says why it is not done", () => {
+  const said = (values) => frameInWords(facts({ error: 0.018, controls: 256, interval: [0.015, 0.019], ...values }), { target: 0.02 });
+  assert.equal(said({ interval: [0.015, 0.023] }), "Refining, 1.8 % error, between 1.5 % and 2.3 %");
+  assert.equal(said({ p99: 0.12 }), "Refining, 1.8 % error, 1 % of pixels off by more than 12 %");
+  assert.equal(said({}), "Refining, 1.8 % error, not all of its light is there yet");
+  assert.equal(said({ controls: 0, interval: null }), "Refining, about 1.8 % error, not measured yet");
+  assert.deepEqual([said({ error: 0.021 }), said({ provisional: false })], ["Refining, 2.1 % error", "Done, 1.8 % error"]);
 });
 
 test("an unknown shading is called by its id", () => {

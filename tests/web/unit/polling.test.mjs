@@ -205,6 +205,12 @@ test("four quick answers without news mean no more light", async () => {
   assert.deepEqual([pictures.length, waits.length, end], [1, 5, "done"]);
 });
 
+test("a server that foresees an end is waited for, however quick its answers", async () => {
+  const same = { blob: null, etag: '"a"', facts: facts({ timeLeft: { low: 1, likely: 2, high: 3 } }) };
+  const { waits, end } = await collect([frame(), ...Array(6).fill(same), FINAL]);
+  assert.deepEqual([waits.length, end], [8, "done"]);
+});
+
 test("answers that waited for light do not count as vain", async () => {
   const same = { blob: null, etag: '"a"', facts: null };
   const { waits, end } = await collect([frame(), ...Array(6).fill(same), FINAL], undefined, 2000);
@@ -242,7 +248,7 @@ class FakeSocket {
     this.onopen();
   }
   async picture(message) {
-    this.onmessage({ data: JSON.stringify({ draft: false, media_type: "image/png", timing: {}, facts: { provisional: false, time_left: null }, ...message }) });
+    this.onmessage({ data: JSON.stringify({ draft: false, media_type: "image/png", timing: {}, facts: { provisional: false, pixels: { surface: 7 }, time_left: null }, ...message }) });
     this.onmessage({ data: PICTURE });
     await settled();
   }

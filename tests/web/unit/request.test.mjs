@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
+import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
@@ -169,13 +169,15 @@ test("stages in a header are read without their total", () => {
 
 test("a frame's facts are read from its headers", () => {
   const headers = new Headers({
-    "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3",
+    "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3", "Isogi-Surface": "1200",
     "Isogi-Error": "0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.062; p99-low=0.051; p99-high=0.079", "Isogi-Time-Left": "low=1, likely=2, high=3", "Server-Timing": "shade;dur=2",
   });
   assert.deepEqual(readFacts(headers), {
-    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, error: 0.018, controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
-    chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3 }, timing: { shade: 2 },
+    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, surface: 1200, error: 0.018, interval: [0.015, 0.021], controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
+    chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3, overdue: false }, timing: { shade: 2 },
   });
+  headers.set("Isogi-Overdue", "?1");
+  assert.equal(readFacts(headers).timeLeft.overdue, true);
 });
 
 test("an answer without facts has none, and no error is NaN", () => {
@@ -185,10 +187,10 @@ test("an answer without facts has none, and no error is NaN", () => {
 });
 
 test("a streamed picture has its type and its facts", async () => {
-  const message = { media_type: "image/png", timing: { shade: 2 }, facts: { provisional: false, time_left: null } };
+  const message = { media_type: "image/png", timing: { shade: 2 }, facts: { provisional: false, pixels: { surface: 7 }, time_left: null } };
   const { blob, facts } = streamedFrame(message, new Blob(["abc"]));
   assert.deepEqual([blob.type, await blob.text()], ["image/png", "abc"]);
-  assert.deepEqual(facts, { provisional: false, timeLeft: null, timing: { shade: 2 } });
+  assert.deepEqual(facts, { provisional: false, surface: 7, timeLeft: null, timing: { shade: 2 } });
 });
 
 test("a position is read from the last pixel of an npy frame", () => {
@@ -322,4 +324,15 @@ test("an address may say who draws", () => {
   assert.deepEqual(["?draw=card", "?draw=server", "?draw=me", ""].map((search) => readAddress(search).draw), ["card", "server", null, null]);
   assert.deepEqual(complaints("?draw=me", SCENE), ["“me” draws nothing here: choose card or server."]);
   assert.deepEqual(complaints("?draw=card", SCENE), []);
+});
+
+test("links and files of an upload have its name", () => {
+  const upload = { ...SCENE, id: "0123456789abcdef0123456789abcdef", name: "My skull (CT), ä/1.nii" };
+  assert.deepEqual([nameOfFiles(SCENE), nameOfFiles(upload)], ["small", "My-skull-CT-ä-1.nii"]);
+  assert.equal(fileName(upload, { isovalue: 70 }), "My-skull-CT-ä-1.nii-70");
+  assert.equal(nameOfFiles({ ...upload, name: "../.." }), upload.id);
+  const query = writeAddress(upload, knobs());
+  assert.deepEqual([new URLSearchParams(query).get("name"), new URLSearchParams(writeAddress(SCENE, knobs())).get("name")], [upload.name, null]);
+  assert.deepEqual(complaints(query, SCENE), ["There is no scene “My skull (CT), ä/1.nii”: this is Small."]);
+  assert.deepEqual(complaints(query, upload), []);
 });

@@ -40,6 +40,16 @@ test("from the first change on nothing is said of the picture", async () => {
   assert.equal(shown.state, "moving");
 });
 
+test("the time left passes while nothing comes", async () => {
+  shown.show(picture(shown.asked, { facts: facts({ timeLeft: { low: 5, likely: 10, high: 20 } }) }));
+  await clock.pass(4000);
+  assert.deepEqual(shown.left, { low: 3, likely: 6, high: 12, overdue: false });
+  await clock.pass(8000);
+  assert.deepEqual([shown.left.likely, shown.left.overdue], [18, true]);
+  shown.ask(B);
+  assert.equal(shown.left, null);
+});
+
 test("a draft is never told by its facts", () => {
   shown.move(true);
   shown.show(picture(shown.asked, { draft: true }));

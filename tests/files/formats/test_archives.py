@@ -1,0 +1,119 @@
+"""Archives: a ZIP file of slices, of a header with its data, or of one volume."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats import archive
+from isogi_core.files.formats.opening import libraries_for, open_file, open_upload
+from isogi_core.files.grid import on_right_angles
+from tests.files.formats.dicom_files import write_series
+from tests.files.formats.phantom import affine, letter
+
+LPS = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine()
+F = letter()
+HEADER = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 4 3 2\nencoding: raw\ndata file: {}\n\n"
+VOXELS = bytes(range(24))
+LOST = HEADER.format("a.raw").encode()
+MOST = 1 << 16
+
+
+def packed(files: dict[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """A ZIP file of these files."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", how) as whole:
+        for name, content in files.items():
+            whole.writestr(name, content)
+    return data.getvalue()
+
+
+def uploaded(data: bytes, most: int = MOST) -> np.ndarray:
+    """The voxels of an upload, on right angles."""
+    return on_right_angles(open_upload(io.BytesIO(data), "a.zip", most)).whole()
+
+
+def series(folder: Path) -> dict[str, bytes]:
+    """The files of a series of slices, in a folder, with what a system left there."""
+    pytest.importorskip("pydicom")
+    paths = write_series(folder, F, LPS).iterdir()
+    slices = {f"scan/{path.stem}": path.read_bytes() for path in paths}
+    return {**slices, "scan/DICOMDIR": b"no image", "__MACOSX/scan/._1": b"nor this"}
+
+
+@pytest.mark.parametrize("how", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_slices_of_dicom_are_one_volume(tmp_path: Path, how: int) -> None:
+    data = packed(series(tmp_path / "a"), how)
+    whole = open_file(tmp_path / "a", {})
+    np.testing.assert_array_equal(uploaded(data), on_right_angles(whole).whole())
+    (tmp_path / "a.zip").write_bytes(data)
+    again = open_file(tmp_path / "a.zip", {})
+    assert again.affine == whole.affine and again.stamp() == again.stamp() != whole.stamp()
+
+
+def test_slices_of_tiff_are_one_volume() -> None:
+    tifffile = pytest.importorskip("tifffile")
+    files = {}
+    for number, layer in enumerate(F):
+        content = io.BytesIO()
+        tifffile.imwrite(content, layer)
+        files[f"slice{number}.tif"] = content.getvalue()
+    np.testing.assert_array_equal(uploaded(packed(files)), F)
+
+
+@pytest.mark.parametrize("folder", ["", "data/"])
+def test_a_header_finds_its_data(folder: str) -> None:
+    files = {f"{folder}a.nhdr": HEADER.format("a.raw").encode(), f"{folder}a.raw": VOXELS}
+    assert uploaded(packed(files)).tobytes() == VOXELS
+
+
+def test_a_volume_alone_is_found_beside_a_text() -> None:
+    attached = HEADER.replace("data file: {}\n", "").encode() + VOXELS
+    assert uploaded(packed({"a.nrrd": attached})).tobytes() == VOXELS
+    assert uploaded(packed({"a.nrrd": attached, "readme.txt": b"words"})).tobytes() == VOXELS
+    with pytest.raises(VolumeError, match=r"holds several volumes \(a.nrrd, b.nrrd\): give one"):
+        uploaded(packed({"a.nrrd": attached, "b.nrrd": attached}))
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        (
+            {"a.nhdr": LOST, "b.raw": VOXELS},
+            "no file 'a.raw' in 'a.zip'",
+        ),
+        ({"a.nhdr": HEADER.format("../a.raw").encode(), "a.raw": VOXELS}, "outside its folder"),
+        ({"a.txt": b"1", "b.txt": b"2"}, "holds 2 files .* no one volume: give slices of DICOM"),
+        ({"a/zarr.json": b"{}", "a/c/0": b"2"}, "holds a Zarr: unpack it"),
+        ({".hidden": b"1"}, "holds 0 files"),
+    ],
+)
+def test_what_is_no_volume_is_refused(files: dict[str, bytes], said: str) -> None:
+    with pytest.raises(VolumeError, match=said):
+        uploaded(packed(files))
+
+
+def test_a_header_without_its_data_says_what_to_send() -> None:
+    header = io.BytesIO(HEADER.format("skull.raw").encode())
+    with pytest.raises(VolumeError, match=r"in another file, skull.raw: send both together"):
+        open_upload(header, "a.nhdr", MOST)
+
+
+def test_sizes_and_counts_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bomb is refused by what it says of itself, before anything of it is unpacked."""
+    bomb = packed({"a.raw": bytes(1 << 20), "a.nhdr": HEADER.format("a.raw").encode()})
+    with pytest.raises(VolumeError, match=r"unpacks to .* bytes, and .* are the most"):
+        uploaded(bomb, most=24)
+    monkeypatch.setattr(archive, "MAX_MEMBERS", 1)
+    with pytest.raises(VolumeError, match="holds 2 files, and 1 are the most"):
+        uploaded(bomb)
+
+
+def test_a_damaged_archive_is_refused() -> None:
+    whole = packed({"a.nrrd": VOXELS})
+    with pytest.raises(VolumeError, match="cannot be read as ZIP"):
+        uploaded(whole[: len(whole) // 2])
+    assert {"zipfile", "pydicom.pixels", "tifffile"} <= set(libraries_for(whole))
