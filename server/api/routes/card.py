@@ -5,8 +5,10 @@ of chunks.
 from __future__ import annotations
 
 import hashlib
+import math
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -17,7 +19,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from server.answers import card_schema, chunk_list, voxel_version
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
-from server.api.service import SceneDep, Service, ServiceDep
+from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
 from server.card_schemas import CardChunks, CardSchema
 from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
@@ -158,14 +160,15 @@ async def read_chunks(
     """The chunks of texels that a view reads, most visible first; the light that it lacks is
     requested.
 
-    Nothing is drawn: the size of the picture is how finely the view is looked at.
+    Nothing is drawn: the size of the picture is how finely the view is looked at, by a million rays
+    at most.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
             "wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms"
         )
     lit = await service.variant(scene, params)
-    picture = service.picture_of(lit, params)
+    picture = looked_at(service.picture_of(lit, params))
     viewer = request_viewer(request)
     if picture.view.shading != "gi" or not service.startup.lit.is_set():
         return listed((), 0)
@@ -178,6 +181,20 @@ async def read_chunks(
     look = await service.compute(request, work)
     coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
     return listed(look.seen, len(coming))
+
+
+MAX_LOOK_RAYS = 1 << 20
+"""Rays that a view is looked at by, at most: what they miss is smaller than a screen's pixel."""
+
+
+def looked_at(picture: PictureRequest) -> PictureRequest:
+    """The picture with MAX_LOOK_RAYS pixels at most, of the same view."""
+    view = picture.view
+    scale = math.sqrt(MAX_LOOK_RAYS / (view.width * view.height))
+    if scale >= 1.0:
+        return picture
+    width, height = math.floor(scale * view.width), math.floor(scale * view.height)
+    return replace(picture, view=replace(view, width=width, height=height))
 
 
 def listed(seen: Sequence[SeenChunk], coming: int) -> Response:

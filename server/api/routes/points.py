@@ -13,7 +13,7 @@ from fastapi import APIRouter, Request, Response
 from isogi_core.plan.scene import Scene
 from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
-from server.api.service import SceneDep, ServiceDep
+from server.api.service import SceneDep, ServiceDep, Shown
 from server.errors import ParameterError
 from server.parameters import (
     AXIS_NAMES,
@@ -65,6 +65,9 @@ async def read_point(
 ) -> PointSchema:
     """What the picture of the same view shows at a place: position, value, normal, light and the
     error of that.
+
+    Where that picture was not drawn lately, one ray is cast: the error is then that of the pixel
+    alone, and light is asked for it alone.
     """
     params, applied = preferences.fill(params)
     pixel = params.pixel
@@ -74,9 +77,12 @@ async def read_point(
     else:
         exposure = params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
-    return await service.render(
-        request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure)
-    )
+
+    def finish(shown: Shown) -> PointSchema:
+        place = pixel if shown.frame.view.columns is None else (0, 0)
+        return point_schema(lit, shown.frame, place, exposure)
+
+    return await service.render(request, lit, params, finish, pixel=pixel)
 
 
 @router.get(

@@ -314,6 +314,31 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
         return answers
 
 
+async def test_path_traced_pictures_keep_no_others_from_their_turn(
+    engine: FakeEngine, app: FastAPI
+) -> None:
+    release = threading.Event()
+
+    def work(_: threading.Event) -> None:
+        if engine.views[-1][0].shading == "path_traced":
+            assert release.wait(30), "the frames of others waited"
+
+    engine.doing = work
+    async with asking(app) as client:
+        size = {"width": 4, "shading": "path_traced", "samples": 1}
+        long = [
+            asyncio.create_task(client.get(FRAME, params={**size, "azimuth": turn}))
+            for turn in range(3)
+        ]
+        while not engine.views:
+            await asyncio.sleep(0.01)
+        async with asyncio.timeout(10):
+            answer = await client.get(FRAME, params={"width": 4, "shading": "lambert"})
+        release.set()
+        statuses = [(await each).status_code for each in long]
+    assert (answer.status_code, statuses) == (200, [200] * 3)
+
+
 def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
     begun = threading.Event()
     seen = threading.Event()
