@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -133,6 +133,7 @@ class Service:
         await self.jobs.close()
         await self.startup.close()
         self.threads.close()
+        self.variants.close()
         self.uploads.close()
         self.exports.close()
         await asyncio.to_thread(self.engine.close)
@@ -178,9 +179,9 @@ class Service:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 
-    async def variant(self, scene: Scene, params: LightParams) -> Scene:
+    async def variant(self, scene: Scene, params: LightParams, client: Hashable) -> Scene:
         """The scene in the light, with the cut, at the time, of the material, with the surfaces and
-        without the labels that the parameters ask for; itself where they do not.
+        without the labels that the parameters of a ``client`` ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
@@ -189,7 +190,7 @@ class Service:
             change = Change(**params.model_dump(include={*VariantParams.model_fields}))
         if change != Change():
             self.startup.check()
-        return await self.variants.of(scene, change)
+        return await self.variants.of(scene, change, client)
 
     def planned(self, scene: Scene) -> Scene:
         """The ``scene`` with the plan of the light that its store has, where that can be read

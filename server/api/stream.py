@@ -404,7 +404,9 @@ class Session:
             return
         try:
             form = format_for(params, None)
-            self._lit = await self._service.variant(self._scene, params)
+            self._lit = await self._service.variant(
+                self._scene, params, client_of(self._socket.scope)
+            )
             picture = self._service.picture_of(self._lit, smoothed(params, form))
             await (
                 self._draft(request, params, picture)

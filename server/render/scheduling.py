@@ -76,6 +76,9 @@ class Rank:
         return self.client.spent if self.turn is None else self.turn, self.due
 
 
+FRAMES_WAIT = "The frames that were asked for before take too long: ask again in a while."
+
+
 class FairSemaphore:
     """So many ``places``, shared evenly among clients by the time that their work takes: see
     ``FairClock``.
@@ -85,11 +88,17 @@ class FairSemaphore:
     """
 
     def __init__(
-        self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+        self,
+        places: int,
+        pressed: Callable[[], bool] = lambda: False,
+        even: bool = False,
+        late: str = FRAMES_WAIT,
     ) -> None:
+        """Give so many ``places``; ``late`` is the sentence for who waited for one in vain."""
         self._places = self._free = places
         self._pressed = pressed
         self._even = even
+        self._late = late
         self._clock = FairClock(DEBT)
         self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
@@ -156,9 +165,7 @@ class FairSemaphore:
             raise
         except TimeoutError:
             self._leave(place)
-            raise BusyError(
-                "The frames that were asked for before take too long: ask again in a while."
-            ) from None
+            raise BusyError(self._late) from None
 
     def _leave(self, place: "asyncio.Future[None]") -> None:
         """Pass on the place of one that left when it was just given it."""
@@ -203,13 +210,17 @@ class Renders:
     """Runs blocking work, so much at once, and stops it when no caller waits for it any more."""
 
     def __init__(
-        self, threads: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+        self,
+        threads: int,
+        pressed: Callable[[], bool] = lambda: False,
+        even: bool = False,
+        late: str = FRAMES_WAIT,
     ) -> None:
         """So many at once; one alone while other work is ``pressed``. Turns count by time, or if
-        ``even`` alike.
+        ``even`` alike; ``late`` is the sentence for work that waited in vain.
         """
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-        self._places = FairSemaphore(threads, pressed, even)
+        self._places = FairSemaphore(threads, pressed, even, late)
         self._flights: dict[Hashable, Flight] = {}
         self._clients: dict[Hashable, Client] = {}
 

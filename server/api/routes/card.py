@@ -20,6 +20,7 @@ from isogi_core.plan.scene import Scene
 from server.answers import card_schema, chunk_list, voxel_version
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
+from server.bearers import client_of
 from server.card_schemas import CardChunks, CardSchema
 from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
@@ -109,7 +110,7 @@ async def read_card(
 
     Nothing in it changes with the light's turn, but ``lambert``; nor with the camera.
     """
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(lit, params)
     query = [
         pair for pair in request.query_params.multi_items() if pair[0] in VariantParams.model_fields
@@ -139,7 +140,7 @@ async def read_voxels(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
     """Codes of voxels in some layers along z, x fastest; the document says what they stand for."""
-    shown = await open_scene(service, scene, params)
+    shown = await open_scene(request, service, scene, params)
 
     def work() -> Response:
         prepared = service.engine.renderer(shown.id).prepared
@@ -167,7 +168,7 @@ async def read_chunks(
         raise ParameterError(
             "wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms"
         )
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
     picture = looked_at(service.picture_of(lit, params))
     viewer = request_viewer(request)
     if picture.view.shading != "gi" or not service.startup.lit.is_set():
@@ -215,7 +216,7 @@ async def read_light(
     """Records of the texels of some chunks under the light of the request, filtered where they are
     noisy.
     """
-    lit = await open_scene(service, scene, params)
+    lit = await open_scene(request, service, scene, params)
     picture = service.picture_of(lit, params.view)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
@@ -236,7 +237,7 @@ async def read_transfer(
     request: Request, scene: SceneDep, chunks: str, params: TransferParamsDep, service: ServiceDep
 ) -> Response:
     """What the texels of some chunks keep, for a page that turns the light by itself."""
-    lit = await open_scene(service, scene, params)
+    lit = await open_scene(request, service, scene, params)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
         return known_transfer(renderer, [each.at for each in named], target, renderer.tiles)
@@ -244,14 +245,16 @@ async def read_transfer(
     return await packed(request, service, lit, chunks, params, pack)
 
 
-async def open_scene(service: Service, scene: Scene, params: VariantParams) -> Scene:
+async def open_scene(
+    request: Request, service: Service, scene: Scene, params: VariantParams
+) -> Scene:
     """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are
     kept, and as ``Service.variant``.
     """
     if not service.settings.hands_out_voxels:
         raise ForbiddenError(VOXELS_WITHHELD)
     service.startup.check()
-    return await service.variant(scene, params)
+    return await service.variant(scene, params, client_of(request.scope))
 
 
 Pack = Callable[[Renderer, list[ChunkName], float], Packed]

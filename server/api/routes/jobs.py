@@ -247,7 +247,7 @@ async def export(
     that has ended.
     """
     service.startup.check()
-    scene = await service.variant(scene, params)
+    scene = await service.variant(scene, params, client)
     job = export_jobs.begin(service, scene, params, client)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)

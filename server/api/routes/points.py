@@ -14,6 +14,7 @@ from isogi_core.plan.scene import Scene
 from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
 from server.api.service import SceneDep, ServiceDep, Shown
+from server.bearers import client_of
 from server.errors import ParameterError
 from server.parameters import (
     AXIS_NAMES,
@@ -71,7 +72,7 @@ async def read_point(
     """
     params, applied = preferences.fill(params)
     pixel = params.pixel
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
     if params.exposure is None:
         exposure = lit.default_exposure
     else:
@@ -97,7 +98,7 @@ async def read_size(
     Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take
     nothing away.
     """
-    shown = await service.variant(scene, params)
+    shown = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(shown, params.view)
 
     def work() -> SizeSchema:
@@ -124,7 +125,8 @@ async def read_slice(
     gzip.
     """
     step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
-    return await asyncio.to_thread(sliced, request, await service.variant(scene, step), params)
+    shown = await service.variant(scene, step, client_of(request.scope))
+    return await asyncio.to_thread(sliced, request, shown, params)
 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:

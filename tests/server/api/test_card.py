@@ -15,6 +15,9 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
+from isogi_core.frame import renderer
+from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.api.app import create_app
@@ -276,6 +279,27 @@ def test_a_view_that_was_not_baked_has_its_light_requested(client: httpx.Client)
     assert {each["at"] for each in now} == {each["at"] for each in before}
     versions = {each["at"]: each["version"] for each in before}
     assert any(each["version"] != versions[each["at"]] for each in now)
+
+
+def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as a million, and they find the same chunks."""
+    cast = list[int]()
+
+    def traced(view: View, *given: Any) -> GBuffer:
+        cast.append(view.width * view.height)
+        return trace(view, *given)
+
+    monkeypatch.setattr(renderer, "trace", traced)
+    for size in ((2048, 2048), (16383, 128)):
+        assert chunks(client, azimuth=71, width=size[0], height=size[1])
+    assert cast == [1 << 20, (11585 * 90)]
+    few, many = (
+        {each["at"] for each in chunks(client, azimuth=71, width=side, height=side)}
+        for side in (1024, 2048)
+    )
+    assert few == many
 
 
 @pytest.mark.parametrize(
