@@ -91,6 +91,8 @@ class StreamConnection(WebSocketsSansIOProtocol):
             patience = self.ping_sent_at + self._written / PACE
         if now < patience:
             self.pong_timer = self.loop.call_later(PING, self.keepalive_timeout)
+        elif left:  # a close would wait behind them
+            self.transport.abort()
         else:
             super().keepalive_timeout()
 

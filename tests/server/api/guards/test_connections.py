@@ -210,8 +210,8 @@ def streaming(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Running, list[s
 
     async def stream(client: WebSocket) -> None:
         await client.accept()
-        await client.send_bytes(bytes(LARGE))
         try:
+            await client.send_bytes(bytes(LARGE))
             while await asyncio.wait_for(client.receive_text(), 30):
                 await client.send_text("heard")
         except WebSocketDisconnect as end:
