@@ -164,7 +164,7 @@ class Service:
     def reason(self) -> str:
         """Why light is not baked."""
         return (
-            self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
+            self.engine.trouble() or "Some light that the view needs cannot be baked: see /bakez."
         )
 
     @property

@@ -234,7 +234,7 @@ export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
     "/export",
     status_code=202,
     openapi_extra=documented(ExportParams),
-    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+    responses=ANSWERS | documented_problems(403, 404, 422, 429, 503),
 )
 async def export(
     scene: SceneDep,

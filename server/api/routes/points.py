@@ -15,7 +15,7 @@ from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
 from server.api.service import SceneDep, ServiceDep, Shown
 from server.bearers import client_of
-from server.errors import ParameterError
+from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
     AXIS_NAMES,
     PointParams,
@@ -39,6 +39,10 @@ SLICE: dict[int | str, dict[str, Any]] = {
     },
     304: {"description": "The slice is the one that If-None-Match names."},
 }
+VALUES_WITHHELD = (
+    "This server hands out no voxels: ask for a picture of the slice, f=png, or have "
+    "hand_out_voxels set."
+)
 DRAWN = 1
 """Version of how slices are drawn."""
 
@@ -111,7 +115,7 @@ async def read_size(
     "/slice",
     response_class=Response,
     openapi_extra=documented(SliceParams),
-    responses=SLICE | documented_problems(404, 422),
+    responses=SLICE | documented_problems(403, 404, 422),
 )
 async def read_slice(
     request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep
@@ -124,6 +128,8 @@ async def read_slice(
     float32 where that is near enough, else as float64. They are packed where the request accepts
     gzip.
     """
+    if params.f == "npy" and not service.settings.hands_out_voxels:
+        raise ForbiddenError(VALUES_WITHHELD)
     step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
     shown = await service.variant(scene, step, client_of(request.scope))
     return await asyncio.to_thread(sliced, request, shown, params)

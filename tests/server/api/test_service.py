@@ -230,8 +230,10 @@ async def test_a_engine_that_does_not_start_is_told_and_never_asked(
 
 def test_what_the_engine_misses_is_told(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
     asyncio.run(app.state.service.start())
-    answer = ask(app, "GET", "/readyz")
+    answer = ask(app, "GET", "/bakez")
     assert (answer.status_code, answer.json()["detail"]) == (503, "No worker is alive.")
+    serves = ask(app, "GET", "/readyz")
+    assert (serves.status_code, serves.json()["reasons"]) == (200, ["No worker is alive."])
 
 
 async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
