@@ -28,6 +28,7 @@ from isogi_core.errors import (
     StoreReadOnlyError,
 )
 from isogi_core.storage.backend import Backend, Entry, StoredObject, StoreUrl, store_error
+from isogi_core.storage.calls import Calls, CountedBackend
 from isogi_core.storage.folder import Copies, FileSystem, Folder
 from isogi_core.storage.object_store import Bucket
 
@@ -96,6 +97,7 @@ class Store:
         self.make = make
         self.copies = copies
         self.read_only = False
+        self.calls = Calls()
         self._clock = clock
         self._made: Backend | None = None
         self._seen = False
@@ -295,7 +297,7 @@ class Store:
         """The backend, made on first use, as that may load a library."""
         with self._opening:
             if self._made is None:
-                self._made = backend_at(self.url)
+                self._made = CountedBackend(backend_at(self.url), self.calls)
             return self._made
 
     def _get(self, key: str, known: StoredObject | None) -> StoredObject | None:

@@ -233,7 +233,7 @@ class Startup:
         """
         await within(patience, self._all)
         if not self._all.is_set():
-            raise BusyError(COMPILING.format(shading=shading))
+            raise BusyError(COMPILING.format(shading=shading), "compiling")
 
     async def _light(self) -> None:
         """Have kernels of light."""

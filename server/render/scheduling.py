@@ -416,7 +416,7 @@ class LongRenders(Renders):
                 async with asyncio.timeout_at(None if math.isinf(rank.until) else rank.until):
                     await begun
             except TimeoutError:
-                raise BusyError(LONG_WORK_WAITS) from None
+                raise BusyError(LONG_WORK_WAITS, "paths") from None
             yield
         finally:
             if begun.done() and not begun.cancelled():
@@ -465,7 +465,7 @@ class Place:
     def check(self) -> None:
         """Raise BusyError where it was lost."""
         if self.lost:
-            raise BusyError(PLACE_LOST.format(places=self.others))
+            raise BusyError(PLACE_LOST.format(places=self.others), "crowd")
 
     async def keep(self, work: Coroutine[Any, Any, Result]) -> Result:
         """What some work comes to that needs the place. Raises BusyError once that is lost; the
@@ -535,7 +535,8 @@ class AdmissionLimit:
         counts = Counter(each.owner for each in self._places)
         most = max(counts.values(), default=0)
         if most < counts[owner] + 2:
-            raise BusyError(f"{self.open} {self.what} already: ask again in a second.")
+            sentence = f"{self.open} {self.what} already: ask again in a second."
+            raise BusyError(sentence, self.what.split()[0])
         of_greediest = [each for each in self._places if counts[each.owner] == most]
         if self._work:
             given_up = of_greediest[-1]

@@ -200,7 +200,7 @@ class Variants:
                 target=warm, args=[kernels], name="compiling", daemon=True
             )
             self._compiling.start()
-        raise BusyError(MATERIAL_COMPILING)
+        raise BusyError(MATERIAL_COMPILING, "compiling")
 
     def _outdated(self) -> list[str]:
         """The variants that are too many: they count as not asked for."""

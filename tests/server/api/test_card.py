@@ -294,7 +294,7 @@ def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
     monkeypatch.setattr(renderer, "trace", traced)
     for size in ((2048, 2048), (16383, 128)):
         assert chunks(client, azimuth=71, width=size[0], height=size[1])
-    assert cast == [1 << 20, (11585 * 90)]
+    assert len(cast) == 2 and (1 << 20) >= max(cast) > min(cast) > 0.98 * (1 << 20)
     few, many = (
         {each["at"] for each in chunks(client, azimuth=71, width=side, height=side)}
         for side in (1024, 2048)
