@@ -60,7 +60,7 @@ COSTLIEST: dict[str, tuple[str, ...]] = {
         f"?width=1448&height=1448&f=npy&shading=path_traced&samples=32&{ANYWHERE}",
     ),
     f"{SCENE}/coverage": (f"?{LARGEST}&{ANYWHERE}",),
-    f"{SCENE}/fit": (f"?width=1&height=16384&{ANYWHERE}", f"?{LARGEST}&{ANYWHERE}"),
+    f"{SCENE}/fit": (f"?width=1&height=16383&{ANYWHERE}", f"?{LARGEST}&{ANYWHERE}"),
     f"{SCENE}/point": (f"?{LARGEST}&x=2048&y=2048&{ANYWHERE}",),
     f"{SCENE}/size": ("?cut=x>{cut}",),
     f"{SCENE}/slice": ("?axis=x&at={cut}&f=npy", "?axis=x&at={cut}"),
