@@ -108,10 +108,12 @@ class Asking:
         self.chance = random.Random(4)
         facts = served.client.get(served.path).json()
         self.depth = facts["volume"]["size"][0] - 1
+        card = served.client.get(f"{served.path}/card").json()
+        (slab, *_) = card["scene"]["volume"]["slabs"]
         chunks = [f"{z}.{y}.{x}" for z in range(4) for y in range(4) for x in range(4)]
         self.places = {
             "scene": facts["id"],
-            "layers": f"0-{facts['volume']['size'][2]}",
+            "layers": f"{slab['first']}-{slab['last']}",
             "chunks": ",".join(chunks[:CHUNKS]),
             **dict.fromkeys(("job", "volume", "environment"), "0" * 12),
         }

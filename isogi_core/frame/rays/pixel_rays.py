@@ -33,7 +33,7 @@ go first between two passes, and sums take memory for one.
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 """What neighbours count along an axis, where variances are pooled."""
 
-REACH = len(BINOMIAL) // 2
+POOLED_REACH = len(BINOMIAL) // 2
 POOLED_PIXELS = 1 << 20
 """Pixels along an axis that neighbours are away at most, and pixels that are pooled together."""
 
@@ -198,13 +198,13 @@ def pooled_variance(
     # Pool some rows after the other, each piece with the neighbours above and below.
     for first in range(0, height, rows):
         last = min(first + rows, height)
-        a, b = rows_among(pixels, width, first - REACH, last + REACH)
-        both = np.zeros((2, last - first + 2 * REACH, width))
-        places = pixels[a:b].astype(np.int64) - width * (first - REACH)
+        a, b = rows_among(pixels, width, first - POOLED_REACH, last + POOLED_REACH)
+        both = np.zeros((2, last - first + 2 * POOLED_REACH, width))
+        places = pixels[a:b].astype(np.int64) - width * (first - POOLED_REACH)
         both.reshape(2, -1)[:, places] = variance[a:b], np.ones(b - a)
         for axis in (1, 2):
             if axis == 2:
-                both = np.pad(both, ((0, 0), (0, 0), (REACH, REACH)))
+                both = np.pad(both, ((0, 0), (0, 0), (POOLED_REACH, POOLED_REACH)))
             windows = np.lib.stride_tricks.sliding_window_view(both, len(BINOMIAL), axis)
             both = windows @ BINOMIAL
         a, b = rows_among(pixels, width, first, last)
