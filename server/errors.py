@@ -34,7 +34,13 @@ class UnknownResultError(IsogiError):
 
 
 class BusyError(IsogiError):
-    """More of something is asked for at once than the settings allow."""
+    """More of something is asked for at once than the settings allow: ``why``, in a word that is
+    counted.
+    """
+
+    def __init__(self, sentence: str, why: str = "late") -> None:
+        super().__init__(sentence)
+        self.why = why
 
 
 class StartingError(IsogiError):

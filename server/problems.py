@@ -70,6 +70,16 @@ STATUS: Mapping[type[Exception], int] = {
     FullError: 507,
     IsogiError: 500,
 }
+REFUSALS: Mapping[type[Exception], str] = {
+    ForbiddenError: "forbidden",
+    UploadsOffError: "forbidden",
+    FullError: "quota",
+    StartingError: "starting",
+    StoreError: "store",
+    WorkersError: "workers",
+}
+"""Why servers refuse, by classes of errors; a BusyError says so itself."""
+
 RETRY_AFTER_SECONDS = {429: "1", 503: "1"}
 HTTP_METHODS = frozenset(map(str, HTTPMethod))
 SENTENCES = {
@@ -101,6 +111,15 @@ def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 def status_of(error: Exception) -> int:
     """The status of the nearest class in the table; 500 where there is none."""
     return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
+
+
+def refusal(error: Exception) -> str:
+    """Why a server refuses what it would do at another time, or for another client, in a word;
+    empty where an error is no refusal.
+    """
+    if isinstance(error, BusyError):
+        return error.why
+    return next((REFUSALS[kind] for kind in type(error).__mro__ if kind in REFUSALS), "")
 
 
 def problem_document(status: int, detail: str, instance: str, **more: Any) -> dict[str, Any]:
@@ -145,6 +164,8 @@ async def domain_problem(request: Request, error: Exception) -> JSONResponse:
         or status_of(error) == HTTPStatus.INTERNAL_SERVER_ERROR
     ):
         log.error("%s", error)
+    if (why := refusal(error)) and (metrics := getattr(request.app.state, "metrics", None)):
+        metrics.refused.labels(why).inc()
     return problem(status_of(error), str(error), request.url.path, **parameter_named(error))
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
+def live(app: FastAPI, until: str = "/bakez", port: int = 0) -> Iterator[str]:
     """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by
     default.
     """

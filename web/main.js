@@ -272,7 +272,7 @@ function attachCutting(scene, view, card, onRest) {
     card.close();
   });
   const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
-    read: (axis, at, time) => readSlice(scene.id, axis, at, time),
+    read: (axis, at, time) => readSlice(scene, axis, at, time),
     cuts: folder,
     cut: (point, normal) =>
       cut(point, (towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),

@@ -139,6 +139,6 @@ def name(process: psutil.Process) -> str:
 def ready(client: httpx.Client) -> bool:
     """Whether the server says that it is ready."""
     try:
-        return client.get("/readyz").status_code == 200
+        return client.get("/bakez").status_code == 200
     except httpx.TransportError:
         return False

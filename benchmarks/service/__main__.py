@@ -9,6 +9,7 @@ from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
 from benchmarks.service.page import page
+from benchmarks.service.routes import routes
 from benchmarks.service.visitors import visitors
 from benchmarks.service.warm_view import warm_view
 from benchmarks.service.widget import widget
@@ -24,6 +25,7 @@ main = suite(
         fuzz,
         warm_view,
         page,
+        routes,
         widget,
         first_look,
         first_start,

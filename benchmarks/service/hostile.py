@@ -5,6 +5,7 @@ that means harm.
 import re
 import shutil
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -32,6 +33,13 @@ LEFT_OUT = "/events$|^/v1/volumes$"
 it: the part ``malformed`` sends those."""
 
 
+def program() -> str | None:
+    """Where Schemathesis is: beside this Python, or where the shell finds it; None where it is not
+    installed.
+    """
+    return shutil.which(PROGRAM, path=str(Path(sys.executable).parent)) or shutil.which(PROGRAM)
+
+
 def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int], str]:
     """What some ``requests`` made by Schemathesis were answered, and where it is not installed,
     that nothing was sent.
@@ -39,8 +47,8 @@ def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int]
     It has as many for each operation, and some of its own that look for edges: more come than are
     asked for.
     """
-    program = shutil.which(PROGRAM)
-    if program is None:
+    sends = program()
+    if sends is None:
         return Counter(), f"{PROGRAM} is not installed"
     (folder / "schemathesis.toml").write_text(
         CONFIG.format(scene=served.path.rpartition("/")[2]), encoding="utf-8"
@@ -50,7 +58,7 @@ def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int]
         len(methods) for path, methods in document["paths"].items() if not re.search(LEFT_OUT, path)
     )
     command = [
-        program,
+        sends,
         "run",
         f"{served.url}/openapi.json",
         "--max-examples",

@@ -106,10 +106,12 @@ def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
     fov = view.camera.fov
     across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
     away = math.hypot(1.0, 1.0 / across)
-    afar = orbit(volume.world_centre, volume.radius, stand.azimuth, stand.elevation, away, fov)
-    high = max(FITTED_SIDE, round(FITTED_SIDE * view.height / view.width))
-    wide = max(FITTED_SIDE, round(FITTED_SIDE * view.width / view.height))
-    seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
+    # Look at the square in the middle of the picture, which has the whole volume in it: what a long
+    # picture has besides is empty.
+    angle = 2.0 * math.degrees(math.atan(across))
+    afar = orbit(volume.world_centre, volume.radius, stand.azimuth, stand.elevation, away, angle)
+    square = replace(view, camera=afar.in_box(orientation), width=FITTED_SIDE, height=FITTED_SIDE)
+    seen = renderer.gbuffer(square)
     if len(seen.points) < MIN_SURFACE_PIXELS:
         return None
     right, up, forward = afar.basis()

@@ -197,10 +197,14 @@ def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole
 
 
 def view_pinhole(view: View, spacing: Vector) -> Pinhole:
-    """The camera of a view in index space, from the first row of its picture on."""
+    """The camera of a view in index space, from the first row and column of its picture on."""
     first, rows = view.whole
-    hole = pinhole(view.camera, view.width, rows, spacing)
-    x, y, z = (a + first * b for a, b in zip(hole.corner, hole.down, strict=True))
+    before, columns = view.columns or (0, view.width)
+    hole = pinhole(view.camera, columns, rows, spacing)
+    x, y, z = (
+        a + first * b + before * c
+        for a, b, c in zip(hole.corner, hole.down, hole.right, strict=True)
+    )
     return hole._replace(corner=(x, y, z))
 
 
@@ -258,4 +262,5 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
 
 def surface_key(view: View) -> tuple[Any, ...]:
     """What the surface in a picture depends on."""
-    return view.isovalue, view.camera, view.width, view.height, view.strip, view.window
+    part = view.strip, view.columns
+    return view.isovalue, view.camera, view.width, view.height, *part, view.window

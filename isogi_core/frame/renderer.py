@@ -41,6 +41,7 @@ from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
+from isogi_core.frame.several.peels import Peels
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
@@ -191,6 +192,11 @@ class Renderer(SurfaceRenderer):
     def knows(self, view: View) -> bool:
         """Whether the texels under a view are kept."""
         return self._kept.held((ViewTexels, surface_key(view), False)) is not None
+
+    def sees(self, view: View) -> bool:
+        """Whether what the rays of a view met is kept."""
+        kind = Peels if self._composer else GBuffer
+        return self._kept.held((kind, surface_key(view))) is not None
 
     def lobe_radiance(self, frame: Frame) -> np.ndarray:
         """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3)

@@ -13,7 +13,14 @@ from isogi_core.bake.noise import MIN_LUMINANCE
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
-from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import (
+    PASS_POINTS,
+    Paths,
+    passes,
+    pooled_variance,
+    replicas_for,
+    variance_of_mean,
+)
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
@@ -128,20 +135,39 @@ def shade_by_paths(
     framebuffer = empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
     count = max(samples // replicas, 1)
-    sums = np.zeros((len(pixels), replicas, 3))
-    Paths(light, gbuffer, tiles).add(sums, streams.PICTURE_STREAM, 0, count)
-    means = np.minimum(sums / count, np.finfo(np.float32).max)
-    radiance = means.mean(axis=1)
-    deviation = np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
-    error = np.clip(
-        deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, MIN_LUMINANCE * light.spec.unit),
-        0.0,
-        1.0,
-    )
-    framebuffer.radiance[pixels] = radiance
-    framebuffer.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
-    framebuffer.error[pixels] = error
+    variance = np.empty(len(pixels))
+
+    # Trace the paths of some points after the other: sums of replicas take memory for one pass.
+    for some in passes(len(pixels), samples, tiles):
+        sums = np.zeros((some.stop - some.start, replicas, 3))
+        rows = np.arange(some.start, some.stop)
+        Paths(light, gbuffer.part(rows, tiles), tiles).add(sums, streams.PICTURE_STREAM, 0, count)
+        means = np.minimum(sums / count, np.finfo(np.float32).max)
+        framebuffer.radiance[pixels[some]] = means.mean(axis=1)
+        variance[some] = variance_of_mean(means)
+
+    darkest = MIN_LUMINANCE * light.spec.unit
+    put_noise(framebuffer, pixels, pooled_variance(variance, gbuffer), darkest, target)
     return framebuffer
+
+
+def put_noise(
+    framebuffer: Framebuffer,
+    pixels: np.ndarray,
+    variance: np.ndarray,
+    darkest: float,
+    target: float,
+) -> None:
+    """Write errors and states of path-traced ``pixels`` (m,) whose luminance, ``darkest`` at least,
+    has a ``variance`` (m,); they are final at the ``target`` error.
+    """
+    for first in range(0, len(pixels), PASS_POINTS):
+        some = pixels[first : first + PASS_POINTS]
+        luminance = framebuffer.radiance[some].astype(np.float64) @ LUMINANCE_WEIGHTS
+        deviation = np.sqrt(variance[first : first + PASS_POINTS])
+        error = np.clip(deviation / np.maximum(luminance, darkest), 0.0, 1.0)
+        framebuffer.state[some] = np.where(error <= target, FINAL, CONVERGING)
+        framebuffer.error[some] = error
 
 
 def light_sources(

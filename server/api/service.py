@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,6 +40,7 @@ from server.render.scheduling import (
     REQUEST_PATIENCE,
     REST_PATIENCE,
     AdmissionLimit,
+    LongRenders,
     Rank,
     Renders,
 )
@@ -132,6 +133,7 @@ class Service:
         await self.jobs.close()
         await self.startup.close()
         self.threads.close()
+        self.variants.close()
         self.uploads.close()
         self.exports.close()
         await asyncio.to_thread(self.engine.close)
@@ -162,7 +164,7 @@ class Service:
     def reason(self) -> str:
         """Why light is not baked."""
         return (
-            self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
+            self.engine.trouble() or "Some light that the view needs cannot be baked: see /bakez."
         )
 
     @property
@@ -177,9 +179,9 @@ class Service:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 
-    async def variant(self, scene: Scene, params: LightParams) -> Scene:
+    async def variant(self, scene: Scene, params: LightParams, client: Hashable) -> Scene:
         """The scene in the light, with the cut, at the time, of the material, with the surfaces and
-        without the labels that the parameters ask for; itself where they do not.
+        without the labels that the parameters of a ``client`` ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
@@ -188,7 +190,7 @@ class Service:
             change = Change(**params.model_dump(include={*VariantParams.model_fields}))
         if change != Change():
             self.startup.check()
-        return await self.variants.of(scene, change)
+        return await self.variants.of(scene, change, client)
 
     def planned(self, scene: Scene) -> Scene:
         """The ``scene`` with the plan of the light that its store has, where that can be read
@@ -215,14 +217,18 @@ class Service:
         params: ViewParams,
         finish: Callable[[Shown], Result],
         viewer: Viewer | None = None,
+        pixel: tuple[int, int] | None = None,
     ) -> Result:
         """``finish`` of the picture that the parameters ask for, both off the event loop; for the
-        request by default.
+        request by default. Where a ``pixel`` is given, by column and row, and what the picture's
+        rays met is not kept, the picture is of that pixel alone.
 
         Raises ViewError, BusyError, StoreError, StartingError until the engine is up, and Cancelled
         once the client has left: light that it alone requested is not baked then.
         """
         picture = self.picture_of(scene, params)
+        if pixel is not None and not self.engine.sees(picture.scene, picture.view):
+            picture = replace(picture, view=picture.view.pixel(*pixel))
         with self._requests.admitted(client_of(request.scope)) as place:
             answer = self._answer(
                 picture, viewer or request_viewer(request), params.wait_ms / 1000, finish
@@ -311,7 +317,7 @@ class Service:
             return frame
 
         with watch.stage("queue"):
-            return await self.threads.of(picture.view).share(
+            return await self.threads.drawing(picture.view).share(
                 (picture, self._newest(picture)), work, rank
             )
 
@@ -516,8 +522,20 @@ class RenderThreads:
         self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
         self.large = Renders(1)
+        self.paths = LongRenders()
+        self.large_paths = LongRenders(1)
         self.asking = Renders(ASKING)
         self.checks = Renders(1)
+
+    def drawing(self, view: View) -> Renders:
+        """The threads on which the picture of a view is drawn: those of path-traced ones have
+        places of their own, for each takes up to minutes.
+        """
+        if view.shading != "path_traced":
+            return self.of(view)
+        if view.width * view.height > LARGE_PICTURE_PIXELS:
+            return self.large_paths
+        return self.paths
 
     def of(self, view: View) -> Renders:
         """The threads on which the picture of a view is drawn, and written as a file."""
@@ -529,7 +547,10 @@ class RenderThreads:
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""
-        for each in (self.pictures, self.drafts, self.large, self.asking, self.checks):
+        for each in (
+            *(self.pictures, self.drafts, self.large, self.asking, self.checks),
+            *(self.paths, self.large_paths),
+        ):
             each.close()
 
 

@@ -23,7 +23,7 @@ from server.card_schemas import CardChunk
 from server.errors import BusyError, ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
-from server.problems import parameter_named, problem, problem_document, status_of
+from server.problems import parameter_named, problem, problem_document, refusal, status_of
 from server.render.bakes import stream_viewer
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Place, Rank
@@ -404,7 +404,9 @@ class Session:
             return
         try:
             form = format_for(params, None)
-            self._lit = await self._service.variant(self._scene, params)
+            self._lit = await self._service.variant(
+                self._scene, params, client_of(self._socket.scope)
+            )
             picture = self._service.picture_of(self._lit, smoothed(params, form))
             await (
                 self._draft(request, params, picture)
@@ -412,6 +414,8 @@ class Session:
                 else self._rest(request, params, picture, form)
             )
         except IsogiError as error:
+            if why := refusal(error):
+                self._metrics.refused.labels(why).inc()
             await self._send(complaint(request.id, error, self._socket.url.path))
 
     async def _draft(
@@ -513,4 +517,6 @@ async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
             await socket.accept()
             await kept(socket, Session(socket, service, found, place), place)
     except IsogiError as error:
+        if why := refusal(error):
+            socket.app.state.metrics.refused.labels(why).inc()
         await socket.send_denial_response(problem(status_of(error), str(error), socket.url.path))

@@ -19,7 +19,7 @@ from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, card_scene, scene_schema
 from server.card_schemas import CardSlab
 from server.parameters import FrameParams
-from server.schemas import Range, SceneSchema
+from server.schemas import Histogram, Range, SceneSchema
 
 WEB_FOLDER = Path(__file__).resolve().parents[2] / "web"
 FIRST_PAGE_MODULE = "published/published.js"
@@ -127,6 +127,7 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
     """
     schema: SceneSchema = scene_schema(renderer.prepared.scene)
     schema.ranges["isovalue"] = Range(min=span.low, max=span.high)
+    schema.histogram = histogram_between(schema.histogram, span)
     schema.shadings = ["gi"]
     schema.environments = []
     schema.albedos = None
@@ -142,6 +143,18 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
     given = params.model_dump(mode="json", include=placed & START_PARAMETERS, exclude_none=True)
     start = {**camera.model_dump(mode="json"), "isovalue": view.isovalue, **given}
     return {**schema.model_dump(mode="json"), "start": start}
+
+
+def histogram_between(histogram: Histogram, span: Span) -> Histogram:
+    """A histogram with the bins alone that lie in a ``span``: voxels of the page beyond are
+    alike.
+    """
+    edges = histogram.edges
+    counts = [
+        count if span.low <= low and high <= span.high else 0
+        for count, low, high in zip(histogram.counts, edges[:-1], edges[1:], strict=True)
+    ]
+    return Histogram(counts=counts, edges=edges)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> int:

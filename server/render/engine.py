@@ -297,6 +297,11 @@ class RenderEngine:
         """
         return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
+    def sees(self, scene: str, view: View) -> bool:
+        """Whether what the rays of a view met is kept, so that its picture casts none."""
+        loaded = self._loaded.held(scene)
+        return loaded is not None and loaded.renderer.sees(view)
+
     def check(
         self,
         scene: str,

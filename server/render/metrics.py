@@ -1,8 +1,10 @@
 """What a server counts while it runs, for Prometheus."""
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 
 from prometheus_client import (
@@ -17,6 +19,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 from starlette.datastructures import Headers
 
+from isogi_core.storage.calls import Calls
 from server.render.engine import RenderEngine
 from server.render.jobs import Jobs
 
@@ -85,6 +88,12 @@ class Metrics:
         )
         self.errors = Counter(
             "isogi_errors", "Errors that were logged, by class.", ["kind"], registry=registry
+        )
+        self.refused = Counter(
+            "isogi_refusals",
+            "Requests, and views of streams, that were refused, and why.",
+            ["why"],
+            registry=registry,
         )
         self.closed = Counter(
             "isogi_connections_closed",
@@ -205,6 +214,57 @@ class BakingCollector(Collector):
         yield CounterMetricFamily(
             "isogi_worker_deaths", "Baking processes that were lost.", tally.deaths
         )
+
+
+class StoreCollector(Collector):
+    """Calls of this process to a store, whenever it is collected."""
+
+    def __init__(self, calls: Calls) -> None:
+        self._calls = calls
+
+    def collect(self) -> Iterable[Metric]:
+        """Their number, time and failures, by kind."""
+        calls = self._calls
+        for name, about, counts in (
+            ("isogi_store_calls", "Calls to the store, by kind.", calls.count),
+            ("isogi_store_failures", "Such calls that failed.", calls.failed),
+            ("isogi_store_seconds", "Time that such calls took.", calls.seconds),
+        ):
+            family = CounterMetricFamily(name, about, labels=["call"])
+            for kind, number in list(counts.items()):
+                family.add_metric([kind], number)
+            yield family
+
+
+class ServerCollector(Collector):
+    """Threads of the process, and bytes of uploads' ``quota`` of which so many are ``free``,
+    whenever it is collected.
+    """
+
+    def __init__(self, quota: Callable[[], int], free: Callable[[], int]) -> None:
+        self._quota = quota
+        self._free = free
+
+    def describe(self) -> Iterable[Metric]:
+        """Nothing ahead: uploads may not be open."""
+        return ()
+
+    def collect(self) -> Iterable[Metric]:
+        """Both."""
+        yield GaugeMetricFamily("isogi_threads", "Threads of the server's process.", threads())
+        yield GaugeMetricFamily(
+            "isogi_uploads_quota_bytes", "Bytes that uploads may take.", self._quota()
+        )
+        yield GaugeMetricFamily(
+            "isogi_uploads_free_bytes", "Bytes of these that are free.", self._free()
+        )
+
+
+def threads() -> int:
+    """Threads of this process: those of libraries, too, where the system tells them."""
+    with suppress(OSError):
+        return len(os.listdir("/proc/self/task"))
+    return threading.active_count()
 
 
 class JobsCollector(Collector):

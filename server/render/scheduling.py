@@ -11,6 +11,7 @@ from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from isogi_core.frame.tiles import Interruption
 from server.errors import BusyError
 from worker.bake_requests import Account, FairClock
 
@@ -75,6 +76,9 @@ class Rank:
         return self.client.spent if self.turn is None else self.turn, self.due
 
 
+FRAMES_WAIT = "The frames that were asked for before take too long: ask again in a while."
+
+
 class FairSemaphore:
     """So many ``places``, shared evenly among clients by the time that their work takes: see
     ``FairClock``.
@@ -84,11 +88,17 @@ class FairSemaphore:
     """
 
     def __init__(
-        self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+        self,
+        places: int,
+        pressed: Callable[[], bool] = lambda: False,
+        even: bool = False,
+        late: str = FRAMES_WAIT,
     ) -> None:
+        """Give so many ``places``; ``late`` is the sentence for who waited for one in vain."""
         self._places = self._free = places
         self._pressed = pressed
         self._even = even
+        self._late = late
         self._clock = FairClock(DEBT)
         self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
@@ -155,9 +165,7 @@ class FairSemaphore:
             raise
         except TimeoutError:
             self._leave(place)
-            raise BusyError(
-                "The frames that were asked for before take too long: ask again in a while."
-            ) from None
+            raise BusyError(self._late) from None
 
     def _leave(self, place: "asyncio.Future[None]") -> None:
         """Pass on the place of one that left when it was just given it."""
@@ -194,7 +202,7 @@ class Flight:
     """Work that ``waiting`` callers share; ``cancelled`` is set once none is left."""
 
     task: "asyncio.Task[Any]"
-    cancelled: threading.Event = field(default_factory=threading.Event)
+    cancelled: threading.Event
     waiting: int = 0
 
 
@@ -202,13 +210,17 @@ class Renders:
     """Runs blocking work, so much at once, and stops it when no caller waits for it any more."""
 
     def __init__(
-        self, threads: int, pressed: Callable[[], bool] = lambda: False, even: bool = False
+        self,
+        threads: int,
+        pressed: Callable[[], bool] = lambda: False,
+        even: bool = False,
+        late: str = FRAMES_WAIT,
     ) -> None:
         """So many at once; one alone while other work is ``pressed``. Turns count by time, or if
-        ``even`` alike.
+        ``even`` alike; ``late`` is the sentence for work that waited in vain.
         """
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-        self._places = FairSemaphore(threads, pressed, even)
+        self._places = FairSemaphore(threads, pressed, even, late)
         self._flights: dict[Hashable, Flight] = {}
         self._clients: dict[Hashable, Client] = {}
 
@@ -274,11 +286,17 @@ class Renders:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _begin(self, key: Hashable, work: Callable[[threading.Event], Any], rank: Rank) -> Flight:
-        cancelled = threading.Event()
-        task = asyncio.create_task(self.run(lambda: work(cancelled), rank))
+        task, cancelled = self._start(work, rank)
         self._flights[key] = flight = Flight(task, cancelled)
         task.add_done_callback(lambda _: self._land(key, flight))
         return flight
+
+    def _start(
+        self, work: Callable[[threading.Event], Any], rank: Rank
+    ) -> tuple["asyncio.Task[Any]", threading.Event]:
+        """A task that does some ``work``, and what the work is cancelled by."""
+        cancelled = threading.Event()
+        return asyncio.create_task(self.run(lambda: work(cancelled), rank)), cancelled
 
     def _land(self, key: Hashable, flight: Flight) -> None:
         """Have nothing join work that is over."""
@@ -290,6 +308,130 @@ class Renders:
         self._land(key, flight)
         flight.cancelled.set()
         flight.task.cancel()
+
+
+class Passes(Interruption):
+    """The passes of some work on a thread: each begins when the event loop says so."""
+
+    def __init__(self) -> None:
+        """Before the first pass."""
+        super().__init__()
+        self.ended = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self._begun = threading.Event()
+
+    def begin(self) -> None:
+        """Have the next pass begin; ``ended`` is set once it has ended."""
+        self.ended.clear()
+        self._begun.set()
+
+    def give_way(self) -> None:
+        """End a pass; return when the next one may begin, or the work is cancelled."""
+        self._begun.clear()
+        if not self.is_set():
+            self._loop.call_soon_threadsafe(self.ended.set)
+            self._begun.wait()
+
+    def set(self) -> None:
+        """Cancel the work, also between two passes."""
+        super().set()
+        self._begun.set()
+
+
+MAX_LONG_WORKS = 4
+"""Pieces of long work that are begun at once, each of another client."""
+
+LONG_WORK_WAITS = (
+    "Path-traced pictures that were asked for before take too long: ask again in a while, or for "
+    "fewer pixels or samples."
+)
+
+
+class LongRenders(Renders):
+    """Runs long work in passes, one pass at a time: clients that have some begun take turns, by
+    time.
+
+    A client has one piece of work begun at a time, and so many clients have any: what is begun
+    keeps memory until it ends.
+    """
+
+    def __init__(self, most: int = MAX_LONG_WORKS) -> None:
+        """None yet; ``most`` pieces of work may be begun."""
+        super().__init__(most)
+        self._places = FairSemaphore(1)
+        self._most = most
+        self._at_work: set[Client] = set()
+        self._waiting: list[tuple[Client, asyncio.Future[None]]] = []
+
+    def close(self) -> None:
+        """Take no more work, and cancel all that is begun."""
+        for flight in self._flights.values():
+            flight.cancelled.set()
+        super().close()
+
+    def _start(
+        self, work: Callable[[threading.Event], Any], rank: Rank
+    ) -> tuple["asyncio.Task[Any]", threading.Event]:
+        passes = Passes()
+        return asyncio.create_task(self._run(work, passes, rank)), passes
+
+    async def _run(
+        self, work: Callable[[threading.Event], Result], passes: Passes, rank: Rank
+    ) -> Result:
+        """The result of some work, whose ``passes`` have a place each. Raises BusyError where it
+        cannot begin until the rank gives up.
+        """
+        loop = asyncio.get_running_loop()
+        turns = replace(rank.begun, client=Client(rank.client.weight), turn=None)
+        async with self._begun(rank):
+            working: asyncio.Future[Result] | None = None
+            try:
+                while working is None or not working.done():
+                    async with self._places.place(replace(turns)):
+                        passes.begin()
+                        if working is None:
+                            context = copy_context()
+                            working = loop.run_in_executor(self._pool, context.run, work, passes)
+                            working.add_done_callback(lambda _: passes.ended.set())
+                        await passes.ended.wait()
+                return await working
+            except asyncio.CancelledError:
+                passes.set()
+                if working is not None:
+                    await asyncio.gather(working, return_exceptions=True)
+                raise
+            finally:
+                del working  # see ``run``
+
+    @asynccontextmanager
+    async def _begun(self, rank: Rank) -> AsyncIterator[None]:
+        """Let the client's work begin, for the block: one of each client, first come, first
+        served.
+        """
+        begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append((rank.client, begun))
+        self._let_in()
+        try:
+            try:
+                async with asyncio.timeout_at(None if math.isinf(rank.until) else rank.until):
+                    await begun
+            except TimeoutError:
+                raise BusyError(LONG_WORK_WAITS, "paths") from None
+            yield
+        finally:
+            if begun.done() and not begun.cancelled():
+                self._at_work.discard(rank.client)
+            else:
+                begun.cancel()
+            self._let_in()
+
+    def _let_in(self) -> None:
+        """Let those begin that may."""
+        self._waiting = [each for each in self._waiting if not each[1].done()]
+        for client, begun in self._waiting:
+            if len(self._at_work) < self._most and client not in self._at_work:
+                self._at_work.add(client)
+                begun.set_result(None)
 
 
 PLACE_LOST = "Another client needed this place, and you have {places} more: ask again in a while."
@@ -323,7 +465,7 @@ class Place:
     def check(self) -> None:
         """Raise BusyError where it was lost."""
         if self.lost:
-            raise BusyError(PLACE_LOST.format(places=self.others))
+            raise BusyError(PLACE_LOST.format(places=self.others), "crowd")
 
     async def keep(self, work: Coroutine[Any, Any, Result]) -> Result:
         """What some work comes to that needs the place. Raises BusyError once that is lost; the
@@ -393,7 +535,8 @@ class AdmissionLimit:
         counts = Counter(each.owner for each in self._places)
         most = max(counts.values(), default=0)
         if most < counts[owner] + 2:
-            raise BusyError(f"{self.open} {self.what} already: ask again in a second.")
+            sentence = f"{self.open} {self.what} already: ask again in a second."
+            raise BusyError(sentence, self.what.split()[0])
         of_greediest = [each for each in self._places if counts[each.owner] == most]
         if self._work:
             given_up = of_greediest[-1]

@@ -7,11 +7,10 @@ their plans are of one kind. What is cut open is another volume, which those in 
 so is another step of a series in time, and a segmentation that hides other labels.
 """
 
-import asyncio
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError, VolumeError
@@ -34,6 +33,7 @@ from isogi_core.plan.volumes.masks import cut_digest
 from server.errors import BusyError, ParameterError
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change, SceneVariant
+from server.render.scheduling import Rank, Renders
 from server.values import shown
 
 MAX_VARIANTS = 64
@@ -78,8 +78,8 @@ class Variants:
         When there are more than ``most``, the engine dismisses what was asked for longest ago.
         Voxels of cuts, and of steps, may take ``room`` bytes: by default what volumes in memory may
         take, MOST_CUTS times. Beyond that there are ``most_cuts`` that have voxels of their own.
-        What made way is made again when the engine needs it. One is made at a time, and whoever
-        asks waits for ``patience`` seconds at most.
+        What made way is made again when the engine needs it. One is made at a time, in turns of the
+        clients that ask, each of which waits for ``patience`` seconds at most.
         """
         self._engine = engine
         self._place = place
@@ -93,15 +93,16 @@ class Variants:
         engine.again = self.again
         self._making = threading.Lock()
         self._lock = threading.Lock()
-        self._turn = asyncio.Lock()
+        self._turns = Renders(1, late=VARIANTS_TAKEN)
         self._patience = patience
         self._compiling: threading.Thread | None = None
 
-    async def of(self, scene: Scene, change: Change) -> Scene:
+    async def of(self, scene: Scene, change: Change, client: Hashable = None) -> Scene:
         """The scene that a ``change`` makes of one; itself where nothing changes.
 
-        It is made off the event loop where there is none yet. Raises ParameterError where there is
-        no such environment, BusyError where too many others are made before, and as ``make`` does.
+        It is made off the event loop where there is none yet, when it is the turn of the
+        ``client``. Raises ParameterError where there is no such environment, BusyError where too
+        many others are made before, and as ``make`` does.
         """
         variant = SceneVariant.of(scene, change)
         if not variant.any:
@@ -109,15 +110,12 @@ class Variants:
         place = self._placed(variant)
         if (known := self.known(variant.id)) is not None:
             return known
-        try:
-            async with asyncio.timeout(None if math.isinf(self._patience) else self._patience):
-                await self._turn.acquire()
-        except TimeoutError:
-            raise BusyError(VARIANTS_TAKEN) from None
-        try:
-            return await asyncio.to_thread(self.make, scene, variant, place)
-        finally:
-            self._turn.release()
+        turn = Rank.within(0.0, self._patience, self._turns.client(client, 1.0))
+        return await self._turns.run(lambda: self.make(scene, variant, place), turn)
+
+    def close(self) -> None:
+        """Make no more."""
+        self._turns.close()
 
     def _placed(self, variant: SceneVariant) -> str | None:
         """Where a variant's environment is; None where it is its scene's. ParameterError where
@@ -202,7 +200,7 @@ class Variants:
                 target=warm, args=[kernels], name="compiling", daemon=True
             )
             self._compiling.start()
-        raise BusyError(MATERIAL_COMPILING)
+        raise BusyError(MATERIAL_COMPILING, "compiling")
 
     def _outdated(self) -> list[str]:
         """The variants that are too many: they count as not asked for."""

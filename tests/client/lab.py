@@ -103,7 +103,8 @@ def lab_of(scene: Path, store: Path, bakes: bool = True, port: int = 0) -> Itera
     faults = Faults()
     pool = InlinePool()
     app = create_app(
-        EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN)
+        EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker),
+        Settings(token=TOKEN, hand_out_voxels=True),
     )
     app.add_middleware(Faulty, faults=faults)
     if bakes:

@@ -205,8 +205,8 @@ def status(client: httpx.Client, path: str, **params: Any) -> int:
 
 
 def reasons(client: httpx.Client) -> str:
-    """Why a server is not ready; empty where it is."""
-    answer = client.get("/readyz").json()
+    """Why a server bakes no light; empty where it does."""
+    answer = client.get("/bakez").json()
     if answer.get("ready"):
         return ""
     return " ".join(answer.get("reasons", ()))

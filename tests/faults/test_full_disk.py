@@ -62,13 +62,13 @@ def test_baking_waits_for_room_and_goes_on_by_itself(
 
         assert wait_for(lambda: httpx.get(place, params=KNOBS).status_code == 200, LONG)
         assert wait_for(
-            lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text, LONG
+            lambda: frame() is not None and "full" in httpx.get(f"{url}/bakez").text, LONG
         )
-        assert httpx.get(f"{url}/readyz").status_code == 503
+        assert httpx.get(f"{url}/bakez").status_code == 503
         assert frame(wait=0.5).headers["isogi-provisional"] == "?1"
         assert not list(small_disk.rglob("*.partial"))
         assert mounted("mount", "-o", "remount,size=16m", str(small_disk))
         assert wait_for(lambda: frame(wait=1.0).headers["isogi-provisional"] == "?0", LONG)
-        assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
+        assert wait_for(lambda: httpx.get(f"{url}/bakez").status_code == 200, LONG)
         lines = httpx.get(f"{url}/metrics").text.splitlines()
         assert "isogi_chunks_given_up 0.0" in lines

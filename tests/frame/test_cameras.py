@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.files.vector import Vector
-from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
+from isogi_core.frame.fitting import FILLED, FITTED_SIDE, Stand, fitted, fitted_to_all, nearest
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import Camera, View, orbit, orthographic
 from isogi_core.model.volume import Orientation, make_volume
@@ -40,6 +41,25 @@ def test_a_speck_afar_does_not_push_the_camera_away() -> None:
     _, near = nearest(points, SLOPES)
     _, with_speck = nearest(np.vstack([points, [[500.0, 0.0, 0.0]]]), SLOPES)
     assert with_speck == pytest.approx(near, rel=0.02)
+
+
+@pytest.mark.parametrize("size", [(1, 400), (400, 1), (300, 200)])
+def test_long_pictures_are_fitted_by_few_rays(
+    size: tuple[int, int], workbench: Callable[[Scene], Workbench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that they show is seen in the square in their middle."""
+    renderer = workbench(scene_of(ball(), 0.0)).renderer
+    cast = list[int]()
+
+    def gbuffer(view: View) -> GBuffer:
+        cast.append(view.width * view.height)
+        return Renderer.gbuffer(renderer, view)
+
+    monkeypatch.setattr(renderer, "gbuffer", gbuffer)
+    view = replace(workbench(scene_of(ball(), 0.0)).view(), width=size[0], height=size[1])
+    found = fitted(renderer, view, 30.0, 20.0)
+    assert found is not None
+    assert max(cast) <= FITTED_SIDE**2
 
 
 def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:

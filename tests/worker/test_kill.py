@@ -164,7 +164,7 @@ def test_no_worker_outlives_its_server(tmp_path: Path) -> None:
     ``tests/server/api/guards/test_stop.py``.
     """
     with serving(tmp_path) as (process, url):
-        assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
+        assert wait_for(lambda: httpx.get(f"{url}/bakez").status_code == 200, LONG)
         assert (
             httpx.get(
                 f"{url}/v1/scenes/orbital/frame?width=256&height=256", timeout=LONG

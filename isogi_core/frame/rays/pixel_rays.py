@@ -1,6 +1,6 @@
 """Whole paths from the pixels' own points, with what is known of their noise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,8 +24,18 @@ MAX_PATHS = 1 << 16
 until it can end.
 """
 
+PASS_PATHS = 1 << 21
+PASS_POINTS = 1 << 18
+"""Paths, and points, of one pass of a picture at most: about a second of two cores. Other work may
+go first between two passes, and sums take memory for one.
+"""
+
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 """What neighbours count along an axis, where variances are pooled."""
+
+POOLED_REACH = len(BINOMIAL) // 2
+POOLED_PIXELS = 1 << 20
+"""Pixels along an axis that neighbours are away at most, and pixels that are pooled together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +144,18 @@ class Paths:
         self.add(np.zeros((min(len(self.gbuffer.points), 1), 1, 3)), 0, 0, 1)
 
 
+def passes(points: int, samples: int, tiles: Tiles) -> Iterator[slice]:
+    """Consecutive slices of so many ``points`` that send ``samples`` paths each: those of one pass.
+
+    Gives way to other work between two of them. Raises Cancelled.
+    """
+    size = max(min(PASS_PATHS // samples, PASS_POINTS), 1)
+    for first in range(0, points, size):
+        if first:
+            tiles.give_way()
+        yield slice(first, min(first + size, points))
+
+
 def variance_of_mean(means: np.ndarray) -> np.ndarray:
     """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3);
     (m,) float64.
@@ -158,8 +180,8 @@ def replicas_for(samples: int) -> int:
 def pooled_variance(
     variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | None = None
 ) -> np.ndarray:
-    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR
-    both ways.
+    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights
+    BINOMIAL both ways.
 
     Or of the pixels ``shown`` (m,), of something else.
 
@@ -169,11 +191,32 @@ def pooled_variance(
     head under noon_grass, MNI under constant light).
     """
     pixels = gbuffer.pixels if shown is None else shown
-    both = np.zeros((2, *gbuffer.shape))
-    both.reshape(2, -1)[:, pixels] = variance, np.ones_like(variance)
-    for axis in (1, 2):
-        padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis)
-        both = windows @ BINOMIAL
-    total, weight = both.reshape(2, -1)[:, pixels]
-    return np.asarray(total / weight)
+    height, width = gbuffer.shape
+    pooled = np.empty(len(pixels))
+    rows = max(POOLED_PIXELS // width, 1)
+
+    # Pool some rows after the other, each piece with the neighbours above and below.
+    for first in range(0, height, rows):
+        last = min(first + rows, height)
+        a, b = rows_among(pixels, width, first - POOLED_REACH, last + POOLED_REACH)
+        both = np.zeros((2, last - first + 2 * POOLED_REACH, width))
+        places = pixels[a:b].astype(np.int64) - width * (first - POOLED_REACH)
+        both.reshape(2, -1)[:, places] = variance[a:b], np.ones(b - a)
+        for axis in (1, 2):
+            if axis == 2:
+                both = np.pad(both, ((0, 0), (0, 0), (POOLED_REACH, POOLED_REACH)))
+            windows = np.lib.stride_tricks.sliding_window_view(both, len(BINOMIAL), axis)
+            both = windows @ BINOMIAL
+        a, b = rows_among(pixels, width, first, last)
+        total, weight = both.reshape(2, -1)[:, pixels[a:b].astype(np.int64) - width * first]
+        pooled[a:b] = total / weight
+    return pooled
+
+
+def rows_among(pixels: np.ndarray, width: int, first: int, last: int) -> tuple[int, int]:
+    """Where those of rows ``first`` to ``last`` of a picture begin and end among ascending
+    ``pixels``.
+    """
+    ends = np.array([max(first, 0) * width, last * width], pixels.dtype)
+    a, b = np.searchsorted(pixels, ends).tolist()
+    return a, b

@@ -22,7 +22,12 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import (
+    passes,
+    pooled_variance,
+    replicas_for,
+    variance_of_mean,
+)
 from isogi_core.frame.rays.wall_texels import (
     COARSE_WALL_TEXELS,
     FINE_WALL_TEXELS,
@@ -31,17 +36,16 @@ from isogi_core.frame.rays.wall_texels import (
     light_starts,
 )
 from isogi_core.frame.refinement import Refinement
-from isogi_core.frame.shading import fog_depths
+from isogi_core.frame.shading import fog_depths, put_noise
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.shading.wall_light import WallTable, light_walls
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.prepared.prepared_scene import Surface
 
 
@@ -284,32 +288,40 @@ class WallView:
         replicas = replicas_for(samples)
         count = max(samples // replicas, 1)
         room = self.light.spec.prepared.room(self.light.seen.albedo)
-        each, replica = (part.ravel() for part in np.indices((len(walls.pixels), replicas)))
-        seeds = seeds_of(np.column_stack([walls.pixels[each], replica]))
-        isovalue = self.gbuffer.surface.isovalue
-        numbers = walls.numbers[each]
-        starts = starts_at(walls.points[each], self._normals[each], isovalue, seeds, numbers)
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
-        sums = light_starts(
-            self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles
-        )
-        means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
-        variance = pooled_variance(variance_of_mean(means), self.gbuffer, walls.pixels)
-        light = np.minimum(
-            means.mean(axis=1) + room.radiances[walls.numbers], np.finfo(np.float32).max
-        )
-        error = np.sqrt(variance) / np.maximum(
-            light @ LUMINANCE_WEIGHTS, MIN_LIGHT * self.light.spec.unit
-        )
-        framebuffer.radiance[walls.pixels] = light
-        framebuffer.state[walls.pixels] = np.where(error <= target, FINAL, CONVERGING)
-        framebuffer.error[walls.pixels] = np.clip(error, 0.0, 1.0)
+        variance = np.empty(len(walls.pixels))
 
-    @property
-    def _normals(self) -> np.ndarray:
-        """The normals of the sides that are seen; (m, 3)."""
+        # Trace the paths of some pixels after the other, as those of the surface.
+        for some in passes(len(walls.pixels), samples, tiles):
+            surface = self.gbuffer.surface
+            starts = self._starts(some, replicas, surface.isovalue)
+            sums = light_starts(self.light, surface, starts, rules, SampleRange(0, count), tiles)
+            numbers = walls.numbers[some]
+            means = room.albedos[numbers][:, None] * sums.reshape(-1, replicas, 3) / count
+            light = means.mean(axis=1) + room.radiances[numbers]
+            framebuffer.radiance[walls.pixels[some]] = np.minimum(light, np.finfo(np.float32).max)
+            variance[some] = variance_of_mean(means)
+
+        pooled = pooled_variance(variance, self.gbuffer, walls.pixels)
+        darkest = float(MIN_LIGHT) * self.light.spec.unit
+        put_noise(framebuffer, walls.pixels, pooled, darkest, target)
+
+    def _starts(self, some: slice, replicas: int, isovalue: Isovalue) -> PathStarts:
+        """Where paths of so many ``replicas`` start from some of the pixels that show walls."""
+        walls = self.gbuffer.walls
+        shown = np.arange(some.start, some.stop)
+        each, replica = (part.ravel() for part in np.indices((len(shown), replicas)))
+        each = shown[each]
+        seeds = seeds_of(np.column_stack([walls.pixels[each], replica]))
+        normals = self._normals_of(walls.numbers[each])
+        return starts_at(walls.points[each], normals, isovalue, seeds, walls.numbers[each])
+
+    def _normals_of(self, numbers: np.ndarray) -> np.ndarray:
+        """The normals of the sides that are seen of the walls with these ``numbers`` (m,); (m,
+        3).
+        """
         room = self.light.spec.prepared.room(self.light.seen.albedo)
-        return np.asarray((self.sides[:, None] * room.normals)[self.gbuffer.walls.numbers])
+        return np.asarray((self.sides[:, None] * room.normals)[numbers])
 
     def put_locally(
         self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles
@@ -321,7 +333,7 @@ class WallView:
         gbuffer = self.gbuffer
         room = self.light.spec.prepared.scene.lighting.room
         traced = gbuffer.surface.traced(tiles.run)
-        normals = self._normals.astype(np.float32)
+        normals = self._normals_of(walls.numbers).astype(np.float32)
         shown = SurfacePoints(walls.points, normals, walls.pixels)
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)

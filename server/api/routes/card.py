@@ -5,8 +5,10 @@ of chunks.
 from __future__ import annotations
 
 import hashlib
+import math
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -17,7 +19,8 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from server.answers import card_schema, chunk_list, voxel_version
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
-from server.api.service import SceneDep, Service, ServiceDep
+from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
+from server.bearers import client_of
 from server.card_schemas import CardChunks, CardSchema
 from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
@@ -107,7 +110,7 @@ async def read_card(
 
     Nothing in it changes with the light's turn, but ``lambert``; nor with the camera.
     """
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(lit, params)
     query = [
         pair for pair in request.query_params.multi_items() if pair[0] in VariantParams.model_fields
@@ -137,7 +140,7 @@ async def read_voxels(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
     """Codes of voxels in some layers along z, x fastest; the document says what they stand for."""
-    shown = await open_scene(service, scene, params)
+    shown = await open_scene(request, service, scene, params)
 
     def work() -> Response:
         prepared = service.engine.renderer(shown.id).prepared
@@ -158,14 +161,15 @@ async def read_chunks(
     """The chunks of texels that a view reads, most visible first; the light that it lacks is
     requested.
 
-    Nothing is drawn: the size of the picture is how finely the view is looked at.
+    Nothing is drawn: the size of the picture is how finely the view is looked at, by a million rays
+    at most.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
             "wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms"
         )
-    lit = await service.variant(scene, params)
-    picture = service.picture_of(lit, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
+    picture = looked_at(service.picture_of(lit, params))
     viewer = request_viewer(request)
     if picture.view.shading != "gi" or not service.startup.lit.is_set():
         return listed((), 0)
@@ -178,6 +182,20 @@ async def read_chunks(
     look = await service.compute(request, work)
     coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
     return listed(look.seen, len(coming))
+
+
+MAX_LOOK_RAYS = 1 << 20
+"""Rays that a view is looked at by, at most: what they miss is smaller than a screen's pixel."""
+
+
+def looked_at(picture: PictureRequest) -> PictureRequest:
+    """The picture with MAX_LOOK_RAYS pixels at most, of the same view."""
+    view = picture.view
+    scale = math.sqrt(MAX_LOOK_RAYS / (view.width * view.height))
+    if scale >= 1.0:
+        return picture
+    width, height = math.floor(scale * view.width), math.floor(scale * view.height)
+    return replace(picture, view=replace(view, width=width, height=height))
 
 
 def listed(seen: Sequence[SeenChunk], coming: int) -> Response:
@@ -198,7 +216,7 @@ async def read_light(
     """Records of the texels of some chunks under the light of the request, filtered where they are
     noisy.
     """
-    lit = await open_scene(service, scene, params)
+    lit = await open_scene(request, service, scene, params)
     picture = service.picture_of(lit, params.view)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
@@ -219,7 +237,7 @@ async def read_transfer(
     request: Request, scene: SceneDep, chunks: str, params: TransferParamsDep, service: ServiceDep
 ) -> Response:
     """What the texels of some chunks keep, for a page that turns the light by itself."""
-    lit = await open_scene(service, scene, params)
+    lit = await open_scene(request, service, scene, params)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
         return known_transfer(renderer, [each.at for each in named], target, renderer.tiles)
@@ -227,14 +245,16 @@ async def read_transfer(
     return await packed(request, service, lit, chunks, params, pack)
 
 
-async def open_scene(service: Service, scene: Scene, params: VariantParams) -> Scene:
+async def open_scene(
+    request: Request, service: Service, scene: Scene, params: VariantParams
+) -> Scene:
     """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are
     kept, and as ``Service.variant``.
     """
     if not service.settings.hands_out_voxels:
         raise ForbiddenError(VOXELS_WITHHELD)
     service.startup.check()
-    return await service.variant(scene, params)
+    return await service.variant(scene, params, client_of(request.scope))
 
 
 Pack = Callable[[Renderer, list[ChunkName], float], Packed]

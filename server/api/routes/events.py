@@ -67,7 +67,7 @@ async def read_events(
             "wait_ms is for requests, events come by themselves: leave it out.", "wait_ms"
         )
     viewer = stream_viewer(request)
-    scene = await service.variant(scene, params)
+    scene = await service.variant(scene, params, client)
     events = events_of(
         service, service.picture_of(scene, params), last_event_id or "", viewer, client
     )

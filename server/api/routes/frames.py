@@ -84,7 +84,7 @@ async def read_frame(
 ) -> Response:
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
-    scene = await service.variant(scene, params)
+    scene = await service.variant(scene, params, client_of(request.scope))
     if params.exposure is None:
         exposure = scene.default_exposure
     else:
@@ -154,7 +154,7 @@ async def read_coverage(
     until it is final.
     """
     params, applied = preferences.fill(params)
-    scene = await service.variant(scene, params)
+    scene = await service.variant(scene, params, client_of(request.scope))
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
     return await service.render(
         request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left)

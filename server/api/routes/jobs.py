@@ -234,7 +234,7 @@ export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
     "/export",
     status_code=202,
     openapi_extra=documented(ExportParams),
-    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+    responses=ANSWERS | documented_problems(403, 404, 422, 429, 503),
 )
 async def export(
     scene: SceneDep,
@@ -247,7 +247,7 @@ async def export(
     that has ended.
     """
     service.startup.check()
-    scene = await service.variant(scene, params)
+    scene = await service.variant(scene, params, client)
     job = export_jobs.begin(service, scene, params, client)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)

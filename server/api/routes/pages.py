@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse, HTMLResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
 
-from server.api.service import ServiceDep
+from server.api.service import Service, ServiceDep
 from server.bearers import bearer_of
 from server.problems import documented_problems, problem
 
@@ -137,12 +137,14 @@ class Compiling(BaseModel):
 
 
 class Ready(BaseModel):
-    """Whether frames can be served, and if not, why not; if so, what one should know all the same.
+    """Whether frames can be served, and whether light that they lack is baked; if not, why not, and
+    if so, what one should know all the same.
 
     While kernels of light are ``compiling`` they are served without light; else that is left out.
     """
 
     ready: bool = True
+    bakes: bool = True
     reasons: list[str] = []
     compiling: Compiling | None = None
 
@@ -164,35 +166,63 @@ async def livez(request: Request) -> Live:
     responses=documented_problems(503),
 )
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503
-    with reasons.
+    """Ready: pictures can be drawn, and no stop is asked; 503 with reasons.
 
-    Where the server wants a token, a client without one gets no reasons: they name paths and keys.
+    Where light is not baked, pictures show the light that is there: `bakes` is false then, and the
+    reasons say why. Where the server wants a token, a client without one gets no reasons: they name
+    paths and keys.
     """
+    serves, bakes = shortcomings(request, service)
+    return health(request, service, serves, bakes)
+
+
+@health_router.get(
+    "/bakez",
+    response_model=Ready,
+    response_model_exclude_none=True,
+    responses=documented_problems(503),
+)
+def bakez(request: Request, service: ServiceDep) -> Response | Ready:
+    """Ready, and light that pictures lack is baked: workers are alive, the store is there and takes
+    it; 503 with reasons, as `/readyz` gives them.
+    """
+    _, bakes = shortcomings(request, service)
+    return health(request, service, bakes, bakes)
+
+
+def shortcomings(request: Request, service: Service) -> tuple[list[str], list[str]]:
+    """Why no pictures are served, and why no light is baked."""
     if request.app.state.closing.begun:
         stopping = ["isogi is stopping."]
-    else:
-        stopping = []
-    of_store = (
-        request.app.state.probe.reasons()
-    )  # it is the probe that finds a store read-only, which is no reason
-    reasons = stopping or service.startup.reasons() or of_store
+        return stopping, stopping
+    # it is the probe that finds a store read-only, which is no reason
+    of_store = request.app.state.probe.reasons()
+    return service.startup.starting(), service.startup.reasons() or of_store
+
+
+def health(
+    request: Request, service: Service, lacks: list[str], bakes: list[str]
+) -> Response | Ready:
+    """The answer of a server that ``lacks`` something that is asked about, or not; ``bakes`` are
+    the reasons why no light is baked.
+    """
     progress = service.engine.kernels.progress
     if progress is None:
         compiling = None
     else:
         compiling = Compiling(**progress._asdict())
-    notes = [*service.engine.notes(), *service.uploads.notes()]
+    notes = [*bakes, *service.engine.notes(), *service.uploads.notes()]
     if not bearer_of(request.scope).may("look"):
-        reasons = [NOT_READY][: len(reasons)]
+        lacks = [NOT_READY][: len(lacks)]
         notes = [NOTED][: len(notes)]
-    if not reasons:
-        return Ready(reasons=notes, compiling=compiling)
+    if not lacks:
+        return Ready(bakes=not bakes, reasons=notes, compiling=compiling)
     if compiling:
         more = {"compiling": compiling.model_dump(exclude_none=True)}
     else:
         more = {}
-    return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons, **more)
+    facts = {"ready": False, "bakes": not bakes, "reasons": lacks, **more}
+    return problem(503, " ".join(lacks), request.url.path, **facts)
 
 
 @health_router.get(

@@ -13,8 +13,9 @@ from fastapi import APIRouter, Request, Response
 from isogi_core.plan.scene import Scene
 from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
-from server.api.service import SceneDep, ServiceDep
-from server.errors import ParameterError
+from server.api.service import SceneDep, ServiceDep, Shown
+from server.bearers import client_of
+from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
     AXIS_NAMES,
     PointParams,
@@ -38,6 +39,10 @@ SLICE: dict[int | str, dict[str, Any]] = {
     },
     304: {"description": "The slice is the one that If-None-Match names."},
 }
+VALUES_WITHHELD = (
+    "This server hands out no voxels: ask for a picture of the slice, f=png, or have "
+    "hand_out_voxels set."
+)
 DRAWN = 1
 """Version of how slices are drawn."""
 
@@ -65,18 +70,24 @@ async def read_point(
 ) -> PointSchema:
     """What the picture of the same view shows at a place: position, value, normal, light and the
     error of that.
+
+    Where that picture was not drawn lately, one ray is cast: the error is then that of the pixel
+    alone, and light is asked for it alone.
     """
     params, applied = preferences.fill(params)
     pixel = params.pixel
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client_of(request.scope))
     if params.exposure is None:
         exposure = lit.default_exposure
     else:
         exposure = params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
-    return await service.render(
-        request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure)
-    )
+
+    def finish(shown: Shown) -> PointSchema:
+        place = pixel if shown.frame.view.columns is None else (0, 0)
+        return point_schema(lit, shown.frame, place, exposure)
+
+    return await service.render(request, lit, params, finish, pixel=pixel)
 
 
 @router.get(
@@ -91,7 +102,7 @@ async def read_size(
     Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take
     nothing away.
     """
-    shown = await service.variant(scene, params)
+    shown = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(shown, params.view)
 
     def work() -> SizeSchema:
@@ -104,7 +115,7 @@ async def read_size(
     "/slice",
     response_class=Response,
     openapi_extra=documented(SliceParams),
-    responses=SLICE | documented_problems(404, 422),
+    responses=SLICE | documented_problems(403, 404, 422),
 )
 async def read_slice(
     request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep
@@ -117,8 +128,11 @@ async def read_slice(
     float32 where that is near enough, else as float64. They are packed where the request accepts
     gzip.
     """
+    if params.f == "npy" and not service.settings.hands_out_voxels:
+        raise ForbiddenError(VALUES_WITHHELD)
     step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
-    return await asyncio.to_thread(sliced, request, await service.variant(scene, step), params)
+    shown = await service.variant(scene, step, client_of(request.scope))
+    return await asyncio.to_thread(sliced, request, shown, params)
 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:

@@ -13,7 +13,7 @@ from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
 from server.api.headers import FOR_EVER, matches, tag_of
-from server.api.service import BearerDep, SceneDep, Service, ServiceDep
+from server.api.service import BearerDep, ClientDep, SceneDep, Service, ServiceDep
 from server.parameters import (
     NoParamsDep,
     SkyParams,
@@ -60,11 +60,13 @@ async def list_scenes(service: ServiceDep) -> SceneList:
     openapi_extra=documented(VariantParams),
     responses=documented_problems(404, 422, 429, 503),
 )
-async def read_scene(scene: SceneDep, params: VariantParamsDep, service: ServiceDep) -> SceneSchema:
+async def read_scene(
+    scene: SceneDep, params: VariantParamsDep, service: ServiceDep, client: ClientDep
+) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is
     baked.
     """
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
 
 
@@ -97,7 +99,11 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
     responses=ANSWERS | documented_problems(404, 422),
 )
 async def read_sky(
-    request: Request, scene: SceneDep, params: SkyParamsDep, service: ServiceDep
+    request: Request,
+    scene: SceneDep,
+    params: SkyParamsDep,
+    service: ServiceDep,
+    client: ClientDep,
 ) -> Response:
     """The scene's unturned light from all around, with an exposure of its own; black where there is
     none.
@@ -105,7 +111,7 @@ async def read_sky(
     The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional
     lights are marked by discs; lamps that stand in the scene are not shown.
     """
-    lit = await service.variant(scene, params)
+    lit = await service.variant(scene, params, client)
     return await asyncio.to_thread(painted, request, lit, params)
 
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.rays import pixel_rays
 from isogi_core.frame.rays.control_pixels import (
     BORDERS,
     ODD,
@@ -31,6 +33,7 @@ from isogi_core.frame.rays.control_pixels import (
     tail_of,
 )
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.tiles import Interruption
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, Workbench, ball, luminance, scene_of
@@ -46,7 +49,9 @@ def gbuffer_of(on: np.ndarray) -> GBuffer:
     )
 
 
-def test_pooled_variance_is_a_weighted_mean_over_neighbours() -> None:
+def test_pooled_variance_is_a_weighted_mean_over_neighbours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rng = np.random.default_rng(3)
     on = rng.random((9, 7)) < 0.6
     variance = rng.random(on.sum())
@@ -60,6 +65,46 @@ def test_pooled_variance_is_a_weighted_mean_over_neighbours() -> None:
         for y, x in np.argwhere(on)
     ]
     np.testing.assert_allclose(pooled_variance(variance, gbuffer_of(on)), expected, rtol=1e-12)
+    monkeypatch.setattr(pixel_rays, "POOLED_PIXELS", 2 * 7)
+    np.testing.assert_allclose(pooled_variance(variance, gbuffer_of(on)), expected, rtol=1e-12)
+
+
+class Ways(Interruption):
+    """Counts how often work gave way; it is cancelled when it did so ``most`` times."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.most = most
+        self.given = 0
+
+    def give_way(self) -> None:
+        self.given += 1
+        if self.given == self.most:
+            self.set()
+
+
+def test_a_path_traced_picture_is_the_same_in_passes(
+    workbench: Callable[[Scene], Workbench],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It gives way to other work between them, and may end there."""
+    room = {"room": "cornell", "albedo": [0.6, 0.5, 0.4]}
+    bench = workbench(scene_of(ball(), 0.0, lights=[half_sky(tmp_path)], bounces=1, **room))
+    view = bench.view(size=32, shading="path_traced", samples=8)
+    whole = bench.renderer.render(view)
+    assert len(whole.gbuffer.walls.pixels) > 100 and len(whole.gbuffer.pixels) > 100
+    monkeypatch.setattr(pixel_rays, "PASS_PATHS", 8 * 50)
+    ways = Ways(10_000)
+    frame = bench.renderer.render(view, cancelled=ways)
+    of_walls, of_surface = (
+        -(-len(pixels) // 50) for pixels in (whole.gbuffer.walls.pixels, whole.gbuffer.pixels)
+    )
+    assert ways.given == of_walls + of_surface - 2
+    for name in ("radiance", "error", "state"):
+        np.testing.assert_array_equal(getattr(frame, name), getattr(whole, name))
+    with pytest.raises(Cancelled):
+        bench.renderer.render(view, cancelled=Ways(3))
 
 
 @pytest.mark.parametrize("replicas", [2, 4, 8])

@@ -3,13 +3,17 @@ and its sky.
 """
 
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
 from isogi_client import Isogi
+from isogi_core.frame import renderer
 from isogi_core.frame.framing import paint_panorama
+from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.isosurface_mesh import surface_size
 from tests.server.asking import final, numbers, pixels
@@ -43,6 +47,29 @@ def test_a_point_is_the_pixel_of_the_frame(client: httpx.Client, shading: str) -
         assert (point["value"], point["wall"], point["sides"], point["unit"]) == (0.4, None, "", "")
         assert point["voxel"] == pytest.approx(position, abs=1e-5), "this volume's spacing is 1"
         assert np.linalg.norm(point["normal"]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_point_of_a_picture_that_nobody_drew_casts_one_ray(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is what the picture shows there, once that is drawn, too."""
+    cast = list[int]()
+
+    def traced(view: View, *given: Any) -> GBuffer:
+        cast.append(view.width * view.height)
+        return trace(view, *given)
+
+    monkeypatch.setattr(renderer, "trace", traced)
+    view: dict[str, Any] = {"width": 600, "height": 400, "azimuth": 83, "shading": "lambert"}
+    alone = get(client, "point", x=317.2, y=203.9, **view).json()
+    assert cast == [1] and alone["hit"]
+    planes = numbers(get(client, "frame", f="npy", **view))
+    assert cast == [1, 600 * 400]
+    light, _, position = np.split(planes[203, 317], [3, 6])
+    assert alone["position"] == pytest.approx(position, abs=1e-5)
+    assert alone["light"] == pytest.approx(light, rel=1e-5)
+    drawn = get(client, "point", x=317.2, y=203.9, **view).json()
+    assert cast == [1, 600 * 400] and drawn["position"] == alone["position"]
 
 
 def test_off_the_surface_nothing_is_hit(client: httpx.Client) -> None:

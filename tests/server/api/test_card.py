@@ -15,6 +15,9 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
+from isogi_core.frame import renderer
+from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.api.app import create_app
@@ -278,6 +281,27 @@ def test_a_view_that_was_not_baked_has_its_light_requested(client: httpx.Client)
     assert any(each["version"] != versions[each["at"]] for each in now)
 
 
+def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as a million, and they find the same chunks."""
+    cast = list[int]()
+
+    def traced(view: View, *given: Any) -> GBuffer:
+        cast.append(view.width * view.height)
+        return trace(view, *given)
+
+    monkeypatch.setattr(renderer, "trace", traced)
+    for size in ((2048, 2048), (16383, 128)):
+        assert chunks(client, azimuth=71, width=size[0], height=size[1])
+    assert len(cast) == 2 and (1 << 20) >= max(cast) > min(cast) > 0.98 * (1 << 20)
+    few, many = (
+        {each["at"] for each in chunks(client, azimuth=71, width=side, height=side)}
+        for side in (1024, 2048)
+    )
+    assert few == many
+
+
 @pytest.mark.parametrize(
     ("path", "status", "words"),
     [
@@ -386,3 +410,10 @@ def test_a_server_may_keep_its_voxels(
             answer = found.get(f"{CARD}/{path}")
             assert answer.status_code == (200 if handed else 403)
             assert handed or "hand_out_voxels" in answer.json()["detail"]
+        for form, status in (("npy", 200 if handed else 403), ("png", 200)):
+            slice_ = {"axis": "z", "at": 3, "f": form}
+            assert found.get("/v1/scenes/card/slice", params=slice_).status_code == status
+        for form in ("nrrd", "vti", "glb"):
+            answer = found.post("/v1/scenes/card/export", params={"f": form, "deadline": 0})
+            withheld = not handed and form != "glb"
+            assert (answer.status_code == 403) is withheld, answer.text

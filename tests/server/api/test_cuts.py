@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import math
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -144,6 +145,43 @@ async def test_a_cut_that_waits_too_long_for_others_is_429(
         )
     assert {answer.status_code for answer in answers} == {200, 429}
     assert all("Retry-After" in answer.headers for answer in answers if answer.status_code == 429)
+
+
+async def test_cuts_of_addresses_take_turns(
+    crowded: str, small_scene: Path, monkeypatch: Any
+) -> None:
+    """One address asks for eight at once; the cut of another, which comes then, waits for one of
+    them.
+    """
+    made = list[str | None]()
+    release = threading.Event()
+    make = Variants.make
+
+    def slowly(variants: Variants, scene: Scene, variant: SceneVariant, place: str | None) -> Scene:
+        made.append(variant.cut)
+        assert release.wait(30)
+        return make(variants, scene, variant, place)
+
+    monkeypatch.setattr(Variants, "make", slowly)
+    x = middle(small_scene)
+    crowd = [f"x>{x + number / 9}" for number in range(8)]
+    async with from_address("127.0.0.1", crowded) as one, from_address("127.0.0.2", crowded) as two:
+        tasks = [asyncio.create_task(one.get(SCENE, params={"cut": cut})) for cut in crowd]
+        while not made:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.5)  # all eight have arrived, or are near
+        tasks.append(asyncio.create_task(two.get(SCENE, params={"cut": "y>5"})))
+        await asyncio.sleep(0.5)
+        release.set()
+        answers = await asyncio.gather(*tasks)
+    assert {answer.status_code for answer in answers} == {200}
+    assert made.index("y>5") <= 2, made
+
+
+def from_address(address: str, url: str) -> httpx.AsyncClient:
+    """A client that asks from an address of this machine."""
+    transport = httpx.AsyncHTTPTransport(local_address=address)
+    return httpx.AsyncClient(transport=transport, base_url=url, timeout=60)
 
 
 async def test_a_stream_goes_on_when_its_cut_made_way(crowded: str, small_scene: Path) -> None:

@@ -91,9 +91,11 @@ TOKEN = "correct horse battery"
 
 def test_a_live_server_is_ready(client: httpx.Client) -> None:
     assert client.get("/livez").raise_for_status().json()["alive"] is True
-    answer = client.get("/readyz")
-    assert (answer.status_code, answer.json()) == (200, {"ready": True, "reasons": []})
-    assert answer.headers["cache-control"] == "no-cache"
+    for path in ("/readyz", "/bakez"):
+        answer = client.get(path)
+        well = {"ready": True, "bakes": True, "reasons": []}
+        assert (answer.status_code, answer.json()) == (200, well)
+        assert answer.headers["cache-control"] == "no-cache"
 
 
 Told = Callable[[], list[str]]
@@ -105,15 +107,17 @@ def app_of(
     progress: KernelProgress | None = None,
     of_store: Told = list,
     guards: Sequence[Middleware] = (),
+    starting: Told = list,
 ) -> FastAPI:
-    """An app with these reasons not to be ready, those of its store too, and notes."""
+    """An app with these reasons not to bake, those of its store too, not to have started, and
+    notes.
+    """
     app = FastAPI(middleware=guards)
     app.include_router(health.health_router)
     engine = SimpleNamespace(notes=notes, kernels=SimpleNamespace(progress=progress))
     uploads = SimpleNamespace(notes=list)
-    app.state.service = SimpleNamespace(
-        startup=SimpleNamespace(reasons=reasons), engine=engine, uploads=uploads
-    )
+    startup = SimpleNamespace(starting=starting, reasons=lambda: starting() or reasons())
+    app.state.service = SimpleNamespace(startup=startup, engine=engine, uploads=uploads)
     app.state.closing = Closing()
     app.state.probe = SimpleNamespace(reasons=of_store)
     return app
@@ -125,7 +129,7 @@ def test_it_says_how_far_kernels_are_compiled(ask: Ask, progress: KernelProgress
         reasons = ["Compiling"]
     else:
         reasons = []
-    answer = ask(app_of(lambda: reasons, lambda: ["Compiling"], progress), "GET", "/readyz")
+    answer = ask(app_of(lambda: reasons, lambda: ["Compiling"], progress), "GET", "/bakez")
     if progress.seconds is None:
         known = {}
     else:
@@ -150,12 +154,33 @@ def test_why_it_is_not_ready(
 ) -> None:
     app = app_of(lambda: of_service, of_store=lambda: of_store)
     app.state.closing.begun = stopping
-    answer = ask(app, "GET", "/readyz")
+    answer = ask(app, "GET", "/bakez")
     assert (answer.status_code, answer.json()["reasons"], answer.headers["retry-after"]) == (
         503,
         said,
         "1",
     )
+
+
+@pytest.mark.parametrize(("of_service", "of_store"), [(AWAY, []), ([], FULL)])
+def test_what_bakes_nothing_still_serves(
+    ask: Ask, of_service: list[str], of_store: list[str]
+) -> None:
+    """A balancer would drop all servers of a store at once."""
+    app = app_of(lambda: of_service, lambda: ["A note."], of_store=lambda: of_store)
+    answer = ask(app, "GET", "/readyz")
+    reasons = [*of_service, *of_store, "A note."]
+    assert answer.status_code == 200
+    assert answer.json() == {"ready": True, "bakes": False, "reasons": reasons}
+
+
+@pytest.mark.parametrize("stopping", [True, False])
+def test_what_stops_or_starts_does_not_serve(ask: Ask, stopping: bool) -> None:
+    app = app_of(starting=lambda: [] if stopping else ["isogi is starting."])
+    app.state.closing.begun = stopping
+    answers = [ask(app, "GET", path) for path in ("/readyz", "/bakez")]
+    assert [answer.status_code for answer in answers] == [503, 503]
+    assert answers[0].json()["ready"] is answers[0].json()["bakes"] is False
 
 
 SECRET = "The store at /home/anna/light can only be read, key c/0/1."
@@ -170,10 +195,10 @@ def test_reasons_are_for_who_shows_a_token(
     app = app_of(
         lambda: reasons, lambda: notes, guards=[Middleware(TokenBearers, bearers=[Bearer(TOKEN)])]
     )
-    shown = ask(app, "GET", "/readyz", headers={"Authorization": f"Bearer {TOKEN}"})
+    shown = ask(app, "GET", "/bakez", headers={"Authorization": f"Bearer {TOKEN}"})
     assert (shown.status_code, shown.json()["reasons"]) == (status, reasons or notes)
     for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": "isogi=1"}):
-        hidden = ask(app, "GET", "/readyz", headers=headers)
+        hidden = ask(app, "GET", "/bakez", headers=headers)
         assert (hidden.status_code, len(hidden.json()["reasons"])) == (
             status,
             len(reasons or notes),
@@ -188,6 +213,6 @@ def test_a_store_that_became_read_only_is_no_reason(ask: Ask) -> None:
     reasons = lambda: [] if read_only else ["Baking waits for the store."]  # noqa: E731
     probed = lambda: read_only.append(True) or []  # type: ignore[func-returns-value]  # noqa: E731
     answer = ask(
-        app_of(reasons, lambda: ["The store can only be read."], of_store=probed), "GET", "/readyz"
+        app_of(reasons, lambda: ["The store can only be read."], of_store=probed), "GET", "/bakez"
     )
     assert (answer.status_code, answer.json()["reasons"]) == (200, ["The store can only be read."])

@@ -230,8 +230,10 @@ async def test_a_engine_that_does_not_start_is_told_and_never_asked(
 
 def test_what_the_engine_misses_is_told(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
     asyncio.run(app.state.service.start())
-    answer = ask(app, "GET", "/readyz")
+    answer = ask(app, "GET", "/bakez")
     assert (answer.status_code, answer.json()["detail"]) == (503, "No worker is alive.")
+    serves = ask(app, "GET", "/readyz")
+    assert (serves.status_code, serves.json()["reasons"]) == (200, ["No worker is alive."])
 
 
 async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
@@ -312,6 +314,31 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
             if len(answers) == 6:
                 release.set()
         return answers
+
+
+async def test_path_traced_pictures_keep_no_others_from_their_turn(
+    engine: FakeEngine, app: FastAPI
+) -> None:
+    release = threading.Event()
+
+    def work(_: threading.Event) -> None:
+        if engine.views[-1][0].shading == "path_traced":
+            assert release.wait(30), "the frames of others waited"
+
+    engine.doing = work
+    async with asking(app) as client:
+        size = {"width": 4, "shading": "path_traced", "samples": 1}
+        long = [
+            asyncio.create_task(client.get(FRAME, params={**size, "azimuth": turn}))
+            for turn in range(3)
+        ]
+        while not engine.views:
+            await asyncio.sleep(0.01)
+        async with asyncio.timeout(10):
+            answer = await client.get(FRAME, params={"width": 4, "shading": "lambert"})
+        release.set()
+        statuses = [(await each).status_code for each in long]
+    assert (answer.status_code, statuses) == (200, [200] * 3)
 
 
 def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:

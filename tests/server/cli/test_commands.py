@@ -306,7 +306,7 @@ def test_serve_is_ready_when_it_says_so_and_stops_cleanly(
 ) -> None:
     """By Ctrl-C; SIGTERM comes to a server at work in ``tests/server/api/guards/test_stop.py``."""
     process, url = serving
-    assert httpx.get(f"{url}readyz").status_code == 200
+    assert httpx.get(f"{url}bakez").status_code == 200
     assert httpx.get(f"{url}v1/scenes/small/frame?width=8&height=8").status_code == 200
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=60)

@@ -6,11 +6,18 @@ import re
 from pathlib import Path
 
 import httpx
+import pytest
+from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.asyncio.client import connect
 
-from isogi_core.errors import DamagedChunkError
-from server.render.metrics import Metrics
+from isogi_core.errors import DamagedChunkError, StoreAwayError
+from isogi_core.storage.calls import CountedBackend
+from isogi_core.storage.folder import Folder
+from isogi_core.storage.store import Store
+from server.errors import BusyError, ForbiddenError, ParameterError
+from server.problems import refusal
+from server.render.metrics import Metrics, StoreCollector
 from tests.server.sockets import wait_for
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "metrics.md"
@@ -133,3 +140,51 @@ def test_the_document_names_all_that_is_told(live_server: str) -> None:
     )
     names = {name.removesuffix("_total"): about for name, about in rows}
     assert names == told
+
+
+def test_calls_to_the_store_are_told_by_kind(tmp_path: Path) -> None:
+    class Broken(Folder):
+        def delete(self, key: str) -> None:
+            raise OSError(5, "broken")
+
+    store = Store(tmp_path)
+    registry = CollectorRegistry()
+    registry.register(StoreCollector(store.calls))
+    value = registry.get_sample_value
+    store.put("a/b", b"light", None)
+    assert store.read("a/b") == b"light"
+    assert value("isogi_store_calls_total", {"call": "put"}) >= 1
+    read = value("isogi_store_calls_total", {"call": "get"})
+    store.read("a/b")
+    assert value("isogi_store_calls_total", {"call": "get"}) == read + 1
+    assert value("isogi_store_seconds_total", {"call": "get"}) > 0.0
+    broken = CountedBackend(Broken(tmp_path, "isogi.json"), store.calls)
+    with pytest.raises(OSError, match="broken"):
+        broken.delete("a/b")
+    assert value("isogi_store_failures_total", {"call": "delete"}) == 1
+    assert value("isogi_store_failures_total", {"call": "get"}) == 0
+
+
+def test_refusals_threads_and_the_quota_are_told(live_server: str) -> None:
+    before = read(live_server)
+    size = {"axis": "x", "at": 3}
+    assert httpx.post(f"{live_server}/v1/volumes", content=b"NRRD0004").status_code == 403
+    assert httpx.get(f"{live_server}/v1/scenes/none/slice", params=size).status_code == 404
+    after = read(live_server)
+    refused = {name: after[name] - before.get(name, 0) for name in after if "refusals_t" in name}
+    assert {name: count for name, count in refused.items() if count} == {
+        "isogi_refusals_total forbidden": 1
+    }
+    assert after["isogi_threads"] >= 4
+    assert after["isogi_uploads_quota_bytes"] == after["isogi_uploads_free_bytes"] == 0
+    assert after["isogi_store_calls_total get"] > 0
+
+
+def test_each_refusal_has_a_reason() -> None:
+    assert [refusal(each) for each in (BusyError("Wait."), BusyError("Wait.", "streams"))] == [
+        "late",
+        "streams",
+    ]
+    assert refusal(StoreAwayError("gone")) == "store"
+    assert refusal(ForbiddenError("no")) == "forbidden"
+    assert refusal(ParameterError("wrong")) == ""

@@ -3,12 +3,15 @@
 import asyncio
 import gc
 import threading
+import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 
 import pytest
 
+from isogi_core.errors import Cancelled
+from isogi_core.frame.tiles import Interruption
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
@@ -20,6 +23,7 @@ from server.render.scheduling import (
     REST_PATIENCE,
     Client,
     FairSemaphore,
+    LongRenders,
     Rank,
     Renders,
 )
@@ -215,6 +219,102 @@ async def test_work_that_fails_is_freed_at_once(renders: Renders) -> None:
         assert left[0]() is None
     finally:
         gc.enable()
+
+
+class LongWork:
+    """Work in passes that notes each one in an ``order``, between two of which it gives way."""
+
+    def __init__(self, name: str, order: list[str], passes: int = 3) -> None:
+        self.name = name
+        self.order = order
+        self.passes = passes
+
+    def __call__(self, cancelled: threading.Event) -> str:
+        assert isinstance(cancelled, Interruption)
+        for number in range(self.passes):
+            if number:
+                cancelled.give_way()
+            if cancelled.is_set():
+                self.order.append(f"{self.name} ends")
+                raise Cancelled("Nobody waits.")
+            self.order.append(f"{self.name}{number}")
+            time.sleep(0.02)
+        return self.name
+
+
+@pytest.fixture
+async def long_renders() -> AsyncIterator[LongRenders]:
+    renders = LongRenders(2)
+    yield renders
+    renders.close()
+
+
+async def test_long_works_of_clients_take_turns_by_passes(long_renders: LongRenders) -> None:
+    order = list[str]()
+    works = [LongWork(name, order) for name in ("a", "b")]
+    found = await asyncio.gather(
+        *(long_renders.share(each.name, each, Rank(0.0, client=Client())) for each in works)
+    )
+    assert found == ["a", "b"]
+    assert order == ["a0", "b0", "a1", "b1", "a2", "b2"]
+
+
+async def test_a_client_has_one_long_work_begun_at_a_time(long_renders: LongRenders) -> None:
+    order = list[str]()
+    greedy, other = Client(), Client()
+    asked = [("a", greedy), ("b", greedy), ("c", greedy), ("d", other)]
+    await asyncio.gather(
+        *(
+            long_renders.share(name, LongWork(name, order), Rank(0.0, client=client))
+            for name, client in asked
+        )
+    )
+    assert order.index("d0") < order.index("a2") < order.index("b0")
+    assert order.index("b2") < order.index("c0")
+
+
+async def test_long_work_that_nobody_waits_for_ends_between_passes(
+    long_renders: LongRenders,
+) -> None:
+    order = list[str]()
+    tasks = {
+        name: asyncio.create_task(
+            long_renders.share(name, LongWork(name, order, 50), Rank(0.0, client=Client()))
+        )
+        for name in ("left", "stays")
+    }
+    while "stays1" not in order:
+        await asyncio.sleep(0.005)
+    tasks["left"].cancel()
+    while "left ends" not in order:
+        await asyncio.sleep(0.005)
+    assert await tasks["stays"] == "stays"
+
+
+async def test_long_work_that_cannot_begin_in_time_is_refused(long_renders: LongRenders) -> None:
+    order = list[str]()
+    greedy = Client()
+    first = asyncio.create_task(
+        long_renders.share("a", LongWork("a", order, 20), Rank(0.0, client=greedy))
+    )
+    await asyncio.sleep(0.01)
+    with pytest.raises(BusyError, match="Path-traced"):
+        await long_renders.share(
+            "b", LongWork("b", order), Rank.within(0.0, longest=0.02, client=greedy)
+        )
+    assert await first == "a"
+    assert await long_renders.share("c", LongWork("c", order), Rank(0.0, client=greedy)) == "c"
+    assert "b0" not in order
+
+
+async def test_errors_of_long_work_reach_who_asked(long_renders: LongRenders) -> None:
+    def fail(_: threading.Event) -> None:
+        raise TimeoutError("late")
+
+    with pytest.raises(TimeoutError, match="late"):
+        await long_renders.share("a", fail, Rank(0.0))
+    work = LongWork("b", [])
+    assert await long_renders.share("b", work, Rank(0.0)) == "b"
 
 
 A, B, C = (0, 0, 1), (0, 0, 2), (0, 0, 3)

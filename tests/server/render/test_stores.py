@@ -140,7 +140,7 @@ def test_a_store_that_is_away_is_not_empty_and_baking_waits(
         assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
         assert answer.headers["content-type"] == "application/problem+json"
         assert s3.url in answer.json()["detail"] and "is gone" in answer.json()["detail"]
-        ready = client.get("/readyz")
+        ready = client.get("/bakez")
         assert (ready.status_code, ready.json()["ready"]) == (
             503,
             False,
@@ -153,7 +153,7 @@ def test_a_store_that_is_away_is_not_empty_and_baking_waits(
         assert frame(client, OTHER).headers["isogi-provisional"] == "?1"
         s3.fault = lambda call: None
         assert final(client, OTHER) == pictures[1]
-        assert wait_for(lambda: client.get("/readyz").status_code == 200, LONG)
+        assert wait_for(lambda: client.get("/bakez").status_code == 200, LONG)
 
 
 def test_a_store_that_hangs_holds_a_frame_for_one_call(
@@ -164,7 +164,7 @@ def test_a_store_that_hangs_holds_a_frame_for_one_call(
     opened = Store(StoreUrl(s3.url, seconds=2.0, retries=2))
     app = create_app(RenderEngine([load_scene(small_scene)], opened), Settings())
     with live(app) as url, httpx.Client(base_url=url, timeout=LONG) as client:
-        assert wait_for(lambda: client.get("/readyz").status_code == 200, LONG)
+        assert wait_for(lambda: client.get("/bakez").status_code == 200, LONG)
         s3.fault = lambda call: "hang"
         begun = time.monotonic()
         answers = [frame(client, VIEW) for _ in range(3)]
@@ -182,7 +182,7 @@ def test_a_bake_that_loses_its_store_waits_and_goes_on_by_itself(
         s3.fault = lambda call: 503 if call.method == "PUT" else None
         assert frame(client, VIEW).headers["isogi-provisional"] == "?1"
         assert wait_for(lambda: len([call for call in s3.calls if call.method == "PUT"]) > 12, LONG)
-        assert "503 Service Unavailable" in client.get("/readyz").json()["reasons"][0]
+        assert "503 Service Unavailable" in client.get("/bakez").json()["reasons"][0]
         assert "isogi_chunks_given_up 0.0" in client.get("/metrics").text
         s3.fault = lambda call: None
         assert final(client, VIEW) == pictures[0]
@@ -200,7 +200,7 @@ def test_a_store_that_may_only_be_read_shows_what_it_has(
         assert final(client, VIEW) == pictures[0]
         answer = frame(client, OTHER, wait=5.0)
         assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
-        (reason,) = client.get("/readyz").json()["reasons"]
+        (reason,) = client.get("/bakez").json()["reasons"]
         facts = client.get("/v1/scenes/small").json()
         assert (
             "can only be read" in reason
@@ -260,7 +260,7 @@ def test_secrets_are_told_to_nobody(
         for fault in (403, 500, "no-bucket", "drop"):
             s3.fault = lambda call, fault=fault: fault  # type: ignore[misc]
             paths = (
-                "/readyz",
+                "/bakez",
                 "/metrics",
                 "/v1/scenes/small",
                 "/v1/scenes/small/frame?width=9&height=9&isovalue=0.4",

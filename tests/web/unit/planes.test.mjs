@@ -8,7 +8,7 @@ import { contourOf } from "../../../web/slices/contour.js";
 import { captionOf } from "../../../web/slices/figure.js";
 import { liesOf, lineAcross, partLeft, sliceAt, slopeOf, stepped, voxelAt } from "../../../web/slices/geometry.js";
 import { draggedGreys, wheelSteps } from "../../../web/slices/gestures.js";
-import { Shelf, pixelsOf, readValues, turned, usualGreys } from "../../../web/slices/values.js";
+import { Shelf, pixelsOf, readValues, turned, usualGreys, valuesOfGreys } from "../../../web/slices/values.js";
 import { draggedBy } from "../../../web/view/handles.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, planesOf, readPlanes, termOf, writePlanes } from "../../../web/view/planes.js";
@@ -308,6 +308,15 @@ test("values are read from every kind of file that the server sends", () => {
     assert.deepEqual([[...values], width, height], [[1, 2, 3, 4, 5, 6], 3, 2], kind);
   }
   assert.throws(() => readValues(npy("<c8", Float32Array.from([1, 2]), 1)), TypeError);
+});
+
+test("values of a grey picture are read as those of a file", () => {
+  for (const [width, height] of [[3, 2], [1, 7], [123, 45]]) {
+    const data = Uint8ClampedArray.from({ length: 4 * width * height }, (_, i) => (i % 4 === 3 ? 255 : (i >> 2) % 256));
+    const found = readValues(valuesOfGreys({ data, width, height }, [10, 61]));
+    assert.deepEqual([found.width, found.height, found.values.length], [width, height, width * height]);
+    found.values.forEach((value, i) => assert.ok(Math.abs(value - (10 + 0.2 * (i % 256))) < 1e-5));
+  }
 });
 
 test("values lie on the screen where their voxels do", () => {

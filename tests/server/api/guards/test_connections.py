@@ -1,5 +1,6 @@
 """Slow clients and crowds, on real sockets."""
 
+import asyncio
 import json
 import socket
 import threading
@@ -9,10 +10,23 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from fastapi import WebSocket
+from starlette.websockets import WebSocketDisconnect
 
+from server.api import connections
 from server.api.connections import too_many
 from server.settings import Settings
-from tests.server.sockets import HEAD, LARGE, Running, answer, running, status, wait_for
+from tests.server.asking import UPGRADE
+from tests.server.sockets import (
+    HEAD,
+    LARGE,
+    Running,
+    answer,
+    running,
+    small_app,
+    status,
+    wait_for,
+)
 
 POST = b"POST /small HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n"
 DEFAULT = Settings().head_seconds
@@ -172,3 +186,70 @@ def test_where_all_are_at_work_a_newcomer_is_told_to_come_back() -> None:
         assert server.ask() == 200
         for each in busy:
             each.close()
+
+
+HANDSHAKE = (
+    b"GET /stream HTTP/1.1\r\nHost: localhost\r\n"
+    + "".join(f"{name}: {value}\r\n" for name, value in UPGRADE.items()).encode()
+    + b"\r\n"
+)
+PING_FRAME = b"\x89\x04"
+ASKED = b"\x81\x82" + bytes(4) + b"hi"
+PONG = b"\x8a\x84" + bytes(4)
+"""The head of a ping of four bytes, a text, and the head of a pong; their mask changes nothing."""
+
+
+@pytest.fixture
+def streaming(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Running, list[str]]]:
+    """A server whose stream sends a large picture, with pings that come soon; and what became of
+    its streams.
+    """
+    monkeypatch.setattr(connections, "PING", 0.2)
+    app = small_app()
+    ends = list[str]()
+
+    async def stream(client: WebSocket) -> None:
+        await client.accept()
+        try:
+            await client.send_bytes(bytes(LARGE))
+            while await asyncio.wait_for(client.receive_text(), 30):
+                await client.send_text("heard")
+        except WebSocketDisconnect as end:
+            ends.append(str(end.code))
+
+    app.add_api_websocket_route("/stream", stream)
+    with running(app, stall_seconds=1) as server:
+        yield server, ends
+
+
+def test_a_stream_lives_while_its_client_takes_a_picture(
+    streaming: tuple[Running, list[str]],
+) -> None:
+    """Its pings wait behind that, many times longer than a client may take for one."""
+    server, ends = streaming
+    with server.connect(HANDSHAKE, seconds=30) as client:
+        said = bytearray()
+        while len(said) < LARGE:
+            said += heard(client, 1 << 17)
+            time.sleep(0.05)
+        while (at := said.find(PING_FRAME, LARGE)) < 0 or len(said) < at + 6:
+            said += heard(client)
+        client.sendall(PONG + said[at + 2 : at + 6] + ASKED)
+        while b"heard" not in said:
+            said += heard(client)
+        assert not ends
+
+
+def heard(client: socket.socket, most: int = 1 << 16) -> bytes:
+    """What a client is sent next; it was not closed."""
+    part = client.recv(most)
+    assert part, "the stream was closed"
+    return part
+
+
+def test_a_stream_whose_client_takes_nothing_is_closed(
+    streaming: tuple[Running, list[str]],
+) -> None:
+    server, ends = streaming
+    with server.connect(HANDSHAKE):
+        assert wait_for(lambda: ends, 20)

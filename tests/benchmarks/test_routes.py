@@ -1,0 +1,40 @@
+"""The most that requests of each route take, and requests that Schemathesis makes of the API's own
+document.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.common.serving import serving
+from benchmarks.service.hostile import PROGRAM, generated, program
+from benchmarks.service.routes import COSTLIEST, MOST_MIB, routes
+from server.api.app import create_app
+from server.render.engine import RenderEngine
+from server.settings import Settings
+from tests.benchmarks.parts import figures
+from tests.loaded import load_scene
+
+
+def test_each_route_has_its_costliest_requests(tmp_path: Path) -> None:
+    engine = RenderEngine([load_scene("demo:orbital")], tmp_path, workers=1)
+    document = create_app(engine, Settings()).openapi()
+    assert COSTLIEST.keys() == document["paths"].keys()
+
+
+@pytest.mark.slow
+def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
+    found = figures(routes, "demo:casting", "--at-once", "12", "--seconds", "20")
+    assert found["requests"] > 30 and found["answered 5xx"] == 0
+    assert 0.0 < found["highest memory of the server, MiB"] < MOST_MIB
+
+
+@pytest.mark.slow
+def test_no_generated_request_makes_the_server_fail(tmp_path: Path) -> None:
+    if program() is None:
+        pytest.skip(f"{PROGRAM} is not installed: add it to the tools of development")
+    with serving("demo:orbital", f"{tmp_path}/light", 1) as served:
+        counts, lacking = generated(served, tmp_path, 800)
+        assert not lacking and counts[200] > 0
+        assert max(counts) < 500, counts
+        assert served.client.get("/livez").status_code == 200
