@@ -8,6 +8,7 @@ import { complaints, followAddress, readAddress } from "./net/address.js";
 import {
   listScenes,
   openStream,
+  probeScene,
   readBlocks,
   readCard,
   readCardBytes,
@@ -65,6 +66,7 @@ import { Picture } from "./view/picture.js";
 const RETRY_MS = 1500;
 const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
 const REFUSED = 422;
+const GONE = 404;
 
 /**
  * An element of the page by its id.
@@ -337,7 +339,9 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     }),
     ask: ask(() => ({})),
     drafts: () => !live.draws(shown.asked.values),
+    probe: () => probeScene(scene.id),
   };
+  let gone = false; // whether the server has no such scene any more
   const canvas = $("live", HTMLCanvasElement);
   const live = new Live(
     canvas,
@@ -375,6 +379,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       )
         return;
       trouble.hide();
+      shown.part(false);
       shown.show({ of, draft, sharp, facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
@@ -393,8 +398,13 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
         picture.blunt();
         return;
       }
-      shown.lose();
-      trouble.show(error);
+      gone = error instanceof Trouble && error.status === GONE;
+      const here = error instanceof Trouble && error.retry && live.draws(shown.asked.values);
+      if (here) {
+        shown.part(true);
+        if (!shown.facts) live.show(shown.asked.values);
+      } else shown.lose();
+      trouble.show(error, here);
     },
     moving(moving) {
       shown.move(moving);
@@ -409,7 +419,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   };
   shown.subscribe(tell);
   tell();
-  trouble.onRetry = () => loop.settle();
+  trouble.onRetry = () => (gone ? openScene(null) : loop.settle());
   return { loop, live };
 }
 

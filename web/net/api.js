@@ -104,6 +104,22 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
 }
 
 /**
+ * Ask whether the server has a scene.
+ * @param {string} id
+ * @returns {Promise<void>}
+ * @throws {Trouble} where it has not, or does not answer
+ */
+export async function probeScene(id) {
+  try {
+    await ask(scenePath(id));
+  } catch (error) {
+    if (!(error instanceof Trouble && error.status === 404)) throw error;
+    const detail = `It was started again, and has no scene “${id}”.`;
+    throw new Trouble("The server has another scene", detail, { status: 404, retry: true });
+  }
+}
+
+/**
  * What a scene is in other light, or of another material: what of its document depends on that.
  * @param {string} id
  * @param {Partial<Pick<Knobs, "environment"|"material">>} knobs of the view; "" for the scene's own

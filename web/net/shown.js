@@ -24,9 +24,10 @@ import { CLOCK } from "./trouble.js";
  * @property {number|null} [predicted] relative error of a picture that nobody measured, where it
  *   can be told
  *
- * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
+ * @typedef {"loading"|"trouble"|"away"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
  *   `moving` on there is
- *   a picture, and from `provisional` on it is the full one of the view that the controls ask for
+ *   a picture, and from `provisional` on it is the full one of the view that the controls ask for;
+ *   `away`: the server is, and the page draws by itself
  */
 
 /**
@@ -42,6 +43,7 @@ export class Shown {
   #picture = null;
   #moving = false;
   #lost = false;
+  #away = false;
   /** @type {Set<() => void>} */
   #listeners = new Set();
 
@@ -80,6 +82,7 @@ export class Shown {
   /** @returns {State} */
   get state() {
     if (this.#lost) return "trouble";
+    if (this.#away && this.#picture && this.facts?.provisional !== false) return "away";
     if (this.facts) return this.facts.provisional ? "provisional" : "final";
     if (!this.#picture) return "loading";
     return this.#moving ? "moving" : "updating";
@@ -125,7 +128,7 @@ export class Shown {
    * @returns {number}
    */
   get waitsSince() {
-    return this.#lost || this.facts ? Infinity : this.#asked.since;
+    return this.#lost || this.#away || this.facts ? Infinity : this.#asked.since;
   }
 
   /**
@@ -170,6 +173,16 @@ export class Shown {
   show(picture) {
     this.#picture = picture;
     this.#lost = false;
+    this.#tell();
+  }
+
+  /**
+   * The server is away, or back; while it is away the page draws by itself.
+   * @param {boolean} away
+   */
+  part(away) {
+    this.#away = away;
+    this.#lost &&= !away;
     this.#tell();
   }
 

@@ -3,7 +3,6 @@ isogi's pictures.
 """
 
 import http.server
-import json
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -27,6 +26,7 @@ from server.cli.publish_live import LIGHT_TARGET_SHARE
 from server.parameters import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
+from tests.published import document_in
 from tests.server.inline import InlinePool
 from tests.web.visits import box_of, drag, middle
 from worker import pool
@@ -58,7 +58,7 @@ class Site:
     def __init__(self, folder: Path, address: str) -> None:
         self.page = folder / "page"
         self.address = address
-        self.document = json.loads((self.page / "scene.json").read_text())
+        self.document = document_in(self.page / "index.html")
         self.scene = load_scene(folder / "scene.toml", target_error=LIGHT_TARGET_SHARE * 0.1)
         self.renderer = Renderer(
             Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles()
