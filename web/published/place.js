@@ -90,7 +90,8 @@ export function linkOf(scene, view) {
  */
 export function followLink(scene, view) {
   let timer = 0;
-  view.subscribe(() => {
+  view.subscribe((_, follows) => {
+    if (follows) return; // the stage has another size, and the view is the same
     clearTimeout(timer);
     timer = setTimeout(() => history.replaceState(null, "", linkOf(scene, view)), PAUSE_MS);
   });
