@@ -94,13 +94,21 @@ export async function deleteUpload(href) {
  * @returns {Promise<Scene>}
  */
 export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
-  const scene = await (await ask(scenePath(id))).json();
-  const { min, max } = scene.ranges?.isovalue ?? {};
   const asked = new URLSearchParams({ width: String(width), height: String(height) });
+  const fit = async () => {
+    if (PROJECTIONS.some((each) => each === projection))
+      asked.set("projection", String(projection));
+    return (await ask(`${scenePath(id)}/fit?${asked}`)).json();
+  };
+  const coming = ask(scenePath(id));
+  // Both at once where the camera does not depend on what the scene allows: it may be far away.
+  const early = isovalue === undefined ? fit() : null;
+  early?.catch(() => {}); // the scene's own trouble says more
+  const scene = await (await coming).json();
+  const { min, max } = scene.ranges?.isovalue ?? {};
   if (isovalue !== undefined && isovalue >= min && isovalue <= max)
     asked.set("isovalue", String(isovalue));
-  if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
-  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
+  return { ...scene, start: await (early ?? fit()) };
 }
 
 /**

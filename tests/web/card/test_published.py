@@ -206,10 +206,59 @@ def test_a_drag_turns_the_object_and_the_exposure_lightens(
 def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
     for width, height in ((1280, 800), (390, 844), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
-        for what in ("h1", "#stage", "input", "output", "[role=status]"):
+        for what in ("h1", "#stage", "button:visible", "input", "output", "[role=status]"):
             for box in map(box_of, page.locator(what).all()):
                 assert box["width"] > 0 and min(box["x"], box["y"]) >= 0
                 assert box["x"] + box["width"] <= width and box["y"] + box["height"] <= height, what
+
+
+def test_the_first_camera_fits_narrow_and_low_stages(
+    page: Page, site: Site, tmp_path: Path
+) -> None:
+    """The object is whole and large; on a phone it was cut off at both sides."""
+    for width, height in ((390, 844), (560, 420), (844, 390)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.reload()
+        page.wait_for_selector("#stage[data-lit]")
+        page.evaluate("document.querySelector('#rulers').toggleAttribute('hidden', true)")
+        shown = seen(page, tmp_path)
+        rows, columns = np.nonzero((np.abs(shown - shown[2, 2]) > 3).any(axis=2))
+        high, wide = shown.shape[:2]
+        assert rows.min() > 0 and columns.min() > 0
+        assert rows.max() < high - 1 and columns.max() < wide - 1
+        filled = max(np.ptp(rows) / high, np.ptp(columns) / wide)
+        assert filled > 0.7, (width, height, filled)
+        assert high > 0.5 * height
+
+
+def test_the_page_takes_few_requests(page: Page, site: Site) -> None:
+    asked: list[str] = []
+    note = lambda request: asked.append(request.url)  # noqa: E731
+    page.on("request", note)
+    page.reload()
+    page.wait_for_selector("#stage[data-lit]")
+    page.remove_listener("request", note)
+    beside = len(list(site.page.rglob("*.bin")))
+    assert len([url for url in asked if url.startswith("http")]) == 1 + beside
+
+
+def test_a_link_shows_the_view_that_it_names(page: Page, browser: Browser, site: Site) -> None:
+    page.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    put(page, "azimuth", 77.0)
+    page.wait_for_function("location.hash.includes('azimuth=77')")
+    other = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    other.goto(page.url)
+    other.wait_for_function("document.querySelector('#azimuth').valueAsNumber === 77")
+    assert "distance" not in page.url, "a camera that fits is the visitor's"
+    other.close()
+    page.click("#reset")
+    page.locator("#stage").focus()
+    before = page.input_value("#azimuth")
+    page.keyboard.press("ArrowRight")
+    assert page.input_value("#azimuth") != before
+    page.click("#reset")
+    assert page.input_value("#azimuth") == before
+    assert page.locator("#rulers text").count() >= 4, "a scale bar, and axes"
 
 
 def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site) -> None:
@@ -225,7 +274,9 @@ def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site)
 def test_from_a_disk_the_page_says_where_to_put_it(browser: Browser, site: Site) -> None:
     page = browser.new_page()
     page.goto((site.page / "index.html").as_uri())
-    assert "http.server" in page.inner_text("[role=status]")
+    page.wait_for_function(
+        "document.querySelector('[role=status]').textContent.includes('http.server')"
+    )
     page.close()
 
 
