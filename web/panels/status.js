@@ -61,7 +61,8 @@ export class Status {
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
     this.#write("#status-line", line + more);
     this.#write("#badge", badge);
-    this.#write("#announce", facts ? announcement(facts, sharp) : "");
+    const news = facts && state !== "away";
+    this.#write("#announce", news ? announcement(facts, sharp) : "");
     this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);

@@ -53,14 +53,15 @@ export async function readFile(name) {
 /**
  * Read files ahead, a few at a time, in their order.
  * @param {string[]} names
+ * @param {Promise<unknown>} [after] when to begin
  * @returns {Promise<ArrayBuffer>[]} each file's, which may fail by itself
  */
-export function readAhead(names) {
+export function readAhead(names, after = Promise.resolve()) {
   /** @type {Promise<unknown>[]} */
   const reading = [];
   return names.map((name, n) => {
     // A file is asked for once the one that is so many places before it has come.
-    const before = reading[n - TOGETHER] ?? Promise.resolve();
+    const before = reading[n - TOGETHER] ?? after.catch(() => {});
     const file = before.then(() => readFile(name));
     reading.push(file.catch(() => {}));
     return file;

@@ -40,9 +40,10 @@ async function open() {
   find(document, "#poster", HTMLImageElement).alt = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
   foldControls();
-  // All files are on their way from the start: the volume's first, and light of the first view.
-  const slabs = facts.volume.slabs.map(({ href }) => href);
-  const files = readAhead([...slabs, ...light.files]);
+  // The volume comes first, by which the card draws, then light, of the first view before all: it is
+  // asked for before the last slab has come, so that the network is never idle.
+  const slabs = readAhead(facts.volume.slabs.map(({ href }) => href));
+  const files = readAhead(light.files, Promise.all(slabs.slice(0, Math.max(slabs.length - 1, 1))));
   const fits = fitsOf(scene);
   const square = fitFor(fits, 1).distance;
   Object.assign(scene.start, fitFor(fits, aspectOf(stage)));
@@ -52,9 +53,9 @@ async function open() {
   new ResizeObserver(() => fitTo(scene, fits, view, sizeOf(stage))).observe(stage);
   const shaders = JSON.parse(await readText("shaders.json"));
   const card = Card.open(canvas, { software: true, readShader: async (name) => shaders[name] });
-  await card.load(facts, Promise.all(files.slice(0, slabs.length)));
+  await card.load(facts, Promise.all(slabs));
   const draw = keepDrawn(card, published, view);
-  await bringLight(card, light, files.slice(slabs.length), draw);
+  await bringLight(card, light, files, draw);
 }
 
 /** @param {Element} box */
