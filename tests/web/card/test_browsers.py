@@ -2,11 +2,8 @@
 each draws by a card in software.
 """
 
-import http.server
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +18,7 @@ from server.settings import Settings
 from tests.live import live
 from tests.server.inline import InlinePool
 from tests.web.browsers import Driven, Size, free_port, missing, opened
-from tests.web.card.test_published import Quiet
+from tests.web.plain_server import shared
 from worker import pool
 
 pytestmark = pytest.mark.browser
@@ -57,34 +54,6 @@ LOSE = """(() => {
 })()"""
 
 
-class Files(Quiet):
-    """A plain file server with a page that has a published one in a frame."""
-
-    def do_GET(self) -> None:
-        if self.path != "/frame.html":
-            super().do_GET()
-            return
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html")
-        self.send_header("Content-Length", str(len(FRAME)))
-        self.end_headers()
-        self.wfile.write(FRAME)
-
-
-@contextmanager
-def shared(folder: Path) -> Iterator[str]:
-    """The address of a folder on a plain file server."""
-    server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), partial(Files, directory=str(folder))
-    )
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}/"
-    server.shutdown()
-    server.server_close()
-    thread.join()
-
-
 @pytest.fixture(scope="module")
 def published(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a published page, and with the same as one file, ``page.html``."""
@@ -101,7 +70,7 @@ def published(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="module")
 def address(published: Path) -> Iterator[str]:
     """Where the published folder is served."""
-    with shared(published / "site") as url:
+    with shared(published / "site", {"/frame.html": FRAME}) as url:
         yield url
 
 

@@ -2,10 +2,7 @@
 isogi's pictures.
 """
 
-import http.server
-import threading
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,7 @@ from server.settings import Settings
 from server.views import view_of
 from tests.published import document_in
 from tests.server.inline import InlinePool
+from tests.web.plain_server import shared
 from tests.web.visits import box_of, drag, middle
 from worker import pool
 
@@ -43,13 +41,6 @@ sun_elevation = 50
 """
 SIZE = {"width": 280, "height": 400}
 READY_MS = 120_000
-
-
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    """A plain file server that prints nothing."""
-
-    def log_message(self, *_: Any) -> None:
-        pass
 
 
 class Site:
@@ -105,14 +96,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")])
             == 0
         )
-    handler = partial(Quiet, directory=str(folder / "page"))
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield Site(folder, f"http://127.0.0.1:{server.server_port}/")
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with shared(folder / "page") as address:
+        yield Site(folder, address)
 
 
 @pytest.fixture(scope="module")
