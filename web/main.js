@@ -8,6 +8,7 @@ import { complaints, followAddress, readAddress } from "./net/address.js";
 import {
   listScenes,
   openStream,
+  probeScene,
   readBlocks,
   readCard,
   readCardBytes,
@@ -67,6 +68,7 @@ const SECOND_MS = 1000;
 const RETRY_MS = 1500;
 const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
 const REFUSED = 422;
+const GONE = 404;
 
 /**
  * An element of the page by its id.
@@ -341,7 +343,9 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     }),
     ask: ask(() => ({})),
     drafts: () => !live.draws(shown.asked.values),
+    probe: () => probeScene(scene.id),
   };
+  let gone = false; // whether the server has no such scene any more
   const canvas = $("live", HTMLCanvasElement);
   const live = new Live(
     canvas,
@@ -381,6 +385,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
         return;
       trouble.hide();
       if (blob && !draft) received = { blob, of };
+      shown.part(false);
       shown.show({ of, draft, sharp, facts });
       if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       $("stage").dataset.ground = ground(of.values);
@@ -399,8 +404,13 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
         picture.blunt();
         return;
       }
-      shown.lose();
-      trouble.show(error);
+      gone = error instanceof Trouble && error.status === GONE;
+      const here = error instanceof Trouble && error.retry && live.draws(shown.asked.values);
+      if (here) {
+        shown.part(true);
+        if (!shown.facts) live.show(shown.asked.values);
+      } else shown.lose();
+      trouble.show(error, here);
     },
     moving(moving) {
       shown.move(moving);
@@ -416,7 +426,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   shown.subscribe(tell);
   tell();
   setInterval(() => shown.left && tell(), SECOND_MS); // the time left passes while nothing comes
-  trouble.onRetry = () => loop.settle();
+  trouble.onRetry = () => (gone ? openScene(null) : loop.settle());
   const ready = () => {
     const { facts } = shown;
     if (!facts || facts.provisional || received?.of.key !== shown.pictureOf?.key) return null;

@@ -2,6 +2,7 @@
 
 from benchmarks.common.suite import suite
 from benchmarks.service.drag import drag
+from benchmarks.service.far_away import far_away
 from benchmarks.service.first_look import first_look
 from benchmarks.service.first_start import first_start
 from benchmarks.service.fuzz import fuzz
@@ -29,6 +30,7 @@ main = suite(
         widget,
         first_look,
         first_start,
+        far_away,
     ),
 )
 

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.middleware import Middleware
 from starlette.middleware.cors import CORSMiddleware
-from starlette.staticfiles import StaticFiles
 
 from server import problems
 from server.api.access import KnownHosts, KnownOrigins, TokenBearers
@@ -98,7 +97,6 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
     problems.install(app)
     for router in ROUTERS:
         app.include_router(router, responses=GUARDED)
-    app.mount("/web", StaticFiles(directory=pages.WEB), name="web")
     return app
 
 

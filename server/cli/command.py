@@ -477,8 +477,8 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
     "-o",
     "--output",
     required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="A folder.",
+    type=click.Path(path_type=Path),
+    help="A folder; with --interactive also one file, such as page.html.",
 )
 @options(GRID_OPTIONS)
 @click.option(
@@ -487,6 +487,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 @click.option(
     "--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take."
 )
+@click.option("--caption", help="A text under the picture.")
 @click.option(
     "--target-error", callback=share_of_error, help="Relative error at which a picture is final."
 )

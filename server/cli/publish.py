@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.errors import ViewError
 from isogi_core.frame.film import coded, ground_of
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
@@ -34,14 +35,25 @@ MOST_PICTURES = 100_000
 DEFAULT_AZIMUTHS = "0:345:15"
 """Azimuths of the grid where nothing else moves."""
 
+PAGE_SUFFIXES = {".html", ".htm"}
+"""Suffixes of pages that are one file."""
+
 PAGE_TEMPLATE = Path(__file__).with_name("published.html")
 
 
 @dataclass(frozen=True)
 class PageRequest(ReelRequest):
-    """A page that is asked for. One that draws by itself may take so many ``megabytes``."""
+    """A page that is asked for, with a ``caption``. One that draws by itself may take so many
+    ``megabytes``.
+    """
 
     megabytes: float | None = None
+    caption: str | None = None
+
+    @property
+    def one_file(self) -> bool:
+        """Whether the page is to be one file, and not a folder."""
+        return self.output.suffix.lower() in PAGE_SUFFIXES
 
 
 def publish(
@@ -56,7 +68,13 @@ def publish(
         raise ParameterError(
             "--megabytes is for a page that draws by itself: give --interactive too.", "megabytes"
         )
-    check_folder(request.output)
+    if request.one_file:
+        raise ParameterError(
+            f"-o {request.output} names one file, which a page that draws by itself can be: give "
+            "--interactive too, or name a folder.",
+            "output",
+        )
+    check_output(request.output)
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
     shots = shots_of(
@@ -66,10 +84,23 @@ def publish(
         view_of(scene, shot, settings)
     reel = Reel(request.output, scene, shots)
     reel.shoot(request, settings)
-    write_whole(request.output / "index.html", page_of(scene, sliders, reel).encode())
+    page = page_of(scene, sliders, reel, request.caption or "")
+    write_whole(request.output / "index.html", page.encode())
     counts = {name: len(values) for name, values in sliders.items()}
     facts = {"file": str(request.output), **reel.about, "sliders": counts, **reel.summary()}
     return {**facts, "seconds": request.passed}
+
+
+def check_output(output: Path) -> None:
+    """Raise ViewError where a page cannot be written there: no folder is around it, or what is
+    there is no folder, or for a page that is one file no file.
+    """
+    check_folder(output)
+    if output.suffix.lower() in PAGE_SUFFIXES:
+        if output.is_dir():
+            raise ViewError(f"{output} is a folder, and the page is one file: name another.")
+    elif output.is_file():
+        raise ViewError(f"{output} is a file, and the page takes a folder: name another.")
 
 
 def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
@@ -121,7 +152,7 @@ def shots_of(
     return shots
 
 
-def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str:
+def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, caption: str) -> str:
     """The page, with all that it shows but the pictures: it needs no server, nor another file of
     text.
     """
@@ -132,6 +163,7 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str
     )
     document = {
         "name": scene.name,
+        "caption": caption,
         "width": reel.about["width"],
         "height": reel.about["height"],
         "quality": quality,

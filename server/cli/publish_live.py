@@ -1,5 +1,5 @@
 """``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from
-static files.
+static files, or as one file.
 """
 
 import math
@@ -17,18 +17,20 @@ from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import check_folder
+from isogi_core.storage.atomic_file import write_whole
 from server.answers import card_obstacles
 from server.cli.prewarm import desk_of, show
-from server.cli.publish import PageRequest
+from server.cli.publish import PageRequest, check_output
 from server.cli.render import working
 from server.errors import ParameterError
 from server.exports.live_page import (
+    PAGE,
     Span,
     document_of,
-    json_file,
+    first_view,
     light_files,
-    page_files,
+    page_of,
+    poster_of,
     volume_files,
     write_files,
 )
@@ -61,6 +63,19 @@ PAGE_BACKGROUNDS = ("light", "dark")
 
 
 @dataclass(frozen=True, eq=False)
+class Wish:
+    """A page that is asked for by a ``request``: what it begins with, its isovalues, and the
+    ``goal``, an error.
+    """
+
+    request: PageRequest
+    params: FrameParams
+    view: View
+    span: Span
+    goal: float
+
+
+@dataclass(frozen=True, eq=False)
 class Offer:
     """The ``files`` of a page, and ``facts`` of it: among them the error of its pictures."""
 
@@ -70,7 +85,7 @@ class Offer:
     @property
     def nbytes(self) -> int:
         """Bytes of all files."""
-        return sum(map(len, self.files.values()))
+        return size_of(self.files)
 
     @property
     def error(self) -> float:
@@ -91,7 +106,7 @@ def publish(
         raise ParameterError(
             "--time and --deadline are for pictures: leave them out with --interactive."
         )
-    check_folder(request.output)
+    check_output(request.output)
     goal = request.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
     span, params = asked(scene, knobs)
@@ -99,10 +114,16 @@ def publish(
     with at_work(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
         offer = fitting(
-            offers(context, params, view, span, goal, settings), request.megabytes, goal
+            offers(context, Wish(request, params, view, span, goal), settings),
+            request.megabytes,
+            goal,
         )
-    write_files(request.output, offer.files)
-    facts = {"file": str(request.output), **offer.facts, "bytes": offer.nbytes}
+    if request.one_file:
+        write_whole(request.output, offer.files[PAGE])
+    else:
+        write_files(request.output, offer.files)
+    facts = {"file": str(request.output), "one_file": request.one_file, **offer.facts}
+    facts["bytes"] = offer.nbytes
     return {**facts, "seconds": request.passed}
 
 
@@ -159,40 +180,56 @@ def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmC
             yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
-def offers(
-    context: PrewarmContext,
-    params: FrameParams,
-    view: View,
-    span: Span,
-    goal: float,
-    settings: Settings,
-) -> Iterator[Offer]:
+def offers(context: PrewarmContext, wish: Wish, settings: Settings) -> Iterator[Offer]:
     """The page with ever fewer bits of light, baked until pictures of the first one are at the
-    ``goal``, an error.
+    goal.
     """
     renderer = context.renderer
     target = context.target
+    span = wish.span
     views = [
-        replace(each, albedo=view.albedo)
+        replace(each, albedo=wish.view.albedo)
         for each in views_of(context, span.low, span.high, settings)
     ]
-    codings = [coding_at(renderer, share * goal) for share in ROUNDING_SHARES]
-    baked = bake_range(context, (span.low, span.high), codings[0], views, goal)
-    page = page_files() | volume_files(renderer, span)
-    document = document_of(renderer, params, view, span)
+    codings = [coding_at(renderer, share * wish.goal) for share in ROUNDING_SHARES]
+    baked = bake_range(context, (span.low, span.high), codings[0], views, wish.goal)
+    volume = volume_files(renderer, span)
+    document = document_of(renderer, wish.params, wish.view, span)
+    first = first_view(renderer, wish.params, document["scene"]["start"], settings)
+    poster = poster_of(renderer, wish.params, first, target)
     for coding in codings:
-        light = light_files(renderer, span, coding, target)
-        facts = page_facts(
-            renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding)
-        )
-        facts["target_error"] = goal
+        light = light_files(renderer, span, coding, target, first)
+        facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
+        facts["target_error"] = wish.goal
         known = {
-            "files": sorted(light),
+            "files": list(light),
             "steps": coding.steps.tolist(),
-            "background": ground_of(params),
+            "background": ground_of(wish.params),
+            "caption": wish.request.caption or "",
             **facts,
         }
-        yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
+        files = files_of({**document, "light": known}, poster, {**volume, **light}, wish.request)
+        sizes = {"volume_bytes": size_of(volume), "light_bytes": size_of(light)}
+        yield Offer(files, {**facts, **sizes})
+
+
+def files_of(
+    document: Mapping[str, Any], poster: bytes, data: Mapping[str, bytes], request: PageRequest
+) -> dict[str, bytes]:
+    """The files of a page, which says how many bytes it takes: it and its ``data``, or all as one
+    file.
+    """
+    inside: Mapping[str, bytes] = data if request.one_file else {}
+    outside: Mapping[str, bytes] = {} if request.one_file else data
+    # The page is made once to see how large it is.
+    size = len(page_of(document, poster, inside)) + size_of(outside)
+    known = {**document, "light": {**document["light"], "bytes": size}}
+    return {PAGE: page_of(known, poster, inside), **outside}
+
+
+def size_of(files: Mapping[str, bytes]) -> int:
+    """Bytes of files."""
+    return sum(map(len, files.values()))
 
 
 def coding_at(renderer: Renderer, error: float) -> Coding:
@@ -201,23 +238,14 @@ def coding_at(renderer: Renderer, error: float) -> Coding:
     return coding_for(spec, raw_scale(spec), error)
 
 
-def page_facts(
-    scene: Scene, span: Span, baked: RangeLight, files: Mapping[str, bytes], error: TotalError
-) -> dict[str, Any]:
-    """What there is to say of a page of these ``files``."""
-
-    def size(*rooms: str) -> int:
-        return sum(len(content) for name, content in files.items() if name.startswith(rooms))
-
+def page_facts(scene: Scene, span: Span, baked: RangeLight, error: TotalError) -> dict[str, Any]:
+    """What there is to say of a page's light."""
     return {
         "scene": scene.name,
         "isovalues": [span.low, span.high],
         "error": {"likely": error.likely, "low": error.low, "high": error.high},
         "views": len(baked.pictures),
         "samples": baked.samples,
-        "volume_bytes": size("volume/"),
-        "light_bytes": size("light/"),
-        "bytes": size(""),
     }
 
 
@@ -253,7 +281,7 @@ def too_large(best: Offer, smallest: Offer, most: float) -> str:
     light = smallest.facts["light_bytes"]
     beside = smallest.nbytes - light
     if beside >= most:
-        return f"{sentence} {more}. Its volume and its modules alone take {beside / 1e6:.2f} MB."
+        return f"{sentence} {more}. Its volume and the page alone take {beside / 1e6:.2f} MB."
     return (
         f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these "
         "isovalues and a larger error."
@@ -272,7 +300,8 @@ def published(facts: Mapping[str, Any]) -> str:
         good += f", above the target of {facts['target_error']:g}"
     parts = f"volume {facts['volume_bytes'] / 1e6:.1f}, light {facts['light_bytes'] / 1e6:.1f}"
     size = f"{facts['bytes'] / 1e6:.1f} MB ({parts})"
-    return (
-        f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: open "
-        f"{facts['file']}/index.html on a server"
-    )
+    if facts["one_file"]:
+        where = f"open {facts['file']} in a browser"
+    else:
+        where = f"open {facts['file']}/{PAGE} on a server"
+    return f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: {where}"

@@ -1,35 +1,49 @@
-"""A page that draws a scene by itself, as static files: its modules, the volume, and light of a
-range of isovalues.
+"""A page that draws a scene by itself, as static files: the page, the volume, and light of a range
+of isovalues; or all of it as one file.
 """
 
-import gzip
 import json
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from isogi_core.frame.card.blocks import CHUNKS, Coding, coded_chunks
+from isogi_core.frame.card.blocks import CHUNKS, Coding, coded_chunks, seen_chunks
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.reachable_texels import surface_texels
 from isogi_core.prepared.active_cell_maps import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, card_scene, scene_schema
 from server.card_schemas import CardSlab
+from server.exports.page_files import WEB_FOLDER, compressed, joined_modules, shaders
 from server.parameters import FrameParams
-from server.schemas import Histogram, Range, SceneSchema
+from server.pictures import encode
+from server.schemas import CameraSchema, Histogram, Range, SceneSchema
+from server.settings import Settings
+from server.views import view_of
 
-WEB_FOLDER = Path(__file__).resolve().parents[2] / "web"
 FIRST_PAGE_MODULE = "published/published.js"
 """The page's first module."""
 
+PAGE = "index.html"
+"""The page's file in a folder."""
+
+ASPECTS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0)
+"""Widths over heights of stages that the first camera is fitted to: it sees the surface whole in
+wider ones too.
+"""
+
+FIT_SIDE = 1000
+"""Pixels of the shorter side of the pictures that it is fitted to."""
+
+POSTER_SIDE = 512
+"""Pixels along each side of the picture that is seen until the card draws."""
+
 START_PARAMETERS = {"distance", "target", "fov", "yaw", "pitch", "roll", "exposure"}
 """Parameters of a view that the page starts with as they are given."""
-
-MODULE_IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
-"""What a module imports, as the page's modules write it."""
 
 
 @dataclass(frozen=True)
@@ -40,31 +54,28 @@ class Span:
     high: float
 
 
-def page_files() -> dict[str, bytes]:
-    """The page and all its modules, by their places in the folder."""
-    names = {FIRST_PAGE_MODULE}
-    waiting = [FIRST_PAGE_MODULE]
-    while waiting:
-        name = waiting.pop()
-        found = {
-            (WEB_FOLDER / name).parent.joinpath(path).resolve().relative_to(WEB_FOLDER).as_posix()
-            for path in imports(name)
-        }
-        waiting += found - names
-        names |= found
-    names |= {f"card/shaders/{path.name}" for path in (WEB_FOLDER / "card" / "shaders").iterdir()}
-    page = {"index.html": (WEB_FOLDER / "published" / "index.html").read_bytes()}
-    return page | {f"web/{name}": (WEB_FOLDER / name).read_bytes() for name in sorted(names)}
+def page_of(
+    document: Mapping[str, Any], poster: bytes, enclosed: Mapping[str, bytes] | None = None
+) -> bytes:
+    """The page with its script, its shaders, what it draws by, and a ``poster``, a picture in WebP
+    that is seen until it draws. It asks for no other file where all are ``enclosed``.
+    """
+    parts = {
+        "page.js": compressed(joined_modules(FIRST_PAGE_MODULE).encode()),
+        "shaders.json": compressed(json_file(shaders())),
+        "scene.json": compressed(json_file(document)),
+        **(enclosed or {}),
+    }
+    text = (WEB_FOLDER / "published" / "index.html").read_text(encoding="utf-8")
+    picture = f"data:image/webp;base64,{b64encode(poster).decode()}"
+    return text.replace("{POSTER}", picture).replace("{FILES}", "".join(elements(parts))).encode()
 
 
-def imports(name: str) -> list[str]:
-    """The modules that a module of the page imports, as it names them."""
-    return MODULE_IMPORT.findall((WEB_FOLDER / name).read_text(encoding="utf-8"))
-
-
-def compressed(content: bytes) -> bytes:
-    """A file in gzip's form, which pages unpack themselves: plain servers hand it out as it is."""
-    return gzip.compress(content, 9, mtime=0)
+def elements(files: Mapping[str, bytes]) -> Iterator[str]:
+    """Files as elements of a page, in letters."""
+    for name, content in files.items():
+        letters = b64encode(content).decode()
+        yield f'<script type="text/plain" data-file="{name}">{letters}</script>\n'
 
 
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
@@ -85,23 +96,47 @@ def slab_name(first: int, last: int) -> str:
     return f"volume/{first}-{last}.bin"
 
 
-def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -> dict[str, bytes]:
-    """The transfer of all texels of isosurfaces in the ``span``, in few bits.
+def light_files(
+    renderer: Renderer, span: Span, coding: Coding, target: float, first: View
+) -> dict[str, bytes]:
+    """The transfer of all texels of isosurfaces in the ``span``, in few bits; that of the ``first``
+    view is in the first files.
 
-    It is filtered where it is noisier than a ``target`` error. Raises StoreError.
+    It is filtered where it is noisier than a ``target`` error. Raises StoreError and Cancelled.
     """
     prepared = renderer.prepared
     volume = renderer.prepared.scene.volume
     ends = volume.normalise_span(span.low, span.high)
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
-    chunks = [index for index, _ in texels]
+    seen = [each.at for each in seen_chunks(renderer, first, target, renderer.tiles)]
+    places = {at: place for place, at in enumerate(seen)}
+    chunks = sorted((index for index, _ in texels), key=lambda at: places.get(at, len(seen)))
     files = {}
-    for first in range(0, len(chunks), CHUNKS):
+    for number, start in enumerate(range(0, len(chunks), CHUNKS)):
         blocks = coded_chunks(
-            renderer, chunks[first : first + CHUNKS], target, coding, renderer.tiles
+            renderer, chunks[start : start + CHUNKS], target, coding, renderer.tiles
         )
-        files[f"light/{first // CHUNKS}.bin"] = compressed(b"".join(blocks))
+        files[f"light/{number}.bin"] = compressed(b"".join(blocks))
     return files
+
+
+def first_view(
+    renderer: Renderer, params: FrameParams, start: Mapping[str, Any], settings: Settings
+) -> View:
+    """The view that a page ``start``s with, in a square picture."""
+    camera = {name: start[name] for name in ("azimuth", "elevation", "distance")}
+    camera["target"] = tuple(start["target"])
+    size = {"width": POSTER_SIDE, "height": POSTER_SIDE, "antialias": "on"}
+    return view_of(renderer.prepared.scene, params.model_copy(update={**camera, **size}), settings)
+
+
+def poster_of(renderer: Renderer, params: FrameParams, view: View, target: float) -> bytes:
+    """A picture of the page's first ``view`` in WebP, with nothing behind the surface, by the light
+    that the page has at a ``target`` error. Raises StoreError and Cancelled.
+    """
+    frame = renderer.render(view, target, enough=MAX_SAMPLES)
+    exposure = params.exposure or renderer.prepared.scene.default_exposure
+    return encode(frame, "webp", exposure, params.model_copy(update={"background": "transparent"}))
 
 
 def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
@@ -142,7 +177,11 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
         schema.defaults |= {"projection": params.projection}
     given = params.model_dump(mode="json", include=placed & START_PARAMETERS, exclude_none=True)
     start = {**camera.model_dump(mode="json"), "isovalue": view.isovalue, **given}
-    return {**schema.model_dump(mode="json"), "start": start}
+    if placed & {"distance", "target"}:
+        fits = []
+    else:
+        fits = fits_of(renderer, params, view, camera)
+    return {**schema.model_dump(mode="json"), "start": start, "fits": fits}
 
 
 def histogram_between(histogram: Histogram, span: Span) -> Histogram:
@@ -157,17 +196,35 @@ def histogram_between(histogram: Histogram, span: Span) -> Histogram:
     return Histogram(counts=counts, edges=edges)
 
 
-def write_files(folder: Path, files: Mapping[str, bytes]) -> int:
-    """Write files into a folder, the page last; their bytes. Light and voxels of a page before go.
-    Raises OSError.
+def fits_of(
+    renderer: Renderer, params: FrameParams, view: View, first: CameraSchema
+) -> list[dict[str, Any]]:
+    """The distance and the target of the ``first`` camera in stages of ASPECTS, narrow ones
+    first.
     """
-    for name in sorted(files, key=lambda each: each == "index.html"):
+    fits = []
+    for aspect in ASPECTS:
+        width, height = round(FIT_SIDE * max(aspect, 1.0)), round(FIT_SIDE / min(aspect, 1.0))
+        camera = camera_schema(
+            renderer,
+            replace(view, width=width, height=height),
+            first.azimuth,
+            first.elevation,
+            params.projection,
+        )
+        place = camera.model_dump(mode="json", include={"distance", "target"})
+        fits.append({"aspect": aspect, **place})
+    return fits
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, the page last. Files of a page before go. Raises OSError."""
+    for name in sorted(files, key=lambda each: each == PAGE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])
     for old in (path for room in ("light", "volume") for path in (folder / room).glob("*.bin")):
         if old.relative_to(folder).as_posix() not in files:
             old.unlink()
-    return sum(map(len, files.values()))
 
 
 def json_file(document: Mapping[str, Any]) -> bytes:

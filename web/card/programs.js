@@ -39,11 +39,29 @@ export async function joined(name, read, seen = new Set()) {
   return [...parts, text.slice(end)].join("");
 }
 
-/** Text of a shader's file beside this module. @param {string} name @returns {Promise<string>} */
+/** @type {Promise<Record<string, string>>|null} */
+let shaders = null;
+
+/**
+ * Text of a shader's file beside this module: all of them come in one file.
+ * @param {string} name
+ * @returns {Promise<string>}
+ */
 export async function readShader(name) {
-  const answer = await fetch(new URL(`shaders/${name}`, import.meta.url));
-  if (!answer.ok) throw new Error(`The shader ${name} did not come: HTTP ${answer.status}.`);
-  return answer.text();
+  shaders ??= readShaders();
+  try {
+    return (await shaders)[name];
+  } catch (error) {
+    shaders = null; // the next one to ask tries again
+    throw error;
+  }
+}
+
+/** @returns {Promise<Record<string, string>>} */
+async function readShaders() {
+  const answer = await fetch(new URL("shaders.json", import.meta.url));
+  if (!answer.ok) throw new Error(`The shaders did not come: HTTP ${answer.status}.`);
+  return answer.json();
 }
 
 /**

@@ -95,13 +95,37 @@ export async function deleteUpload(href) {
  * @returns {Promise<Scene>}
  */
 export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
-  const scene = await (await ask(scenePath(id))).json();
-  const { min, max } = scene.ranges?.isovalue ?? {};
   const asked = new URLSearchParams({ width: String(width), height: String(height) });
+  const fit = async () => {
+    if (PROJECTIONS.some((each) => each === projection))
+      asked.set("projection", String(projection));
+    return (await ask(`${scenePath(id)}/fit?${asked}`)).json();
+  };
+  const coming = ask(scenePath(id));
+  // Both at once where the camera does not depend on what the scene allows: it may be far away.
+  const early = isovalue === undefined ? fit() : null;
+  early?.catch(() => {}); // the scene's own trouble says more
+  const scene = await (await coming).json();
+  const { min, max } = scene.ranges?.isovalue ?? {};
   if (isovalue !== undefined && isovalue >= min && isovalue <= max)
     asked.set("isovalue", String(isovalue));
-  if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
-  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
+  return { ...scene, start: await (early ?? fit()) };
+}
+
+/**
+ * Ask whether the server has a scene.
+ * @param {string} id
+ * @returns {Promise<void>}
+ * @throws {Trouble} where it has not, or does not answer
+ */
+export async function probeScene(id) {
+  try {
+    await ask(scenePath(id));
+  } catch (error) {
+    if (!(error instanceof Trouble && error.status === 404)) throw error;
+    const detail = `It was started again, and has no scene “${id}”.`;
+    throw new Trouble("The server has another scene", detail, { status: 404, retry: true });
+  }
 }
 
 /**

@@ -34,6 +34,8 @@ const SETTLE_MS = 200; // a view that has not changed for this long is at rest
  * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask
  *   sends one request
  * @property {() => boolean} [drafts] whether the view is drawn by the server while it moves
+ * @property {() => Promise<unknown>} [probe] asks by HTTP if the server has the scene; throws what is
+ *   wrong
  */
 
 /** Shows a view that may change at any time. */
@@ -51,7 +53,7 @@ export class FrameLoop {
    * @param {Hooks} hooks
    * @param {import("./trouble.js").Clock} [clock]
    */
-  constructor({ open, view, ask, drafts = () => true }, hooks, clock = CLOCK) {
+  constructor({ open, view, ask, drafts = () => true, probe }, hooks, clock = CLOCK) {
     this.#hooks = hooks;
     this.#clock = clock;
     this.#drafts = drafts;
@@ -64,6 +66,7 @@ export class FrameLoop {
         this.#show();
       },
       clock,
+      probe,
     );
     document.addEventListener(
       "visibilitychange",

@@ -27,9 +27,10 @@ import { CLOCK } from "./trouble.js";
  * @property {Asked} of the view that it is of
  * @property {number|null} predicted its relative error, where it can be told
  *
- * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
+ * @typedef {"loading"|"trouble"|"away"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
  *   `moving` on there is
- *   a picture, and from `provisional` on it is the full one of the view that the controls ask for
+ *   a picture, and from `provisional` on it is the full one of the view that the controls ask for;
+ *   `away`: the server is, and the page draws by itself
  */
 
 /**
@@ -48,6 +49,7 @@ export class Shown {
   #cameAt = 0; // when the picture came
   #moving = false;
   #lost = false;
+  #away = false;
   /** @type {Set<() => void>} */
   #listeners = new Set();
 
@@ -86,6 +88,7 @@ export class Shown {
   /** @returns {State} */
   get state() {
     if (this.#lost) return "trouble";
+    if (this.#away && this.#picture && this.facts?.provisional !== false) return "away";
     if (this.facts) return this.facts.provisional ? "provisional" : "final";
     if (!this.pictureOf) return "loading";
     return this.#moving ? "moving" : "updating";
@@ -142,7 +145,7 @@ export class Shown {
    * @returns {number}
    */
   get waitsSince() {
-    return this.#lost || this.facts ? Infinity : this.#asked.since;
+    return this.#lost || this.#away || this.facts ? Infinity : this.#asked.since;
   }
 
   /**
@@ -208,6 +211,16 @@ export class Shown {
   uncover() {
     if (!this.#cover) return;
     this.#cover = null;
+    this.#tell();
+  }
+
+  /**
+   * The server is away, or back; while it is away the page draws by itself.
+   * @param {boolean} away
+   */
+  part(away) {
+    this.#away = away;
+    this.#lost &&= !away;
     this.#tell();
   }
 

@@ -14,6 +14,7 @@ const LONGEST_MS = 60_000; // longer than this a receipt may not report
 const IDLE = 4000; // the code that a stream is closed with when nothing was said for long
 const LATER = 1013; // the one when another client needs its place
 const OPEN = 1; // `WebSocket.OPEN`
+const SILENT = 2; // handshakes in a row that fail, before the server is asked why by HTTP
 
 /** Keeps one socket open, and opens it anew when it is lost. */
 export class Streaming {
@@ -22,6 +23,7 @@ export class Streaming {
   #hooks;
   #refused;
   #clock;
+  #probe;
   /** @type {WebSocket|null} */
   #socket = null;
   #known = false;
@@ -30,6 +32,8 @@ export class Streaming {
   #drawing = 0;
   #timer = 0;
   #failures = 0;
+  #handshakes = 0; // that failed in a row
+  #answers = false; // whether the server has answered by HTTP since
   #sent = 0;
   /** @type {Map<number, View["of"]>} views that were sent, by their ids */
   #asked = new Map();
@@ -40,15 +44,18 @@ export class Streaming {
    * @param {() => WebSocket} open
    * @param {(moving: boolean) => View} view as it is now
    * @param {Hooks} hooks
-   * @param {() => void} refused is called when no stream can be had from the start
+   * @param {() => void} refused is called when no stream can be had
    * @param {Clock} [clock]
+   * @param {(() => Promise<unknown>)|null} [probe] asks by HTTP if the server has the scene; throws what
+   *   is wrong
    */
-  constructor(open, view, hooks, refused, clock = CLOCK) {
+  constructor(open, view, hooks, refused, clock = CLOCK, probe = null) {
     this.#open = open;
     this.#view = view;
     this.#hooks = hooks;
     this.#refused = refused;
     this.#clock = clock;
+    this.#probe = probe;
   }
 
   /** The view is now another one; show it. @param {boolean} moving whether it goes on changing */
@@ -102,11 +109,17 @@ export class Streaming {
     this.#socket.binaryType = "blob";
     this.#socket.onopen = () => {
       this.#known = true;
+      this.#handshakes = 0;
+      this.#answers = false;
       this.#send();
     };
     this.#socket.onmessage = ({ data }) =>
       typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data);
-    this.#socket.onclose = ({ code, reason }) => this.#closed(code, reason);
+    const before = ++this.#handshakes; // until it opens
+    this.#socket.onclose = ({ code, reason }) =>
+      this.#known && this.#handshakes === before
+        ? this.#unanswered()
+        : this.#closed(code, reason);
   }
 
   /**
@@ -145,6 +158,32 @@ export class Streaming {
     if (!this.#known) this.#refused();
     else if (code === LATER) this.#failed(troubleOf({ status: 429, detail: reason }));
     else if (code !== IDLE) this.#failed(lost());
+  }
+
+  /** A handshake failed, and browsers do not say why: the server does by HTTP. */
+  async #unanswered() {
+    this.#socket = null;
+    if (!this.#probe || this.#handshakes < SILENT) {
+      this.#failed(lost());
+      return;
+    }
+    const error = await this.#probe().then(
+      () => null,
+      (reason) => reason,
+    );
+    if (this.#socket) return; // another one is on its way
+    if (error) this.#failed(error);
+    else this.#welcome();
+  }
+
+  /** The server answers by HTTP: it is back, or lets no stream through. */
+  #welcome() {
+    if (this.#answers) {
+      this.#refused();
+      return;
+    }
+    this.#answers = true;
+    this.#send();
   }
 
   /** Say what is wrong, and try again where that can help. @param {Trouble} error */

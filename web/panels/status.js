@@ -14,10 +14,12 @@ import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from 
 const ALMOST = 0.99; // the most that a bar shows of what is not done
 const OLD_MS = 300; // after which a picture that the controls have left is dimmed
 const LATE_MS = 600; // after which a person is told that a picture is still to come
+const LAST = ": the picture is the last one received";
 /** @type {Partial<Record<State, {badge: string, line: string}>>} */
 const WORDS = {
   loading: { badge: "", line: "Loading the scene…" },
   trouble: { badge: "", line: "Not up to date: the picture is the last one received" },
+  away: { badge: "", line: "The server is away" },
   moving: { badge: "Moving", line: "Moving" },
   updating: { badge: "Updating", line: "Updating: the picture of this view is on its way" },
 };
@@ -59,12 +61,13 @@ export class Status {
     const stage = find(this.#root, "#stage");
     const about = { target: this.#target, empty: this.#emptyOf(shown.values) };
     const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, about);
-    const more = facts || !shown.predicted ? "" : predictedInWords(shown.predicted);
+    const more = state === "away" && facts ? LAST : drawnInWords(shown, state);
     stage.dataset.state = state;
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
     this.#write("#status-line", line + more);
     this.#write("#badge", badge);
-    this.#write("#announce", facts ? announcement(facts, sharp, about) : "");
+    const news = facts && state !== "away";
+    this.#write("#announce", news ? announcement(facts, sharp, about) : "");
     this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);
@@ -158,6 +161,18 @@ export function predictedInWords(error) {
 }
 
 /**
+ * What is said of a picture that is not the server's.
+ * @param {Pick<Shown, "facts"|"predicted">} shown
+ * @param {State} state
+ * @returns {string}
+ */
+function drawnInWords({ facts, predicted }, state) {
+  if (facts) return "";
+  if (predicted) return predictedInWords(predicted);
+  return state === "away" ? " · drawn here" : "";
+}
+
+/**
  * What stands on a picture that is not within its target: it counts down to that; or on one that
  * shows nothing.
  * @param {Pick<Facts, "provisional"|"error"|"surface">} facts
@@ -185,6 +200,7 @@ export function announcement(facts, sharp = false, about) {
     : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;
 }
 
+const GONE = 404; // status of a scene that is not there any more
 const READ_MS = 10_000; // a sentence is read long before
 
 /** A sentence over the picture, which goes by itself. */
@@ -222,13 +238,17 @@ export class TroublePanel {
   }
 
   /**
-   * Show what is wrong.
-   * @param {Error & {title?: string, retry?: boolean}} error
+   * Show what is wrong: all over the picture, or in a strip, if the picture goes on without the
+   * server.
+   * @param {Error & {title?: string, retry?: boolean, status?: number}} error
+   * @param {boolean} [strip]
    */
-  show({ title = "The page has a problem", message, retry = false }) {
-    this.#write("h2", title);
+  show({ title = "The page has a problem", message, retry = false, status }, strip = false) {
+    this.#write("h2", strip ? `${title}: drawn here` : title);
     this.#write("p", message);
+    this.#write("button", status === GONE ? "Open what it has" : "Try now");
     find(this.#panel, "button").hidden = !retry;
+    this.#panel.toggleAttribute("data-strip", strip);
     this.#panel.hidden = false;
   }
 

@@ -10,13 +10,20 @@ import { cardView } from "../live/view.js";
 import { attachSlider } from "../panels/knobs.js";
 import { errorInWords } from "../view/format.js";
 import { attachGestures } from "../view/gestures.js";
+import { attachKeys } from "../view/keys.js";
 import { ViewModel } from "../view/model.js";
-import { readDocument, readFile } from "./files.js";
+import { attachRulers } from "../view/rulers.js";
+import { readAhead, readDocument, readText } from "./files.js";
+import { fitFor, fitTo, fitsOf, followLink, linkOf, readLink } from "./place.js";
 
 /** @typedef {import("./files.js").Published} Published */
 
 const NO_CARD =
   "This page needs WebGL 2, which this browser or its graphics card does not have: try another browser.";
+const LOST =
+  "The browser has taken the graphics card from this page. It may give it back by itself; else load the page again.";
+const SHORT = { height: 496, width: 704 }; // below, controls begin folded: the stage is what counts
+const COPIED_MS = 1600;
 
 const [stage, canvas, status] = [
   find(document, "#stage"),
@@ -27,11 +34,60 @@ const [stage, canvas, status] = [
 /** Show the page, and draw whatever view it is put to. */
 async function open() {
   const published = await readDocument();
-  const { scene, light } = published;
+  const { scene, light, card: facts } = published;
   document.title = find(document, "h1").textContent = scene.name;
+  find(document, "#caption").textContent = light.caption;
+  find(document, "#poster", HTMLImageElement).alt = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
-  const view = new ViewModel(scene, { background: light.background });
-  const card = Card.open(canvas);
+  foldControls();
+  // The volume comes first, by which the card draws, then light, of the first view before all: it is
+  // asked for before the last slab has come, so that the network is never idle.
+  const slabs = readAhead(facts.volume.slabs.map(({ href }) => href));
+  const files = readAhead(light.files, Promise.all(slabs.slice(0, Math.max(slabs.length - 1, 1))));
+  const fits = fitsOf(scene);
+  const square = fitFor(fits, 1).distance;
+  Object.assign(scene.start, fitFor(fits, aspectOf(stage)));
+  const view = new ViewModel(scene, { ...readLink(location.hash), background: light.background });
+  attachControls(scene, view);
+  placePoster(square, view);
+  new ResizeObserver(() => fitTo(scene, fits, view, sizeOf(stage))).observe(stage);
+  const shaders = JSON.parse(await readText("shaders.json"));
+  const card = Card.open(canvas, async (name) => shaders[name]);
+  await card.load(facts, Promise.all(slabs));
+  const draw = keepDrawn(card, published, view);
+  await bringLight(card, light, files, draw);
+}
+
+/** @param {Element} box */
+function aspectOf(box) {
+  const { width, height } = sizeOf(box);
+  return Math.max(width, 1) / Math.max(height, 1);
+}
+
+/** Fold the controls where they would take the stage's place. */
+function foldControls() {
+  const { width, height } = sizeOf(document.body);
+  if (height < SHORT.height && width < SHORT.width)
+    find(document, "details", HTMLDetailsElement).open = false;
+}
+
+/**
+ * Show the picture that is in the page as large as the card will draw it.
+ * @param {number} distance of the camera that it was drawn by, in a square
+ * @param {ViewModel} view
+ */
+function placePoster(distance, view) {
+  const poster = find(document, "#poster");
+  const across = Math.min(aspectOf(stage), 1); // of the square that fits the stage, in its heights
+  poster.style.setProperty("--share", String(distance / view.values.distance / across));
+}
+
+/**
+ * Sliders, gestures, keys and buttons that change the view.
+ * @param {Published["scene"]} scene
+ * @param {ViewModel} view
+ */
+function attachControls(scene, view) {
   const knobs = [...document.querySelectorAll(".knob")];
   for (const knob of knobs) if (knob.matches("[data-light]") && !scene.turns) knob.remove();
   const mirrors = knobs
@@ -40,13 +96,48 @@ async function open() {
   const mirror = () => mirrors.forEach((each) => each(view.values));
   view.subscribe(mirror);
   mirror();
-  await card.load(
-    published.card,
-    Promise.all(published.card.volume.slabs.map(({ href }) => readFile(href))),
-  );
-  const draw = keepDrawn(card, published, view);
   attachGestures(stage, scene, view, { onRest: () => {} });
-  await bringLight(card, published, draw);
+  attachRulers(find(document, "#rulers", SVGElement), scene, view, view);
+  const rulers = () => view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
+  attachKeys(scene, view, {
+    toggleHelp: () => find(document, "#help").togglePopover(),
+    // a page without a server has no marks
+    keys: { f: toggleFull, r: rulers, o: () => {} },
+  });
+  find(document, "#reset").addEventListener("click", () => view.reset());
+  attachLink(find(document, "#link"), scene, view);
+  const full = find(document, "#full-screen");
+  full.hidden = !document.fullscreenEnabled;
+  full.addEventListener("click", toggleFull);
+}
+
+/**
+ * A button that copies the address of the view.
+ * @param {HTMLElement} button
+ * @param {Published["scene"]} scene
+ * @param {ViewModel} view
+ */
+function attachLink(button, scene, view) {
+  followLink(scene, view);
+  const name = button.textContent;
+  button.addEventListener("click", async () => {
+    const address = new URL(linkOf(scene, view), location.href).href;
+    history.replaceState(null, "", address);
+    const copied = await navigator.clipboard?.writeText(address).then(
+      () => true,
+      () => false,
+    );
+    button.textContent = copied ? "Copied" : "In the address bar";
+    setTimeout(() => {
+      button.textContent = name;
+    }, COPIED_MS);
+  });
+}
+
+/** Show the picture alone on the whole screen, or the page again. */
+function toggleFull() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else if (document.fullscreenEnabled) stage.requestFullscreen();
 }
 
 /**
@@ -61,9 +152,12 @@ function keepDrawn(card, { scene, card: document }, view) {
   let asked = 0;
   const draw = () => {
     asked = 0;
+    if (card.lost) return;
     let finer = true;
-    if (waiting) waiting = !card.draw(cardView(scene, document, view.values), pixelsOf(stage));
-    else finer = card.refine();
+    if (waiting) {
+      waiting = !card.draw(cardView(scene, document, view.values), pixelsOf(stage));
+      stage.toggleAttribute("data-drawn", !waiting || stage.hasAttribute("data-drawn"));
+    } else finer = card.refine();
     if (waiting || finer) animate();
     stage.toggleAttribute("data-still", !waiting && !finer);
   };
@@ -77,9 +171,28 @@ function keepDrawn(card, { scene, card: document }, view) {
   };
   view.subscribe(change);
   new ResizeObserver(change).observe(stage);
-  card.onrestored = change;
+  sayLost(card, change);
   change();
   return change;
+}
+
+/**
+ * Say that the card is lost, while it is, and offer to load the page again.
+ * @param {Card} card
+ * @param {() => void} draw draws the view
+ */
+function sayLost(card, draw) {
+  const panel = find(document, "#lost");
+  find(panel, "p").textContent = LOST;
+  find(panel, "button").addEventListener("click", () => location.reload());
+  card.onlost = () => {
+    stage.removeAttribute("data-still");
+    panel.hidden = false;
+  };
+  card.onrestored = () => {
+    panel.hidden = true;
+    draw();
+  };
 }
 
 /**
@@ -95,18 +208,19 @@ function pixelsOf(element) {
 }
 
 /**
- * Bring the light, file after file.
+ * Take the light, file after file.
  * @param {Card} card
- * @param {Published} published
+ * @param {Published["light"]} light
+ * @param {Promise<ArrayBuffer>[]} files
  * @param {() => void} draw
  */
-async function bringLight(card, { light }, draw) {
-  for (const [n, name] of light.files.entries()) {
-    card.take(await readFile(name), null, light.steps);
+async function bringLight(card, light, files, draw) {
+  for (const [n, file] of files.entries()) {
+    card.take(await file, null, light.steps);
     if (!card.drawing?.texels.takesRaw)
       throw new Error("The graphics card has too little memory for the light of this page.");
     draw();
-    status.textContent = `Loading light: ${Math.round((100 * (n + 1)) / light.files.length)} %`;
+    status.textContent = `Loading light: ${Math.round((100 * (n + 1)) / files.length)} %`;
   }
   status.textContent = qualityOf(light);
   stage.dataset.lit = "";

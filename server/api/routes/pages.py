@@ -3,19 +3,19 @@
 import base64
 import hashlib
 from html import escape
-from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi.responses import HTMLResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
 
+from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import Service, ServiceDep
 from server.bearers import bearer_of
+from server.exports.page_files import viewer_files
 from server.problems import documented_problems, problem
 
-WEB = Path(__file__).resolve().parents[3] / "web"
 STYLE = """
 :root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif }
 body { max-width: 58rem; margin: 2rem auto; padding: 0 1rem }
@@ -32,26 +32,38 @@ PAGE_POLICY = (
     "frame-ancestors 'none'"
 )
 
-OTHER_FOLDERS = {"published", "notebook"}
-"""Folders of modules that pages without a server, and notebooks, have beside the viewer's."""
-
-MODULES = sorted(
-    each.relative_to(WEB).as_posix()
-    for each in WEB.glob("**/*.js")
-    if each.parent.name not in OTHER_FOLDERS
-)
-PRELOADS = ", ".join(f"<web/{each}>; rel=modulepreload" for each in MODULES)
-"""A header that has a browser load all modules at once, and not one after the other as they import
-each other.
-"""
-
 router = APIRouter(include_in_schema=False)
 
 
 @router.get("/")
-def index() -> FileResponse:
+def index(request: Request) -> Response:
     """The viewer."""
-    return FileResponse(WEB / "index.html", headers={"Link": PRELOADS})
+    return file_answer(request, "index.html")
+
+
+@router.get("/web/{name:path}")
+def page_file(request: Request, name: str) -> Response:
+    """A file of the viewer."""
+    return file_answer(request, f"web/{name}")
+
+
+def file_answer(request: Request, name: str) -> Response:
+    """A file of the viewer, in gzip's form to browsers that take it. Raises HTTPException."""
+    file = viewer_files().get(name)
+    if file is None:
+        raise HTTPException(404, "The page has no such file.")
+    packs = takes_gzip(request.headers.get("accept-encoding", ""))
+    tag = tag_of(file.digest, packs)
+    headers = {
+        "ETag": tag,
+        "Cache-Control": FOR_EVER if file.lasting else "no-cache",
+        "Vary": "Accept-Encoding",
+    }
+    if matches(request.headers.get("if-none-match"), tag):
+        return Response(status_code=304, headers=headers)
+    if not packs:
+        return Response(file.content, 200, headers, file.media_type)
+    return Response(file.packed, 200, headers | {"Content-Encoding": "gzip"}, file.media_type)
 
 
 @router.get("/docs")

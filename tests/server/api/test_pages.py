@@ -30,23 +30,32 @@ def test_the_viewer_and_its_files(live_server: str) -> None:
     assert httpx.get(f"{live_server}/web/none.js").status_code == 404
 
 
-def test_the_viewer_names_its_modules_at_once(live_server: str) -> None:
-    """A browser would find them one import after the other."""
-    named = re.findall(
-        r"<(web/[^>]+)>; rel=modulepreload", httpx.get(f"{live_server}/").headers["link"]
-    )
-    found = {"web/main.js"}
-    coming = ["web/main.js"]
-    while coming:
-        module = coming.pop()
-        text = httpx.get(f"{live_server}/{module}").raise_for_status().text
-        imports = re.findall(r'^(?:import|export|\}).* from "(\.[^"]+)"', text, re.MULTILINE)
-        new = {
-            posixpath.normpath(posixpath.join(posixpath.dirname(module), each)) for each in imports
-        } - found
-        found |= new
-        coming += new
-    assert len(found) > 20 and sorted(found) == named
+def test_the_viewer_takes_three_requests(live_server: str) -> None:
+    """A browser would find modules one import after the other, and pay a round trip for each."""
+    page = httpx.get(f"{live_server}/")
+    named = re.findall(r'<(?:script|link)[^>]* (?:src|href)="(web/[^"]+\.(?:js|css))"', page.text)
+    assert [posixpath.splitext(each)[1] for each in named] == [".css", ".js"]
+    script = httpx.get(f"{live_server}/{named[1]}")
+    assert not re.search(r"^(?:import|export)\b", script.text, re.MULTILINE)
+    assert len(re.findall(r"^const _\w+ = \(\(\) => \{$", script.text, re.MULTILINE)) > 20
+    for name in named:
+        answer = httpx.get(f"{live_server}/{name}")
+        assert "immutable" in answer.headers["cache-control"], name
+        assert answer.headers["content-encoding"] == "gzip", name
+    shaders = httpx.get(f"{live_server}/web/card/shaders.json").json()
+    assert shaders["view.frag.glsl"].startswith("//") or "#include" in shaders["view.frag.glsl"]
+
+
+def test_files_of_the_page_are_sent_in_gzips_form_and_once(live_server: str) -> None:
+    address = f"{live_server}/web/main.js"
+    packed = httpx.get(address)
+    plain = httpx.get(address, headers={"Accept-Encoding": "identity"})
+    assert packed.headers["content-encoding"] == "gzip" and packed.text == plain.text
+    assert int(packed.headers["content-length"]) < 0.5 * int(plain.headers["content-length"])
+    assert packed.headers["etag"] != plain.headers["etag"]
+    assert packed.headers["vary"] == plain.headers["vary"] == "Accept-Encoding"
+    again = httpx.get(address, headers={"If-None-Match": packed.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
 
 
 def test_the_documentation_needs_nothing_from_elsewhere(live_server: str) -> None:

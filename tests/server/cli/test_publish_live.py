@@ -4,6 +4,7 @@ import gzip
 import json
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.card.blocks import Coding
-from server.exports.live_page import MODULE_IMPORT, page_files
+from server.exports.page_files import imports, joined_modules, module_order
 from tests.card_twin import read_coded
+from tests.published import document_in, files_in
 from tests.server.asking import Told
 
 pytestmark = pytest.mark.usefixtures("inline")
@@ -49,7 +51,7 @@ def test_a_range_of_isovalues_is_published(
         for path in (tmp_path / "page").rglob("*.*")
     }
     assert facts["bytes"] == sum(path.stat().st_size for path in files.values())
-    document = json.loads(files["scene.json"].read_text())
+    document = document_in(files["index.html"])
     assert document["scene"]["ranges"]["isovalue"] == {"min": 0.4, "max": 0.6}
     assert (
         document["scene"]["start"]["azimuth"] == 20
@@ -67,22 +69,58 @@ def test_a_range_of_isovalues_is_published(
     assert sum(map(len, slabs)) == 4 * 24 * 20 * 16 and document["light"]["error"] == facts["error"]
 
 
-def test_the_page_brings_all_that_it_imports() -> None:
-    files = page_files()
-    for name, content in files.items():
-        for path in MODULE_IMPORT.findall(content.decode()) if name.endswith(".js") else []:
-            assert (Path("/") / Path(name).parent / path).resolve().relative_to(
-                "/"
-            ).as_posix() in files, (name, path)
-    assert "web/card/shaders/view.glsl" in files and not any("main.js" in name for name in files)
-    assert not re.search(r"https?://(?!localhost)", files["index.html"].decode()), (
-        "nothing is loaded from elsewhere"
-    )
+def test_one_file_has_all_of_the_page(
+    publish: Publish, told: Told, small_scene: Path, tmp_path: Path
+) -> None:
+    words = ("--target-error", "0.3", "--caption", "Two <balls> & light.")
+    publish(small_scene, tmp_path / "page", *words)
+    facts = publish(small_scene, tmp_path / "page.html", *words)
+    page = tmp_path / "page.html"
+    assert facts["one_file"] and facts["bytes"] == page.stat().st_size
+    files = files_in(page)
+    beside = {
+        path.relative_to(tmp_path / "page").as_posix(): gzip.decompress(path.read_bytes())
+        for path in (tmp_path / "page").rglob("*.bin")
+    }
+    assert beside and {name: files[name] for name in beside} == beside
+    assert document_in(page)["light"]["caption"] == "Two <balls> & light."
+    said = json.loads(files["scene.json"])["light"]["bytes"]
+    assert abs(said - page.stat().st_size) < 100
+    assert not re.search(r"https?://(?!localhost|www.w3.org)", page.read_text()), "no other site"
+    (tmp_path / "file").write_text("")
+    args = ("publish", small_scene, "-o")
+    assert "names one file" in told(*args, tmp_path / "other.html", status=2)
+    assert "takes a folder" in told(*args, tmp_path / "file", "--interactive", status=2)
+
+
+def test_the_first_camera_is_fitted_to_narrow_and_wide_stages(
+    publish: Publish, small_scene: Path, tmp_path: Path
+) -> None:
+    publish(small_scene, tmp_path / "page", "--target-error", "0.3")
+    fits = document_in(tmp_path / "page" / "index.html")["scene"]["fits"]
+    aspects = [fit["aspect"] for fit in fits]
+    distances = [fit["distance"] for fit in fits]
+    assert aspects == sorted(aspects)
+    nearer = [wide < 1.01 * narrow for narrow, wide in pairwise(distances)]
+    assert all(nearer), "but for the pixels that a fit is found by"
+    assert distances[0] > 1.5 * distances[aspects.index(1.0)]
+    publish(small_scene, tmp_path / "placed", "--target-error", "0.3", "--distance", "3")
+    assert document_in(tmp_path / "placed" / "index.html")["scene"]["fits"] == []
+
+
+def test_joined_modules_come_after_what_they_import() -> None:
+    order = module_order("published/published.js")
+    assert order[-1] == "published/published.js" and len(set(order)) == len(order) > 20
+    for place, name in enumerate(order):
+        assert set(imports(name)) <= set(order[:place]), name
+    script = joined_modules("published/published.js")
+    assert not re.search(r"^(?:import|export)\b", script, re.MULTILINE)
+    assert not any("main.js" in name for name in order)
 
 
 def texels_in(page: Path) -> int:
     """The records of all light files, whose numbers are whole steps."""
-    document = json.loads((page / "scene.json").read_text())
+    document = document_in(page / "index.html")
     records = 0
     coding = Coding(np.array(document["light"]["steps"], np.float32))
     for name in document["light"]["files"]:

@@ -22,6 +22,7 @@ GRID = {
     "yaw": "0:180:180",
 }
 SIZE = {"width": "96", "height": "72"}
+CAPTION = "An orbital <3d>.\nIts light is a sky's."
 
 pytestmark = BROWSER
 
@@ -36,7 +37,7 @@ def published(folder: Path, **knobs: str) -> str:
     colour = Image.new("RGB", (96, 72), "#804020")
     for name in reel.shots:
         colour.save(folder / name)
-    (folder / "index.html").write_text(page_of(scene, sliders, reel))
+    (folder / "index.html").write_text(page_of(scene, sliders, reel, CAPTION))
     return (folder / "index.html").as_uri()
 
 
@@ -55,7 +56,8 @@ def test_picture_sliders_and_error_fit_the_window(
     browser: Browser, tmp_path: Path, width: int, height: int
 ) -> None:
     page = opened(browser, published(tmp_path / "out"), width, height)
-    for what in ("h1", "img", "input", "output", "[role=status]"):
+    assert page.inner_text("#caption") == CAPTION
+    for what in ("h1", "img", "#caption", "input", "output", "[role=status]"):
         for box in (each.bounding_box() for each in page.locator(what).all()):
             assert box is not None and box["width"] > 0
             assert min(box["x"], box["y"]) >= 0.0

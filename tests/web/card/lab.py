@@ -24,6 +24,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
 from server.answers import card_scene
+from server.exports.page_files import SHADERS, shaders
 
 WEB = Path(__file__).resolve().parents[3] / "web"
 HERE = Path(__file__).resolve().parent
@@ -92,6 +93,8 @@ def served(data: dict[str, bytes]) -> Iterator[str]:
         def file(self, room: str, name: str) -> bytes | None:
             if room in ("x.html", "favicon.ico"):
                 return b""
+            if f"{room}/{name}" == f"web/{SHADERS}":
+                return json.dumps(shaders()).encode()
             path = {"web": WEB, "bench": HERE}[room] / name
             if path.is_file():
                 return path.read_bytes()

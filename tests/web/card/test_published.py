@@ -2,11 +2,7 @@
 isogi's pictures.
 """
 
-import http.server
-import json
-import threading
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +23,9 @@ from server.cli.publish_live import LIGHT_TARGET_SHARE
 from server.parameters import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
+from tests.published import document_in
 from tests.server.inline import InlinePool
+from tests.web.plain_server import shared
 from tests.web.visits import box_of, drag, middle
 from worker import pool
 
@@ -45,20 +43,13 @@ SIZE = {"width": 280, "height": 400}
 READY_MS = 120_000
 
 
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    """A plain file server that prints nothing."""
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
 class Site:
     """A published folder, the scene that it is of, and isogi's own pictures of what it shows."""
 
     def __init__(self, folder: Path, address: str) -> None:
         self.page = folder / "page"
         self.address = address
-        self.document = json.loads((self.page / "scene.json").read_text())
+        self.document = document_in(self.page / "index.html")
         self.scene = load_scene(folder / "scene.toml", target_error=LIGHT_TARGET_SHARE * 0.1)
         self.renderer = Renderer(
             Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles()
@@ -105,14 +96,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")])
             == 0
         )
-    handler = partial(Quiet, directory=str(folder / "page"))
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield Site(folder, f"http://127.0.0.1:{server.server_port}/")
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with shared(folder / "page") as address:
+        yield Site(folder, address)
 
 
 @pytest.fixture(scope="module")
@@ -206,10 +191,59 @@ def test_a_drag_turns_the_object_and_the_exposure_lightens(
 def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
     for width, height in ((1280, 800), (390, 844), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
-        for what in ("h1", "#stage", "input", "output", "[role=status]"):
+        for what in ("h1", "#stage", "button:visible", "input", "output", "[role=status]"):
             for box in map(box_of, page.locator(what).all()):
                 assert box["width"] > 0 and min(box["x"], box["y"]) >= 0
                 assert box["x"] + box["width"] <= width and box["y"] + box["height"] <= height, what
+
+
+def test_the_first_camera_fits_narrow_and_low_stages(
+    page: Page, site: Site, tmp_path: Path
+) -> None:
+    """The object is whole and large; on a phone it was cut off at both sides."""
+    for width, height in ((390, 844), (560, 420), (844, 390)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.reload()
+        page.wait_for_selector("#stage[data-lit]")
+        page.evaluate("document.querySelector('#rulers').toggleAttribute('hidden', true)")
+        shown = seen(page, tmp_path)
+        rows, columns = np.nonzero((np.abs(shown - shown[2, 2]) > 3).any(axis=2))
+        high, wide = shown.shape[:2]
+        assert rows.min() > 0 and columns.min() > 0
+        assert rows.max() < high - 1 and columns.max() < wide - 1
+        filled = max(np.ptp(rows) / high, np.ptp(columns) / wide)
+        assert filled > 0.7, (width, height, filled)
+        assert high > 0.5 * height
+
+
+def test_the_page_takes_few_requests(page: Page, site: Site) -> None:
+    asked: list[str] = []
+    note = lambda request: asked.append(request.url)  # noqa: E731
+    page.on("request", note)
+    page.reload()
+    page.wait_for_selector("#stage[data-lit]")
+    page.remove_listener("request", note)
+    beside = len(list(site.page.rglob("*.bin")))
+    assert len([url for url in asked if url.startswith("http")]) == 1 + beside
+
+
+def test_a_link_shows_the_view_that_it_names(page: Page, browser: Browser, site: Site) -> None:
+    page.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    put(page, "azimuth", 77.0)
+    page.wait_for_function("location.hash.includes('azimuth=77')")
+    other = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    other.goto(page.url)
+    other.wait_for_function("document.querySelector('#azimuth').valueAsNumber === 77")
+    assert "distance" not in page.url, "a camera that fits is the visitor's"
+    other.close()
+    page.click("#reset")
+    page.locator("#stage").focus()
+    before = page.input_value("#azimuth")
+    page.keyboard.press("ArrowRight")
+    assert page.input_value("#azimuth") != before
+    page.click("#reset")
+    assert page.input_value("#azimuth") == before
+    assert page.locator("#rulers text").count() >= 4, "a scale bar, and axes"
 
 
 def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site) -> None:
@@ -225,7 +259,9 @@ def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site)
 def test_from_a_disk_the_page_says_where_to_put_it(browser: Browser, site: Site) -> None:
     page = browser.new_page()
     page.goto((site.page / "index.html").as_uri())
-    assert "http.server" in page.inner_text("[role=status]")
+    page.wait_for_function(
+        "document.querySelector('[role=status]').textContent.includes('http.server')"
+    )
     page.close()
 
 

@@ -3,7 +3,7 @@ import { beforeEach, test } from "node:test";
 import { FrameLoop } from "../../../web/net/loop.js";
 import { Polling, refinementPause, untilFinal } from "../../../web/net/polling.js";
 import { Streaming } from "../../../web/net/streaming.js";
-import { lost, troubleOf } from "../../../web/net/trouble.js";
+import { Trouble, lost, troubleOf } from "../../../web/net/trouble.js";
 import { FakeClock, facts, settled } from "./fixtures.mjs";
 
 const PICTURE = new Blob(["a picture"]);
@@ -258,16 +258,15 @@ class FakeSocket {
   }
 }
 
-function streaming(view = () => VIEW) {
+function streaming(view = () => VIEW, probe = null, refused = () => assert.fail("a stream can be had")) {
   const sockets = [];
   const open = () => (sockets.push(new FakeSocket()), sockets.at(-1));
-  const refused = () => assert.fail("a stream can be had");
-  return { sockets, stream: new Streaming(open, view, hooks(), refused, clock) };
+  return { sockets, stream: new Streaming(open, view, hooks(), refused, clock, probe) };
 }
 
 /** A stream that is open and has sent its view. */
-function connected(view) {
-  const made = streaming(view);
+function connected(view, probe, refused) {
+  const made = streaming(view, probe, refused);
   made.stream.show(false);
   made.sockets[0].connect();
   return made;
@@ -322,6 +321,41 @@ test("a lost stream is opened again, later each time", async () => {
     await clock.pass(clock.waits[0]);
   }
   assert.deepEqual([waits, sockets.length, frames.troubles.length], [[300, 600, 1200], 4, 3]);
+});
+
+test("after two handshakes that fail the server is asked why by HTTP", async () => {
+  const gone = new Trouble("The server has another scene", "no scene", { status: 404, retry: true });
+  let asked = 0;
+  const probe = async () => { asked += 1; throw gone; };
+  const { sockets } = connected(undefined, probe);
+  sockets[0].close(1006);
+  const seen = [];
+  for (let i = 0; i < 3; i++) {
+    await clock.pass(clock.waits[0]);
+    sockets.at(-1).close(1006);
+    await settled();
+    seen.push([asked, frames.troubles.at(-1) === gone]);
+  }
+  assert.deepEqual(seen, [[0, false], [1, true], [2, true]]);
+  await clock.pass(clock.waits[0]);
+  sockets.at(-1).connect();
+  assert.deepEqual(sockets.at(-1).sent.length, 1, "it is back");
+});
+
+test("a server that answers by HTTP is tried once more, and then asked for single pictures", async () => {
+  let refused = 0;
+  const { sockets } = connected(undefined, async () => {}, () => { refused += 1; });
+  sockets[0].close(1006);
+  for (let i = 0; i < 2; i++) {
+    await clock.pass(clock.waits[0]);
+    sockets.at(-1).close(1006);
+    await settled();
+    if (i === 0) continue;
+    assert.deepEqual([sockets.length, refused], [4, 0], "at once");
+  }
+  sockets.at(-1).close(1006);
+  await settled();
+  assert.equal(refused, 1);
 });
 
 test("a stream that was idle is opened by the next view alone", () => {

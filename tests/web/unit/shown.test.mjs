@@ -163,3 +163,24 @@ test("a picture that comes to light again is as old as it is", async () => {
   shown.uncover();
   assert.equal(shown.leftAt, 100, "not as the card's, which is gone");
 });
+
+test("while the server is away the page's pictures are told as its own", () => {
+  shown.show(picture(shown.asked, { facts: FINAL }));
+  shown.part(true);
+  assert.equal(shown.state, "final", "what the server finished stays so");
+  shown.ask(B);
+  shown.show(picture(shown.asked, { draft: true, facts: null, predicted: 0.03 }));
+  assert.deepEqual([shown.state, shown.predicted, shown.waitsSince], ["away", 0.03, Infinity]);
+  shown.part(false);
+  assert.equal(shown.state, "updating");
+});
+
+test("a picture that the server was still refining is no longer told as refining", () => {
+  shown.show(picture(shown.asked));
+  shown.part(true);
+  assert.equal(shown.state, "away");
+  shown.lose();
+  assert.equal(shown.state, "trouble", "what the card does not draw is lost");
+  shown.part(true);
+  assert.equal(shown.state, "away");
+});
