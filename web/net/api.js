@@ -3,7 +3,7 @@
  * works.
  */
 
-import { valuesOfGreys } from "../slices/values.js";
+import { valuesOfGreys } from "./bytes.js";
 import { PROJECTIONS, rayThrough } from "../view/camera.js";
 import { frameQuery } from "./request.js";
 import { readFacts } from "./schemas.js";

@@ -1,5 +1,7 @@
 /** Bytes of files that the page makes: notes in PNGs (PNG, third edition, 11.3.3), and ZIPs. */
 
+const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
+
 const HEAD = 8 + 25; // the signature and the first chunk, which must stay the first
 
 /**
@@ -101,4 +103,24 @@ function record(mark, bytes, numbers, widths) {
     at += widths[n];
   }
   return new Uint8Array(data.buffer);
+}
+
+/**
+ * An `npy` file of the values that a grey picture shows, of its first channel.
+ * @param {{data: Uint8ClampedArray, width: number, height: number}} picture RGBA
+ * @param {readonly [number, number]} greys the values that are black and white in it
+ * @returns {ArrayBuffer}
+ */
+export function valuesOfGreys({ data, width, height }, [black, white]) {
+  const shape = `'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width})`;
+  const start = LENGTH_AT + 2;
+  // values begin at a multiple of four bytes
+  const header = `{${shape}, }`.padEnd(4 * Math.ceil((start + shape.length + 4) / 4) - start);
+  const file = new ArrayBuffer(start + header.length + 4 * width * height);
+  new DataView(file).setUint16(LENGTH_AT, header.length, true);
+  new Uint8Array(file, start, header.length).set(new TextEncoder().encode(header));
+  const values = new Float32Array(file, start + header.length);
+  for (let i = 0; i < values.length; i += 1)
+    values[i] = black + (data[4 * i] / 255) * (white - black);
+  return file;
 }

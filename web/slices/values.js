@@ -3,6 +3,7 @@
  * and kept for a while.
  */
 
+
 /** @typedef {import("../view/crosshair.js").Greys} Greys */
 /** @typedef {import("./geometry.js").Axis} Axis */
 /** @typedef {import("./geometry.js").Lie} Lie */
@@ -18,6 +19,7 @@
  */
 
 /** @type {Record<string, new (buffer: ArrayBuffer) => Numbers>} */
+const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
 const KINDS = {
   "|u1": Uint8Array,
   "<u2": Uint16Array,
@@ -26,7 +28,6 @@ const KINDS = {
   "<f8": Float64Array,
 };
 // bytes from the first of an npy file to the length of its header, which takes two
-const LENGTH_AT = 8;
 // of the voxels: so many may be blacker than black, and so many whiter than white
 const RARE = 0.002;
 const KEPT_BYTES = 1 << 26; // of slices
@@ -50,26 +51,6 @@ export function readValues(file) {
     width: Number(columns),
     height: Number(rows),
   };
-}
-
-/**
- * An `npy` file of the values that a grey picture shows, of its first channel.
- * @param {{data: Uint8ClampedArray, width: number, height: number}} picture RGBA
- * @param {Greys} greys the values that are black and white in it
- * @returns {ArrayBuffer}
- */
-export function valuesOfGreys({ data, width, height }, [black, white]) {
-  const shape = `'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width})`;
-  const start = LENGTH_AT + 2;
-  // values begin at a multiple of four bytes
-  const header = `{${shape}, }`.padEnd(4 * Math.ceil((start + shape.length + 4) / 4) - start);
-  const file = new ArrayBuffer(start + header.length + 4 * width * height);
-  new DataView(file).setUint16(LENGTH_AT, header.length, true);
-  new Uint8Array(file, start, header.length).set(new TextEncoder().encode(header));
-  const values = new Float32Array(file, start + header.length);
-  for (let i = 0; i < values.length; i += 1)
-    values[i] = black + (data[4 * i] / 255) * (white - black);
-  return file;
 }
 
 /**

@@ -169,7 +169,7 @@ test("while the server is away the page's pictures are told as its own", () => {
   shown.part(true);
   assert.equal(shown.state, "final", "what the server finished stays so");
   shown.ask(B);
-  shown.show(picture(shown.asked, { draft: true, facts: null, predicted: 0.03 }));
+  shown.cover({ of: shown.asked, predicted: 0.03 });
   assert.deepEqual([shown.state, shown.predicted, shown.waitsSince], ["away", 0.03, Infinity]);
   shown.part(false);
   assert.equal(shown.state, "updating");
