@@ -210,8 +210,8 @@ def camera_schema(
     elevation: float | None,
     projection: str | None = None,
 ) -> CameraSchema:
-    """The camera that shows a view's surface whole and large; the whole volume, where none is to be
-    seen of it.
+    """The camera that shows a view's surface whole at every azimuth, and large; the whole volume,
+    where none is to be seen of it.
 
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
