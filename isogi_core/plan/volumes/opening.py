@@ -30,6 +30,7 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.smoothing import MOST_SMOOTH, smoothed
 
 COPY_FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
@@ -48,7 +49,7 @@ def open_volume(
     settings: Settings, progress: Progress = no_progress, fallback: str = "above"
 ) -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side
-    and missing values.
+    and missing values, smoothed where the scene says so.
 
     Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file,
     is made a field of its labels. ``fallback`` is the solid side where the scene names none.
@@ -62,6 +63,7 @@ def open_volume(
     missing = settings.listed("missing")
     tables = read_tables(settings)
     labels = find_labels(settings)
+    smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
     if not name.startswith("demo:"):
         grid, stem = open_own(settings)
         moment = grid.moment
@@ -75,6 +77,13 @@ def open_volume(
             raise SceneError(
                 "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
             )
+        if smooth and segmented:
+            raise SceneError(
+                f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
+            )
+        if smooth:
+            straight = smoothed(straight, smooth, missing)
+            missing = ()  # these are holes by now
         masks = [
             place(table, open_beside(settings, table.file), grid, straight) for table in tables
         ]
@@ -102,7 +111,10 @@ def open_volume(
             for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen)
         )
         raise SceneError(f"{name} {made}: leave out {named}.")
-    return demo_volume(name.removeprefix("demo:"))
+    key = name.removeprefix("demo:")
+    if smooth:
+        return make_volume(smoothed(Grid.of(DEMOS[key].build()), smooth).whole(), name=key)
+    return demo_volume(key)
 
 
 def chosen_part(settings: Settings) -> dict[str, Any]:
