@@ -27,6 +27,7 @@ from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import IDENTITY, View
+from isogi_core.plan.histograms import shown_histogram
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
@@ -92,12 +93,16 @@ MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary
 
 def scene_schema(scene: Scene) -> SceneSchema:
     """The document of one scene."""
-    counts, edges = scene.volume.histogram()
+    shown = shown_histogram(scene.volume)
     return SceneSchema(
         id=scene.id,
         name=scene.name,
         volume=volume_schema(scene),
-        histogram=Histogram(counts=counts.tolist(), edges=edges.tolist()),
+        histogram=Histogram(
+            counts=shown.counts.tolist(),
+            edges=shown.edges.tolist(),
+            logarithmic=shown.logarithmic,
+        ),
         defaults=defaults(scene),
         ranges=ranges(scene),
         presets=[PresetSchema(**asdict(preset)) for preset in scene.presets],

@@ -82,10 +82,14 @@ class VolumeSchema(BaseModel):
 
 
 class Histogram(BaseModel):
-    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts)."""
+    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+
+    Edges are even, or, where the axis is ``logarithmic``, at even ratios but for the first.
+    """
 
     counts: list[int]
     edges: list[float]
+    logarithmic: bool
 
 
 class Range(BaseModel):

@@ -294,10 +294,13 @@ export interface ErrorScale {
 
 /**
  * Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+ *
+ * Edges are even, or, where the axis is `logarithmic`, at even ratios but for the first.
  */
 export interface Histogram {
   counts: Array<number>;
   edges: Array<number>;
+  logarithmic: boolean;
 }
 
 /**
