@@ -28,7 +28,6 @@ from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.histograms import shown_histogram
-from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import material_settings
@@ -132,6 +131,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         ],
         rotating=scene.lighting.rotating,
         turns=scene.lighting.rotating and scene.plan.representation == "transfer",
+        view=scene.settings.first.given,
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
         plan=plan_schema(scene),
         read_only=False,
@@ -216,15 +216,20 @@ def camera_schema(
     projection: str | None = None,
 ) -> CameraSchema:
     """The camera that shows a view's surface whole at every azimuth, and large; the whole volume,
-    where none is to be seen of it.
+    where none is to be seen of it. A scene that says where its first camera is has that one.
 
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
     scene = renderer.prepared.scene
-    front, above = front_of(scene.volume, scene.lighting.room.any)
+    first = scene.settings.first
+    front, above = scene.front
     azimuth = front if azimuth is None else azimuth
     elevation = above if elevation is None else elevation
-    target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
+    if first.placed:
+        target = first.target or scene.volume.world_centre
+        distance = first.distance or KNOBS["distance"].default
+    else:
+        target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 

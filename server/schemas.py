@@ -312,7 +312,8 @@ class SceneSchema(BaseModel):
     ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one
     that slides, which lets the share ``clear`` of rays pass, and of other light its
     ``transmission`` through, diffuse. ``material`` is what this is about, as views spell it, and
-    ``materials`` are all, with why some of them are refused.
+    ``materials`` are all, with why some of them are refused. ``view`` is what the scene says of its
+    first view, by the names of parameters.
     """
 
     id: str
@@ -343,6 +344,7 @@ class SceneSchema(BaseModel):
     environments: list[EnvironmentSchema] = []
     rotating: bool
     turns: bool
+    view: dict[str, float | str | Triple]
     error_scale: ErrorScale
     plan: PlanSchema
     read_only: bool

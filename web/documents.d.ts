@@ -540,7 +540,8 @@ export interface SceneList {
  * `albedo`; that is then the most that colours reflect. `surfaces` are pinned beside the one
  * that slides, which lets the share `clear` of rays pass, and of other light its
  * `transmission` through, diffuse. `material` is what this is about, as views spell it, and
- * `materials` are all, with why some of them are refused.
+ * `materials` are all, with why some of them are refused. `view` is what the scene says of its
+ * first view, by the names of parameters.
  */
 export interface Scene {
   id: string;
@@ -571,6 +572,7 @@ export interface Scene {
   environments: Array<Environment>;
   rotating: boolean;
   turns: boolean;
+  view: Record<string, number | string | [number, number, number]>;
   error_scale: ErrorScale;
   plan: Plan;
   read_only: boolean;

@@ -9,6 +9,7 @@ the one that slides, and the others are pinned beside it, the one that slides at
 is shown. Of inner sides the volume is turned inside out, so that they are outer ones.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,7 +61,14 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume is
     shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    return remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
+    document = {**scene.source.document, "environment": environment}
+    if isinstance(
+        document.get("view"), Mapping
+    ):  # an exposure is for the light that it was found in
+        document["view"] = {
+            key: value for key, value in document["view"].items() if key != "exposure"
+        }
+    return remade(scene, document, scene.volume, name)
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:

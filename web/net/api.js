@@ -100,7 +100,8 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
   if (isovalue !== undefined && isovalue >= min && isovalue <= max)
     asked.set("isovalue", String(isovalue));
   if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
-  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
+  const camera = await (await ask(`${scenePath(id)}/fit?${asked}`)).json();
+  return { ...scene, start: { ...scene.view, ...camera } };
 }
 
 /**

@@ -145,7 +145,7 @@ export class ViewModel {
       shading,
       overlay: "none",
       compare: "",
-      background: "page",
+      background: BACKGROUNDS.find((each) => each === start.background) ?? "page",
       environment: "",
       rulers: "on",
       measures: [],

@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
+import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine, sceneText } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
@@ -322,4 +322,18 @@ test("an address may say who draws", () => {
   assert.deepEqual(["?draw=card", "?draw=server", "?draw=me", ""].map((search) => readAddress(search).draw), ["card", "server", null, null]);
   assert.deepEqual(complaints("?draw=me", SCENE), ["“me” draws nothing here: choose card or server."]);
   assert.deepEqual(complaints("?draw=card", SCENE), []);
+});
+
+test("a view is lines of a scene file", () => {
+  const query = {
+    isovalue: 70.5, azimuth: 35, elevation: -18, distance: 2.6, fov: 30, exposure: 6, target: "1,-2.5,3",
+    environment: "gallery", cut: "z>12", material: "glass,index=1.3,absorption=0.1,0.2,0.3",
+    width: 9, height: 9, shading: "gi", overlay: "none", background: "dark", f: "png",
+  };
+  assert.deepEqual(sceneText(query).split("\n"), [
+    "isovalue = 70.5", 'environment = "gallery"', 'cut = "z>12"',
+    'material = "glass"', "index = 1.3", "absorption = [0.1, 0.2, 0.3]",
+    "[view]", "azimuth = 35", "elevation = -18", "distance = 2.6", "target = [1, -2.5, 3]", "fov = 30",
+    "exposure = 6", 'background = "dark"',
+  ]);
 });
