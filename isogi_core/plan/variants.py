@@ -1,6 +1,6 @@
-"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with
-labels hidden, of another material, or in finer light: more texels and more bands, for views whose
-control pixels ask for it.
+"""Scenes made over: in other light, cut open, at another time, smoothed, with other surfaces
+beside, with labels hidden, of another material, or in finer light: more texels and more bands, for
+views whose control pixels ask for it.
 
 Each is a scene like any other, by another id. What it has in common with the first it shares.
 
@@ -113,6 +113,16 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     other = remade(scene, document, volume, name)
     low, high = other.isovalues
     return replace(other, isovalue=min(max(scene.isovalue, low), high))
+
+
+def smoothed_by(scene: Scene, sigma: float, name: str, volume: Volume | None = None) -> Scene:
+    """The scene with its volume smoothed by a Gaussian of ``sigma`` voxels in place of its own, by
+    another id, ``name``; of a ``volume`` where it is open.
+
+    Its range of isovalues stays. Raises SceneError and VolumeError.
+    """
+    other = remade(scene, {**scene.source.document, "smooth": sigma}, volume, name)
+    return replace(other, isovalue=scene.isovalue, isovalues=scene.isovalues)
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:

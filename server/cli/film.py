@@ -141,7 +141,7 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
-    for key in ("environment", "cut", "time", "hide", "material"):
+    for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
             target += f"{'&' if '#' in target else '#'}{key}={quote(named.pop())}"

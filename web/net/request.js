@@ -150,7 +150,7 @@ const VIEW_KEYS = [
   ...["azimuth", "elevation", "distance", "target", "fov"],
   ...["yaw", "pitch", "roll", "exposure", "background"],
 ];
-const SCENE_KEYS = ["isovalue", "projection", "environment", "cut", "albedo"];
+const SCENE_KEYS = ["isovalue", "smooth", "projection", "environment", "cut", "albedo"];
 
 /**
  * The view as lines of a scene file: keys of the scene, and its table `[view]`.

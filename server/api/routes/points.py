@@ -117,7 +117,9 @@ async def read_slice(
     float32 where that is near enough, else as float64. They are packed where the request accepts
     gzip.
     """
-    step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
+    step = VariantParams.model_validate(
+        params.model_dump(include={"time", "smooth"}, exclude_none=True)
+    )
     return await asyncio.to_thread(sliced, request, await service.variant(scene, step), params)
 
 

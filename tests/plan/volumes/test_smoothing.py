@@ -9,6 +9,7 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.files.grid import Grid
+from isogi_core.plan.variants import smoothed_by
 from isogi_core.plan.volumes.smoothing import smoothed
 from tests.loaded import load_scene
 
@@ -101,3 +102,18 @@ def test_the_demo_is_smoothed_and_labels_are_not(tmp_path: Path) -> None:
     np.save(tmp_path / "labels.npy", np.pad(np.ones((4, 4, 4), np.uint8), 2))
     with pytest.raises(SceneError, match="leave smooth out"):
         load_scene(f"{tmp_path}/labels.npy", labels="all", smooth=1)
+
+
+def test_a_variant_is_the_scene_that_says_so(tmp_path: Path) -> None:
+    """Smoothed by a view, it has the light of a scene that is smoothed by itself, and its range of
+    isovalues stays.
+    """
+    np.save(tmp_path / "v.npy", blob(4.0, (12, 13, 14)).astype(np.float32))
+    plain = load_scene(tmp_path / "v.npy", isovalue=0.3)
+    one = load_scene(tmp_path / "v.npy", isovalue=0.3, smooth=1)
+    made = smoothed_by(plain, 1.0, "v@*1.0")
+    assert made.volume.digest == one.volume.digest and made.id == "v@*1.0"
+    assert made.bake_digest == one.bake_digest
+    assert (made.isovalue, made.isovalues) == (plain.isovalue, plain.isovalues)
+    again = smoothed_by(made, 0.0, "v")
+    assert again.volume.digest == plain.volume.digest

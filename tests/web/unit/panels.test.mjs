@@ -14,6 +14,7 @@ import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
 import { announcement, badge, doneOf, predictedInWords } from "../../../web/panels/status.js";
 import { rateOf, timeRows } from "../../../web/panels/times.js";
+import { voxelsOf } from "../../../web/slices/values.js";
 import { PAINTED, SCENE, facts } from "./fixtures.mjs";
 
 const labels = ({ ticks }) => ticks.map(({ label }) => label);
@@ -361,4 +362,10 @@ test("a point says how far its light is", () => {
 
 test("an error that nobody measured is called predicted", () => {
   assert.equal(predictedInWords(0.0512), " · drawn here, about 5.1 % error (predicted)");
+});
+
+test("slices are read again of other voxels alone", () => {
+  assert.equal(voxelsOf({ smooth: 0.5 }), "smooth=0.5");
+  assert.equal(voxelsOf({ time: 3, smooth: 0 }), "time=3&smooth=0");
+  assert.equal(voxelsOf({}), "");
 });
