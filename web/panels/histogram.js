@@ -106,6 +106,11 @@ export function axisOf({ edges, logarithmic = false }, min, max) {
   };
 }
 
+/** A value that a link can hold. @param {number} value */
+function inDigits(value) {
+  return Number(value.toPrecision(6));
+}
+
 /**
  * Tie the fields of percentile and σ to the view's isovalue.
  * @param {HTMLElement} form holds `#percentile` and `#sigmas`
@@ -127,12 +132,12 @@ function attachRanks(form, { histogram }, view) {
   };
   percentile.addEventListener("change", () => {
     if (Number.isFinite(percentile.valueAsNumber))
-      view.set({ isovalue: valueAt(histogram, percentile.valueAsNumber) });
+      view.set({ isovalue: inDigits(valueAt(histogram, percentile.valueAsNumber)) });
     mirror(view.values.isovalue);
   });
   sigmas.addEventListener("change", () => {
     if (Number.isFinite(sigmas.valueAsNumber))
-      view.set({ isovalue: mean + sigmas.valueAsNumber * deviation });
+      view.set({ isovalue: inDigits(mean + sigmas.valueAsNumber * deviation) });
     mirror(view.values.isovalue);
   });
   return mirror;
