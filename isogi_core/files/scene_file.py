@@ -343,7 +343,7 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 LYING = (
-    *("axes", "solid", "smooth", "labels", "raw", "environment", "cut"),
+    *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
     *CHANGING_PARAMETERS,
 )
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
@@ -351,7 +351,7 @@ solid, how far it is smoothed, whether its values are labels, its light, what is
 changes it as views do.
 """
 
-NUMBERS_LYING = ("smooth",)
+NUMBERS_LYING = ("smooth", "pieces")
 """Those of LYING that are numbers."""
 
 
@@ -367,7 +367,7 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     }
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
-            told[key] = float(told[key])
+            told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
@@ -382,6 +382,7 @@ VOXEL_SETTINGS = (
     "spacing",
     "missing",
     "smooth",
+    "pieces",
     "axes",
     "volumes",
     *PART_SETTINGS,

@@ -142,7 +142,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
 
 
 VOLUME_OPTIONS = (
-    *("axes", "raw", "solid", "smooth", "environment"),
+    *("axes", "raw", "solid", "smooth", "pieces", "environment"),
     *("cut", "surfaces", "hide", "material"),
 )
 """Options of ``volume_options``; those that are given follow the # of a target."""
@@ -174,6 +174,10 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "Smooth the volume by a Gaussian of so many voxels, 0 to 8: about 1 takes the "
             "dimples of noise away; default: 0."
         ),
+    )
+    @click.option(
+        "--pieces",
+        help="Show no pieces of fewer voxels than this, such as specks of noise; default: 0, all.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})

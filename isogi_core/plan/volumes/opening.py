@@ -30,6 +30,7 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
 from isogi_core.plan.volumes.smoothing import MOST_SMOOTH, smoothed
 
 COPY_FORMAT = 2
@@ -64,6 +65,7 @@ def open_volume(
     tables = read_tables(settings)
     labels = find_labels(settings)
     smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
+    pieces = settings.count("pieces", MOST_PIECE) or 0
     if not name.startswith("demo:"):
         grid, stem = open_own(settings)
         moment = grid.moment
@@ -84,6 +86,12 @@ def open_volume(
         if smooth:
             straight = smoothed(straight, smooth, missing)
             missing = ()  # these are holes by now
+        if pieces and segmented:
+            raise SceneError(
+                f"The volume '{stem}' shows labels: hide labels, and leave pieces out."
+            )
+        if pieces:
+            straight = without_small_pieces(straight, pieces, solid, missing)
         masks = [
             place(table, open_beside(settings, table.file), grid, straight) for table in tables
         ]
@@ -104,11 +112,15 @@ def open_volume(
         raise VolumeError(
             f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
         )
-    if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
+    given = spacing or missing or chosen or raw or tables or pieces
+    if given or labels is not None or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
         named = ", ".join(
             f"'{key}'"
-            for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen)
+            for key in (
+                *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
+                *chosen,
+            )
         )
         raise SceneError(f"{name} {made}: leave out {named}.")
     key = name.removeprefix("demo:")
