@@ -352,7 +352,7 @@ changes it as views do.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
-"""Those of LYING that are numbers."""
+"""Settings of LYING that are numbers."""
 
 
 def split_settings(target: str) -> tuple[str, dict[str, Any]]:

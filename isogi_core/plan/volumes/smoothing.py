@@ -19,7 +19,7 @@ from isogi_core.model.value_survey import are_measured, find_marks, usable, usab
 MOST_SMOOTH = 8.0
 """Greatest standard deviation, voxels."""
 
-REACH = 4.0
+GAUSSIAN_REACH = 4.0
 """Standard deviations to which the Gaussian is summed: beyond lies a share of 6·10⁻⁵ of it."""
 
 SMOOTH_NOTE = "Smoothed by a Gaussian of {sigma:g} voxels along each axis."
@@ -47,8 +47,8 @@ def smoothed(grid: Grid, sigma: float, missing: Sequence[float] = ()) -> Grid:
 
 
 def gaussian_weights(sigma: float, dtype: np.dtype[Any]) -> np.ndarray:
-    """The weights (2 r + 1,) of a Gaussian at whole voxels, r = ⌈REACH σ⌉; their sum is 1."""
-    reach = int(np.ceil(REACH * sigma))
+    """The weights (2 r + 1,) of a Gaussian at whole voxels, r = ⌈GAUSSIAN_REACH σ⌉; their sum is 1."""
+    reach = int(np.ceil(GAUSSIAN_REACH * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     return np.asarray(weights / weights.sum(), dtype)
 
