@@ -72,7 +72,7 @@ def test_the_fit_shows_the_surface_whole_and_large(
         largest = max(largest, (np.ptp(rows) + 1) / height, (np.ptp(columns) + 1) / width)
         assert rows.min() > 0 and rows.max() < height - 1
         assert columns.min() > 0 and columns.max() < width - 1
-    assert 0.8 < largest < 1.0
+    assert 0.75 < largest < 1.0
 
 
 def test_the_fit_of_a_surface_from_above(live_server: str) -> None:
