@@ -81,6 +81,33 @@ def test_the_camera_turns_about_the_middle_of_the_surface(tmp_path: Path) -> Non
         assert np.abs(np.subtract(found[0][0], expected)).max() < 0.75
 
 
+EIGHT = {
+    "engine_256x256x128_uint8": 70,
+    "ct_head_208x256x225_uint8": 64,
+    "avm_337x319x154_uint8": 45,
+    "mni152_t1_197x233x189_uint8": 140,
+    "bucky_32x32x32_uint8": 90,
+    "hydrogen3d_64x64x64_float32": 0.1,
+    "boston_teapot_256x256x178_uint8": 35,
+    "tooth_103x94x161_uint16": 700,
+}
+"""Shared volumes, and isovalues that show them."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EIGHT)
+def test_a_whole_turn_keeps_real_surfaces_inside(
+    name: str, shared_data: Path, tmp_path: Path
+) -> None:
+    scene = load_scene(shared_data / f"{name}.nhdr", isovalue=EIGHT[name])
+    bench = Workbench(scene, tmp_path)
+    azimuth, elevation = scene.front
+    found = fitted(bench.renderer, bench.view(), azimuth, elevation)
+    assert found is not None
+    turns = range(0, 360, 15)
+    assert not any(outside(bench, found, azimuth + turn, elevation) for turn in turns)
+
+
 GLOWING_BALL = {"sphere": [85.0, 12.0, 47.0, 8.0]}
 
 
