@@ -93,22 +93,20 @@ test-python: $(BIN)/.tools
 
 # Every picture in the README and in docs/, but for those in docs/measurements, which the suites draw.
 pictures: $(BIN)/.tools
-	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --distance 3 \
+	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 \
 	  --width 960 --height 600 --target-error 0.03
-	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
+	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png \
 	  --width 960 --height 600 --target-error 0.03
-	$(BIN)/isogi render docs/glow.toml -o docs/glow.png --azimuth 35 --elevation 18 --distance 2.6 --exposure 6 \
-	  --width 640 --height 480 --target-error 0.03
+	$(BIN)/isogi render docs/glow.toml -o docs/glow.png --width 640 --height 480 --target-error 0.03
+	$(BIN)/isogi render docs/cornell.toml -o docs/cornell.png --width 300 --height 300 --target-error 0.03
 	for kind in window cut; do $(BIN)/isogi render demo:casting -o docs/$$kind.png --$$kind "y>32" --azimuth 60 \
 	  --elevation 30 --width 640 --height 480 --target-error 0.05; done
-	$(BIN)/isogi render docs/colours.toml -o docs/colours.webp --azimuth 35 --elevation 28 --distance 3 \
-	  --width 480 --height 360 --target-error 0.03
-	$(BIN)/isogi render docs/surfaces.toml -o docs/surfaces.webp --azimuth 40 --elevation 20 --distance 2.2 \
-	  --width 480 --height 360 --target-error 0.03
+	$(BIN)/isogi render docs/colours.toml -o docs/colours.webp --width 480 --height 360 --target-error 0.03
+	$(BIN)/isogi render docs/surfaces.toml -o docs/surfaces.webp --width 480 --height 360 --target-error 0.03
 	$(BIN)/python docs/draw_concepts.py
 	$(BIN)/python docs/draw_labels.py
 	for albedo in 0.3 0.9; do $(BIN)/isogi render docs/albedo.toml -o docs/albedo-$$albedo.png --albedo $$albedo \
-	  --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
+	  --width 480 --height 360 --target-error 0.03; done
 	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png
 	$(BIN)/python docs/draw_gallery.py
 	$(BIN)/python docs/draw_scenes.py

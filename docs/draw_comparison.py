@@ -77,7 +77,7 @@ def by_vtk(scene: Scene, view: View, by: str) -> np.ndarray:
     return window.picture(view.isovalue).copy()
 
 
-GREY = "e2e4e6"
+GREY = "cbced1"
 """The light ground, sRGB."""
 
 

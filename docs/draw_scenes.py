@@ -18,13 +18,7 @@ HERE = Path(__file__).parent / "scenes"
 SECONDS = 240.0
 """Longest time that one may take; what is not at its target by then is shown as it is."""
 
-VIEWS: dict[str, dict[str, str]] = {
-    "medical": {"azimuth": "68", "elevation": "10", "distance": "3.0"},
-    "molecular": {"azimuth": "90", "elevation": "4", "distance": "3.3"},
-    "microscopy": {"azimuth": "50", "elevation": "15", "distance": "2.9"},
-    "nuclear": {"azimuth": "90", "elevation": "4", "distance": "3.3"},
-}
-"""The camera of each scene."""
+SCENES = ("medical", "molecular", "microscopy", "nuclear")
 
 ALWAYS = {"width": "360", "height": "320", "max_error": "0.05"}
 
@@ -39,15 +33,13 @@ def find_volume(data: Path, scene: Path) -> Path:
 def main(names: list[str]) -> None:
     """Draw the pictures with these names, or all."""
     data = Path(os.environ["ISOGI_SHARED_DATA"]).resolve()
-    for name in names or VIEWS:
+    for name in names or SCENES:
         scene = HERE / f"{name}.toml"
         volume = find_volume(data, scene)
         with tempfile.TemporaryDirectory() as folder:
             beside = Path(folder) / scene.name
             beside.write_text(scene.read_text().replace(f'"{volume.name}"', f'"{volume}"'))
-            facts = render(
-                str(beside), HERE / f"{name}.webp", ALWAYS | VIEWS[name], Settings(), SECONDS
-            )
+            facts = render(str(beside), HERE / f"{name}.webp", ALWAYS, Settings(), SECONDS)
         sys.stdout.write(f"{rendered(facts)}\n")
 
 

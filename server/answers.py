@@ -27,7 +27,7 @@ from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import IDENTITY, View
-from isogi_core.plan.isovalue_presets import front_of
+from isogi_core.plan.histograms import shown_histogram
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import material_settings
@@ -92,12 +92,16 @@ MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary
 
 def scene_schema(scene: Scene) -> SceneSchema:
     """The document of one scene."""
-    counts, edges = scene.volume.histogram()
+    shown = shown_histogram(scene.volume)
     return SceneSchema(
         id=scene.id,
         name=scene.name,
         volume=volume_schema(scene),
-        histogram=Histogram(counts=counts.tolist(), edges=edges.tolist()),
+        histogram=Histogram(
+            counts=shown.counts.tolist(),
+            edges=shown.edges.tolist(),
+            logarithmic=shown.logarithmic,
+        ),
         defaults=defaults(scene),
         ranges=ranges(scene),
         presets=[PresetSchema(**asdict(preset)) for preset in scene.presets],
@@ -127,6 +131,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         ],
         rotating=scene.lighting.rotating,
         turns=scene.lighting.rotating and scene.plan.representation == "transfer",
+        view=scene.settings.first.given,
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
         plan=plan_schema(scene),
         read_only=False,
@@ -210,16 +215,21 @@ def camera_schema(
     elevation: float | None,
     projection: str | None = None,
 ) -> CameraSchema:
-    """The camera that shows a view's surface whole and large; the whole volume, where none is to be
-    seen of it.
+    """The camera that shows a view's surface whole at every azimuth, and large; the whole volume,
+    where none is to be seen of it. A scene that says where its first camera is has that one.
 
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
     scene = renderer.prepared.scene
-    front, above = front_of(scene.volume, scene.lighting.room.any)
+    first = scene.settings.first
+    front, above = scene.front
     azimuth = front if azimuth is None else azimuth
     elevation = above if elevation is None else elevation
-    target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
+    if first.placed:
+        target = first.target or scene.volume.world_centre
+        distance = first.distance or KNOBS["distance"].default
+    else:
+        target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from isogi_core.model.choices import MAX_GLOW_STRENGTH, OVERLAYS, PROJECTIONS, VIEW_SHADINGS
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.material import SHINE_HELP, SHINE_KINDS, SHINE_KNOBS, SHINE_RANGES
+from isogi_core.plan.volumes.smoothing import MOST_SMOOTH
 from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, Span, Words
 
 if TYPE_CHECKING:
@@ -96,6 +97,13 @@ def _albedo(scene: Scene) -> float | str | None:
     return ",".join(f"{share:.6g}" for share in own)
 
 
+def _smooth(scene: Scene) -> float | None:
+    """Labels are not smoothed."""
+    if scene.volume.segmented:
+        return None
+    return float(scene.source.document.get("smooth", 0.0))
+
+
 def _shine(name: str) -> Callable[[Scene], Any]:
     return lambda scene: getattr(scene.surfaces.shine, SHINE_KNOBS[name], None)
 
@@ -124,6 +132,13 @@ KNOB_GROUPS = {
             Span(0, MOST_STEPS, whole=True),
             "Which step of a series in time, each with light of its own",
             own=lambda scene: scene.volume.moment[0] if scene.volume.moment[1] > 1 else None,
+        ),
+        Knob(
+            "smooth",
+            Span(0, MOST_SMOOTH),
+            "A Gaussian that smooths the volume before its surface, with light of its own",
+            unit="voxels",
+            own=_smooth,
         ),
         Knob(
             "surfaces",

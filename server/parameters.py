@@ -61,6 +61,7 @@ class VariantParams(LightParams):
 
     cut: str | None = knob("cut")
     time: int | None = knob("time")
+    smooth: float | None = knob("smooth")
     surfaces: str | None = knob("surfaces")
     hide: str | None = knob("hide")
     material: str | None = knob("material")
@@ -353,6 +354,7 @@ class SliceParams(NoParams):
         None, description="The value that is white; default: its greatest one, outliers aside."
     )
     time: int | None = knob("time")
+    smooth: float | None = knob("smooth")
     f: Annotated[str, Choice(("png", "npy"))] = Field(
         "png", description="A grey picture; or npy, the values themselves, in the volume's units."
     )

@@ -83,10 +83,14 @@ class VolumeSchema(BaseModel):
 
 
 class Histogram(BaseModel):
-    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts)."""
+    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+
+    Edges are even, or, where the axis is ``logarithmic``, at even ratios but for the first.
+    """
 
     counts: list[int]
     edges: list[float]
+    logarithmic: bool
 
 
 class Range(BaseModel):
@@ -309,7 +313,8 @@ class SceneSchema(BaseModel):
     ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one
     that slides, which lets the share ``clear`` of rays pass, and of other light its
     ``transmission`` through, diffuse. ``material`` is what this is about, as views spell it, and
-    ``materials`` are all, with why some of them are refused.
+    ``materials`` are all, with why some of them are refused. ``view`` is what the scene says of its
+    first view, by the names of parameters.
     """
 
     id: str
@@ -340,6 +345,7 @@ class SceneSchema(BaseModel):
     environments: list[EnvironmentSchema] = []
     rotating: bool
     turns: bool
+    view: dict[str, float | str | Triple]
     error_scale: ErrorScale
     plan: PlanSchema
     read_only: bool

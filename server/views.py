@@ -1,5 +1,6 @@
 """The view that parameters ask for, of a scene."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from isogi_core.errors import ViewError
@@ -64,6 +65,34 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         if params.window is None
         else read_window(params.window).in_box(scene.volume.orientation),
     )
+
+
+PLACING = frozenset(("distance", "eye", "target", "up"))
+"""Parameters that say where the camera is."""
+
+
+def with_first_view(
+    scene: Scene, knobs: Mapping[str, str], others: Iterable[Mapping[str, str]] = ()
+) -> dict[str, str]:
+    """The parameters of a view, as text, with those of the scene's first view that ``knobs`` and
+    ``others``, views that go with these, leave to it.
+
+    A camera that is placed by them is at no distance and target of the scene; see ``camera_of``.
+    """
+    given = set(knobs).union(*others)
+    first = scene.settings.first.given
+    if given.intersection(PLACING):
+        first = {name: value for name, value in first.items() if name not in PLACING}
+    if "eye" in given:
+        given |= {"azimuth", "elevation"}
+    if "light" in given:
+        given |= {"yaw", "pitch", "roll"}
+    told = {
+        name: ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+        for name, value in first.items()
+        if name not in given
+    }
+    return {**told, **knobs}
 
 
 def isovalue_of(scene: Scene, params: ViewParams) -> float:

@@ -296,10 +296,13 @@ export interface ErrorScale {
 
 /**
  * Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+ *
+ * Edges are even, or, where the axis is `logarithmic`, at even ratios but for the first.
  */
 export interface Histogram {
   counts: Array<number>;
   edges: Array<number>;
+  logarithmic: boolean;
 }
 
 /**
@@ -539,7 +542,8 @@ export interface SceneList {
  * `albedo`; that is then the most that colours reflect. `surfaces` are pinned beside the one
  * that slides, which lets the share `clear` of rays pass, and of other light its
  * `transmission` through, diffuse. `material` is what this is about, as views spell it, and
- * `materials` are all, with why some of them are refused.
+ * `materials` are all, with why some of them are refused. `view` is what the scene says of its
+ * first view, by the names of parameters.
  */
 export interface Scene {
   id: string;
@@ -570,6 +574,7 @@ export interface Scene {
   environments: Array<Environment>;
   rotating: boolean;
   turns: boolean;
+  view: Record<string, number | string | [number, number, number]>;
   error_scale: ErrorScale;
   plan: Plan;
   read_only: boolean;

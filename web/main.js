@@ -274,7 +274,7 @@ function attachCutting(scene, view, card, onRest) {
     card.close();
   });
   const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
-    read: (axis, at, time) => readSlice(scene, axis, at, time),
+    read: (axis, at, voxels) => readSlice(scene, axis, at, voxels),
     cuts: folder,
     cut: (point, normal) =>
       cut(point, (towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),

@@ -8,6 +8,7 @@ surface is made of.
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -340,22 +341,32 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     }
 
 
-LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGING_PARAMETERS)
+LYING = (
+    *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *CHANGING_PARAMETERS,
+)
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
-solid, whether its values are labels, its light, what is cut away, and what changes it as views do.
+solid, how far it is smoothed, whether its values are labels, its light, what is cut away, and what
+changes it as views do.
 """
 
+NUMBERS_LYING = ("smooth", "pieces")
+"""Settings of LYING that are numbers."""
 
-def split_settings(target: str) -> tuple[str, dict[str, str]]:
+
+def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     """A target without what follows its # about LYING, and that as settings."""
     place, mark, part = target.rpartition("#")
     if not mark or Path(target).exists():
         return target, {}
-    told = {
+    told: dict[str, Any] = {
         key: unquote(value)
         for key, _, value in (each.partition("=") for each in part.split("&"))
         if key in LYING
     }
+    for key in (each for each in NUMBERS_LYING if each in told):
+        with suppress(ValueError):  # a text stays, which the setting refuses
+            told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
@@ -369,6 +380,8 @@ VOXEL_SETTINGS = (
     "inside_out",
     "spacing",
     "missing",
+    "smooth",
+    "pieces",
     "axes",
     "volumes",
     *PART_SETTINGS,

@@ -53,6 +53,7 @@ from isogi_core.kernels.tracing.camera import (
     trace_pixels,
     trace_places,
 )
+from isogi_core.kernels.tracing.extents import fill_row_ends
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.peels import peel_rays
@@ -126,6 +127,7 @@ FRAME = (
     pack_bricks,
     number_bricks,
     fill_macrocells,
+    fill_row_ends,
     find_coarse_corners,
     find_corners,
     add_footprints,
@@ -190,7 +192,7 @@ pictures, and of views through a window.
 FIRST_KERNELS = (
     *(trace_pixels, light_in_room, light_walls, fill_seeds, peel_rays),
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
-    *(find_normals, tally, develop_rows, fill_curve),
+    *(fill_row_ends, find_normals, tally, develop_rows, fill_curve),
 )
 """Kernels that pictures without light from texels call as well: they come first where none are
 compiled.

@@ -58,9 +58,9 @@ def error_colours(error: np.ndarray) -> np.ndarray:
 BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
 
-LIGHT = "e2e4e6"
-"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is
-lit stands out.
+LIGHT = "cbced1"
+"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, some 20 levels
+darker than what is lit, so that pale surfaces keep their outlines.
 """
 
 HATCHING_COLOUR = (0.95, 0.42, 0.05)

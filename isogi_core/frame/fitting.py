@@ -1,8 +1,7 @@
-"""A camera as near as the shown surface fits."""
+"""A camera that turns about the middle of the surface, as near as that fits from all sides."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -11,28 +10,23 @@ import numpy as np
 from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
-from isogi_core.model.glow import Glowing
+from isogi_core.model.room import Wall, cornell_room
 from isogi_core.model.view import View, orbit
+from isogi_core.plan.isovalue_presets import BALL_DIRECTIONS
+from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import surfaces_of
+from isogi_core.prepared.isosurface_mesh import outermost_points
+from isogi_core.prepared.prepared_scene import PreparedScene
 
-FITTED_SIDE = 96
-"""Pixels along each side of the picture that finds the surface."""
-
-FILLED = 0.9
-"""Share of the picture's height, or width, that the surface fills."""
-
-SPECKS = 0.003
-"""Share of the surface's pixels that may be outside at each side: noise afar does not push the
-camera away.
+FILLED = 0.95
+"""Share of the picture's height, or width, that the surface fills from the side where it is
+largest.
 """
 
-
-MIN_SURFACE_PIXELS = 9
-"""Pixels of a surface, at least, that tell how large it is: of one the camera would be at no
-distance.
+NEAREST = 0.05
+"""Least distance of a fitted camera, in radii of the volume: a speck of a voxel or two is shown
+with something of what is around it.
 """
-
-SHALLOW = 0.05
-"""How far apart cameras look, as a sine, for their pictures to tell how deep the middle lies."""
 
 
 class Stand(NamedTuple):
@@ -43,17 +37,6 @@ class Stand(NamedTuple):
     view: View
     azimuth: float
     elevation: float
-
-
-class Cloud(NamedTuple):
-    """What a picture is to show: ``points`` of the world (n, 3), along the ``axes`` (3, 3) of a
-    camera, right, up and back; ``slopes`` are how far it looks aside, across and up, for each unit
-    of depth.
-    """
-
-    points: np.ndarray
-    axes: np.ndarray
-    slopes: tuple[float, float]
 
 
 def fitted(
@@ -71,129 +54,128 @@ def fitted_to_all(
     renderer: Renderer, stands: Sequence[Stand], projection: str = PROJECTIONS[0]
 ) -> tuple[Vector, float] | None:
     """The world's target and the distance from it, in radii, at which views show their surfaces
-    whole and large, and balls and boxes beside these that glow. All views have the same, also where
-    they look from many sides.
+    and what glows whole from every azimuth; and the walls from the azimuths of the ``stands``.
 
-    Distance and target are for a camera with that ``projection``. None where no surface is to be
-    seen, or too little of it. Raises Cancelled.
+    The target is the middle of all of that, and the same for all views. Distance and target are for
+    a camera with that ``projection``. None if there is no surface.
     """
-    clouds = [cloud for stand in stands if (cloud := cloud_of(renderer, stand)) is not None]
-    if not clouds:
+    prepared = renderer.prepared
+    scene = prepared.scene
+    isovalues = dict.fromkeys(stand.view.isovalue for stand in stands)
+    surfaces = [surface_points(prepared, isovalue) for isovalue in isovalues]
+    shown = np.concatenate(surfaces)
+    if not len(shown):
         return None
+    shown = np.concatenate([shown, glowing_points(prepared)])
+    walls = wall_points(scene)
+    everything = np.concatenate([shown, walls])
+    middle = (everything.min(axis=0) + everything.max(axis=0)) / 2.0
     if projection == PROJECTIONS[0]:
         depth = 1.0
     else:
         depth = 0.0
-    alike = all(
-        np.allclose(each.axes, clouds[0].axes) and each.slopes == clouds[0].slopes
-        for each in clouds
+    away = max(
+        max(needed_around(shown - middle, stand, depth), needed_from(walls - middle, stand, depth))
+        for stand in stands
     )
-    if alike:
-        aim, away = nearest_ahead(clouds, depth)
-    else:
-        aim, away = nearest_around(clouds, depth)
-    return triple(aim), away / renderer.prepared.scene.volume.radius
+    return triple(middle), max(away / scene.volume.radius, NEAREST)
 
 
-def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
-    """What the picture of a ``stand`` is to show; None where that is nothing, or too little. Raises
-    Cancelled.
+def surface_points(prepared: PreparedScene, isovalue: float) -> np.ndarray:
+    """Points (n, 3) of the world that have the convex hull of all surfaces of a view at an
+    ``isovalue``, in the units of the volume's file.
     """
-    scene = renderer.prepared.scene
-    view = stand.view
-    volume = scene.volume
-    orientation = view.orientation
-    fov = view.camera.fov
-    across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
-    away = math.hypot(1.0, 1.0 / across)
-    # Look at the square in the middle of the picture, which has the whole volume in it: what a long
-    # picture has besides is empty.
-    angle = 2.0 * math.degrees(math.atan(across))
-    afar = orbit(volume.world_centre, volume.radius, stand.azimuth, stand.elevation, away, angle)
-    square = replace(view, camera=afar.in_box(orientation), width=FITTED_SIDE, height=FITTED_SIDE)
-    seen = renderer.gbuffer(square)
-    if len(seen.points) < MIN_SURFACE_PIXELS:
-        return None
-    right, up, forward = afar.basis()
-    axes = np.stack([right, up, -forward])
-    points = orientation.to_world(seen.points * np.array(seen.spacing))
-    rims = orientation.to_world(rims_of(scene.lighting.glowing, axes @ orientation.matrix))
-    points = np.vstack([points, np.repeat(rims, math.ceil(2.0 * SPECKS * len(points)), axis=0)])
-    slope = FILLED * math.tan(math.radians(fov) / 2.0)
-    return Cloud(points, axes, (slope * view.width / view.height, slope))
+    scene = prepared.scene
+    found = [
+        outermost_points(prepared.field, prepared.surface(each.isovalue).isovalue)
+        for each in surfaces_of(scene, isovalue)
+    ]
+    points = np.concatenate(found) * np.array(scene.volume.spacing)
+    return scene.volume.orientation.to_world(points)
 
 
-def rims_of(glowing: Glowing, axes: np.ndarray) -> np.ndarray:
-    """Points at the rims of regions of which all glows, in the box, (n, 3): corners of boxes, ends
-    of balls' diameters along the ``axes`` (3, 3).
+def glowing_points(prepared: PreparedScene) -> np.ndarray:
+    """Points (n, 3) of the world that have the convex hull of what glows, or a little more.
+
+    Of a range of values it is the part of the box, or ball, that the isosurfaces at the range's
+    ends reach: a mist of values thins out long before the box ends.
     """
-    rims = [np.empty((0, 3))]
+    volume = prepared.scene.volume
+    glowing = prepared.scene.lighting.glowing
+    spacing = np.array(volume.spacing)
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    found = [np.empty((0, 3))]
     for middle, half, ball, values in zip(
         glowing.middles, glowing.halves, glowing.round, glowing.ranges, strict=True
     ):
-        if np.isinf(values).all():
-            rims.append(middle + half * (np.vstack([axes, -axes]) if ball else corners))
-    return np.concatenate(rims)
-
-
-def nearest(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray, float]:
-    """Where a camera that looks along -z aims, (3,), and its distance from there, so that it just
-    sees all ``points``.
-
-    From (p, q, d) it sees those of |x - p| ≤ s (d - z), s of ``slopes``, and of y likewise: what is
-    greatest of s z + x and of s z - x gives p, and the least d. The aim is as deep as the middle of
-    ``points`` (n, 3).
-    """
-    above, below = (
-        [most(slope * points[:, 2] + sign * points[:, axis]) for axis, slope in enumerate(slopes)]
-        for sign in (1, -1)
-    )
-    middle = float(np.median(points[:, 2]))
-    away = max((a + b) / (2.0 * slope) for a, b, slope in zip(above, below, slopes, strict=True))
-    return np.array(
-        [(above[0] - below[0]) / 2.0, (above[1] - below[1]) / 2.0, middle]
-    ), away - middle
-
-
-def nearest_ahead(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, float]:
-    """Where cameras that all look the same way aim, and their distance from there: ``nearest``, in
-    the world.
-
-    ``depth`` is 0 for a camera whose rays are parallel, to which depths do not matter.
-    """
-    axes = clouds[0].axes
-    slopes = clouds[0].slopes
-    points = np.vstack([cloud.points for cloud in clouds]) @ axes.T
-    aim, away = nearest(points * [1.0, 1.0, depth], slopes)
-    middle = float(np.median(points[:, 2]))
-    return np.array([aim[0], aim[1], middle]) @ axes, away
-
-
-def nearest_around(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, float]:
-    """Where cameras that look from several sides aim, and the greatest distance that one of them
-    needs from there.
-
-    The aim is the point that all pictures together have nearest to their middles, by least squares;
-    no deeper or nearer than the middle of the ``clouds`` where the pictures leave that open.
-    """
-    middle = np.median(np.vstack([cloud.points for cloud in clouds]), axis=0)
-    rows = np.concatenate([cloud.axes[:2] for cloud in clouds])
-    seen = [(cloud.points - middle) @ cloud.axes.T * [1.0, 1.0, depth] for cloud in clouds]
-    wanted = np.concatenate(
-        [nearest(x, cloud.slopes)[0][:2] for x, cloud in zip(seen, clouds, strict=True)]
-    )
-    off = np.linalg.lstsq(rows, wanted, SHALLOW)[0]
-    needed = []
-    for points, cloud in zip(seen, clouds, strict=True):
-        x, y, z = (points - cloud.axes @ off * [1.0, 1.0, depth]).T
-        needed += [
-            most(z + np.abs(aside) / slope)
-            for aside, slope in zip((x, y), cloud.slopes, strict=True)
+        ends = [
+            outermost_points(prepared.field, volume.normalise_isovalue(volume.file_value(end)))
+            for end in values
+            if np.isfinite(end)
         ]
-    return middle + off, max(needed)
+        if ends:
+            region = np.clip(np.concatenate(ends) * spacing, middle - half, middle + half)
+        else:
+            region = middle + half * (BALL_DIRECTIONS if ball else corners)
+        found.append(region)
+    return volume.orientation.to_world(np.concatenate(found))
 
 
-def most(values: np.ndarray) -> float:
-    """The greatest of ``values`` (n,), a few specks aside."""
-    return float(np.quantile(values, 1.0 - SPECKS))
+def wall_points(scene: Scene) -> np.ndarray:
+    """Corners (n, 3) of the walls in the world, as far as these reach into the cube that a Cornell
+    room would be: a floor that goes on does not push the camera away.
+    """
+    walls = corners_of(scene.lighting.room.walls)
+    cube = corners_of(cornell_room(scene.volume))
+    return np.clip(walls, cube.min(axis=0), cube.max(axis=0))
+
+
+def corners_of(walls: Sequence[Wall]) -> np.ndarray:
+    """The corners (n, 3) of ``walls``, in the world."""
+    return np.array(
+        [
+            np.add(wall.corner, a * np.array(wall.edges[0]) + b * np.array(wall.edges[1]))
+            for wall in walls
+            for a, b in product((0.0, 1.0), repeat=2)
+        ]
+    ).reshape(-1, 3)
+
+
+def slopes_of(view: View) -> tuple[float, float]:
+    """How far what a fitted camera shows may lie aside, across and up, for each unit of depth."""
+    slope = FILLED * math.tan(math.radians(view.camera.fov) / 2.0)
+    return slope * view.width / view.height, slope
+
+
+def needed_around(points: np.ndarray, stand: Stand, depth: float) -> float:
+    """The least distance from the origin at which cameras at every azimuth, at the elevation e of a
+    ``stand``, see ``points`` (n, 3).
+
+    A point at radius r about the z axis and at height z, turned by φ towards the camera, is at
+    r cos φ cos e + z sin e in depth, r sin φ aside and z cos e - r cos φ sin e up. It is seen from
+    at least depth + |aside| / s and depth + |up| / t, s and t of ``slopes_of``; the greatest of
+    these over φ is a length √(a² + b²) of what is before cos φ and sin φ. ``depth`` is 0 for a
+    camera whose rays are parallel, to which depths do not matter.
+    """
+    across, up = slopes_of(stand.view)
+    e = math.radians(stand.elevation)
+    cosine, sine = math.cos(e), math.sin(e)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    height = points[:, 2]
+    beside = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
+    above = radius * abs(depth * cosine - sine / up) + height * (depth * sine + cosine / up)
+    below = radius * abs(depth * cosine + sine / up) + height * (depth * sine - cosine / up)
+    return float(max(each.max() for each in (beside, above, below)))
+
+
+def needed_from(points: np.ndarray, stand: Stand, depth: float) -> float:
+    """The least distance from the origin at which the camera of a ``stand`` sees ``points`` (n, 3):
+    see ``needed_around``.
+    """
+    camera = orbit((0.0, 0.0, 0.0), 1.0, stand.azimuth, stand.elevation, 1.0, stand.view.camera.fov)
+    right, up, forward = camera.basis()
+    needed = [
+        np.abs(points @ axis) / slope - depth * (points @ forward)
+        for axis, slope in zip((right, up), slopes_of(stand.view), strict=True)
+    ]
+    return float(np.max(needed, initial=0.0))

@@ -18,6 +18,7 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
+from isogi_core.model.first_view import read_first_view
 from isogi_core.model.material import leaving
 from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.value_survey import Progress, no_progress
@@ -127,6 +128,7 @@ def read_settings(
         projected=settings.flag("projected", None),
         presets=read_presets(settings, isovalues),
         projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
+        first=read_first_view(settings),
         overrides=overrides,
     )
 

@@ -17,6 +17,7 @@ from isogi_core.kernels.transport.light_paths import Open, Surroundings
 from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.room_paths import InRoom
 from isogi_core.kernels.transport.surface_paths import Among
+from isogi_core.model.first_view import FirstView
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
@@ -81,8 +82,8 @@ class SceneSettings:
     (plain). Rays start ``offset`` voxels above a surface. ``projected`` settles whether texels that
     are far from the isosurface of a view at rest are projected onto it; None leaves that to the
     plan, see ``plan.projection``. ``presets`` are the isovalues that the scene names, and
-    ``projection``, one of PROJECTIONS, is that of views that ask for none. ``overrides`` are
-    choices for the plan.
+    ``projection``, one of PROJECTIONS, is that of views that ask for none, and ``first`` the view
+    that the scene names. ``overrides`` are choices for the plan.
     """
 
     lattice: float
@@ -92,6 +93,7 @@ class SceneSettings:
     projected: bool | None
     presets: tuple[Preset, ...]
     projection: str
+    first: FirstView
     overrides: PlanOverrides
 
 
@@ -191,9 +193,21 @@ class Scene:
         find = partial(find_seen, self.volume, self.start, front_of(self.volume, inside))
         return self.exposed_for or found(self.volume, ("seen", self.start, inside), find)
 
+    @property
+    def front(self) -> tuple[float, float]:
+        """The azimuth and the elevation that the scene is seen from at first."""
+        first = self.settings.first
+        azimuth, elevation = front_of(self.volume, self.lighting.room.any)
+        return (
+            azimuth if first.azimuth is None else first.azimuth,
+            elevation if first.elevation is None else first.elevation,
+        )
+
     @cached_property
     def default_exposure(self) -> float:
-        """The exposure of pictures that ask for none: see ``exposure_for``."""
+        """The exposure of pictures that ask for none: the scene's, or see ``exposure_for``."""
+        if self.settings.first.exposure is not None:
+            return self.settings.first.exposure
         lamps = self.lighting.lamps.approximate(MAX_ORDER, self.volume.centre, self.volume.radius)
         light = self.inputs.harmonics + lamps
         light[:, 0] += self.glow_around * math.sqrt(4.0 * math.pi)

@@ -1,6 +1,6 @@
-"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with
-labels hidden, of another material, or in finer light: more texels and more bands, for views whose
-control pixels ask for it.
+"""Scenes made over: in other light, cut open, at another time, smoothed, with other surfaces
+beside, with labels hidden, of another material, or in finer light: more texels and more bands, for
+views whose control pixels ask for it.
 
 Each is a scene like any other, by another id. What it has in common with the first it shares.
 
@@ -9,6 +9,7 @@ the one that slides, and the others are pinned beside it, the one that slides at
 is shown. Of inner sides the volume is turned inside out, so that they are outer ones.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,7 +61,14 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume is
     shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    return remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
+    document = {**scene.source.document, "environment": environment}
+    if isinstance(
+        document.get("view"), Mapping
+    ):  # an exposure is for the light that it was found in
+        document["view"] = {
+            key: value for key, value in document["view"].items() if key != "exposure"
+        }
+    return remade(scene, document, scene.volume, name)
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
@@ -105,6 +113,16 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     other = remade(scene, document, volume, name)
     low, high = other.isovalues
     return replace(other, isovalue=min(max(scene.isovalue, low), high))
+
+
+def smoothed_by(scene: Scene, sigma: float, name: str, volume: Volume | None = None) -> Scene:
+    """The scene with its volume smoothed by a Gaussian of ``sigma`` voxels in place of its own, by
+    another id, ``name``; of a ``volume`` where it is open.
+
+    Its range of isovalues stays. Raises SceneError and VolumeError.
+    """
+    other = remade(scene, {**scene.source.document, "smooth": sigma}, volume, name)
+    return replace(other, isovalue=scene.isovalue, isovalues=scene.isovalues)
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:

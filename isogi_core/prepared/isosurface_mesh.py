@@ -16,10 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from isogi_core.kernels.tracing.extents import fill_row_ends
+from isogi_core.kernels.tracing.field import Field
 from isogi_core.model.volume import Isovalue
 
 MESH_BATCH_CELLS = 1 << 16
 """Cells whose vertices are found together."""
+
+MAX_HULL_ROWS = 1 << 15
+"""Ends of rows up to which all count in ``outermost_points``: a voxel is a hundredth there."""
 
 NEWTON_STEPS = 6
 """Newton steps from the mean of a cell's crossings onto the surface."""
@@ -58,9 +63,7 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
     """
     level = float(isovalue)
     (cells, _) = cells_of(voxels, float(isovalue))
-    corners = np.stack(
-        [voxels[tuple((cells + corner).T[::-1])] for corner in CELL_CORNERS], axis=1
-    ).astype(np.float64)
+    corners = _corners_of(voxels, cells)
     starts = range(0, len(cells), MESH_BATCH_CELLS)
     inside = [_settled(corners[start : start + MESH_BATCH_CELLS], level) for start in starts]
     vertices = cells + np.concatenate([np.zeros((0, 3)), *inside])
@@ -97,6 +100,40 @@ def cells_of(voxels: np.ndarray, level: float) -> tuple[np.ndarray, int]:
     return np.concatenate(found), solid
 
 
+def outermost_points(field: Field, isovalue: Isovalue) -> np.ndarray:
+    """Points (n, 3) of an isosurface in index space, x first, that have its convex hull.
+
+    They are on edges of the first and the last cell of each row along x that holds the surface. Of
+    more than MAX_HULL_ROWS rows those are left out whose neighbours along y or z reach as far on
+    both sides: the hull is then right to less than a voxel.
+    """
+    nz, ny, _ = field.voxels.shape
+    ends = np.empty((2, nz - 1, ny - 1), np.int32)
+    fill_row_ends(field.voxels, field.low, field.high, float(isovalue), ends)
+    found = []
+    for cells, inwards in zip(ends, (1.0, -1.0), strict=True):
+        reach = np.where(cells < 0, np.inf, inwards * cells)
+        padded = np.pad(reach, 1, constant_values=np.inf)
+        along_y = padded[1:-1, :-2] + padded[1:-1, 2:]
+        along_z = padded[:-2, 1:-1] + padded[2:, 1:-1]
+        kept = np.isfinite(reach)
+        if ends.size > MAX_HULL_ROWS:
+            kept &= 2.0 * reach < np.minimum(along_y, along_z)
+        z, y = np.nonzero(kept)
+        found.append(np.column_stack([cells[z, y], y, z]))
+    cells = np.concatenate(found)
+    corners = _corners_of(field.voxels, cells)
+    places, crossed = edge_crossings(corners, float(isovalue))
+    return np.asarray((cells[:, None] + places)[crossed])
+
+
+def _corners_of(voxels: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """The voxels at the corners of ``cells`` (n, 3), (n, 8) float64."""
+    return np.stack(
+        [voxels[tuple((cells + corner).T[::-1])] for corner in CELL_CORNERS], axis=1
+    ).astype(np.float64)
+
+
 def _around(slab: np.ndarray) -> np.ndarray:
     """How many corners of each cell between two layers (2, ny, nx) are true; (ny - 1, nx - 1)."""
     layers = slab.astype(np.int8).sum(axis=0)
@@ -107,13 +144,7 @@ def _settled(corners: np.ndarray, level: float) -> np.ndarray:
     """Places (n, 3) in the unit cells of ``corners`` (n, 8), on the trilinear surface or as near as
     steps come.
     """
-    one, other = corners[:, EDGES[:, 0]], corners[:, EDGES[:, 1]]
-    crossed = (one > level) != (other > level)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(crossed, (level - one) / (other - one), 0.0)
-    ends = CELL_CORNERS[EDGES[:, 0]] + share[..., None] * (
-        CELL_CORNERS[EDGES[:, 1]] - CELL_CORNERS[EDGES[:, 0]]
-    )
+    ends, crossed = edge_crossings(corners, level)
     place = (ends * crossed[..., None]).sum(axis=1) / crossed.sum(axis=1)[:, None]
     for _ in range(NEWTON_STEPS):
         value, slope = _trilinear(corners, place)
@@ -121,6 +152,20 @@ def _settled(corners: np.ndarray, level: float) -> np.ndarray:
         step = np.divide(level - value, square, out=np.zeros_like(value), where=square > 0.0)
         place = np.clip(place + step[:, None] * slope, 0.0, 1.0)
     return place
+
+
+def edge_crossings(corners: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 12, 3) in the unit cell where a surface crosses the edges of cells with these
+    ``corners`` (n, 8), and which edges it crosses, (n, 12).
+    """
+    one, other = corners[:, EDGES[:, 0]], corners[:, EDGES[:, 1]]
+    crossed = (one > level) != (other > level)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(crossed, (level - one) / (other - one), 0.0)
+    ends = CELL_CORNERS[EDGES[:, 0]] + share[..., None] * (
+        CELL_CORNERS[EDGES[:, 1]] - CELL_CORNERS[EDGES[:, 0]]
+    )
+    return ends, crossed
 
 
 def _trilinear(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,9 +287,7 @@ def _sums(
     total = np.zeros(2)
     for start in range(0, len(cells), SUMMED_CELLS):
         some = cells[start : start + SUMMED_CELLS]
-        corners = np.stack(
-            [voxels[tuple((some + corner).T[::-1])] for corner in CELL_CORNERS], axis=1
-        ).astype(np.float64)
+        corners = _corners_of(voxels, some)
         if halves:
             total += _cut(_halved(corners), level, matrix / 2.0)
         else:

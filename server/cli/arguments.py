@@ -143,7 +143,10 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
     return decorate
 
 
-VOLUME_OPTIONS = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
+VOLUME_OPTIONS = (
+    *("axes", "raw", "solid", "smooth", "pieces", "environment"),
+    *("cut", "surfaces", "hide", "material"),
+)
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
@@ -166,6 +169,17 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "Which side of the isovalue is solid; default: above; below where most of the "
             "border is above."
         ),
+    )
+    @click.option(
+        "--smooth",
+        help=(
+            "Smooth the volume by a Gaussian of so many voxels, 0 to 8: about 1 takes the "
+            "dimples of noise away; default: 0."
+        ),
+    )
+    @click.option(
+        "--pieces",
+        help="Show no pieces of fewer voxels than this, such as specks of noise; default: 0, all.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})

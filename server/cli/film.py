@@ -17,7 +17,6 @@ from urllib.parse import quote
 from PIL import Image
 
 from isogi_core.errors import ViewError
-from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
@@ -30,7 +29,7 @@ from server.pictures import smoothed
 from server.progress import open_scene
 from server.settings import Settings
 from server.values import document_in
-from server.views import view_of
+from server.views import view_of, with_first_view
 
 MOST_FRAMES = 100_000
 """Frames of a film, at most."""
@@ -142,7 +141,7 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
-    for key in ("environment", "cut", "time", "hide", "material"):
+    for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
             target += f"{'&' if '#' in target else '#'}{key}={quote(named.pop())}"
@@ -160,11 +159,10 @@ def shots_of(
         raise ParameterError(
             f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length"
         )
+    knobs = with_first_view(scene, knobs, views)
     own = {name: str(value) for name, value in defaults(scene).items()}
     if not any(is_placed(view) for view in (knobs, *views)):
-        own["azimuth"], own["elevation"] = map(
-            repr, front_of(scene.volume, scene.lighting.room.any)
-        )
+        own["azimuth"], own["elevation"] = map(repr, scene.front)
     if scene.surfaces.colours is None:
         own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
     own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}

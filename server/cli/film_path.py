@@ -24,7 +24,8 @@ PERIODIC_ANGLES = ("azimuth", "yaw", "pitch", "roll")
 
 FIXED_PARAMETERS = (
     *("width", "height", "shading", "samples", "overlay", "shine"),
-    *("projection", "environment", "background", "window", "cut", "time", "hide", "material"),
+    *("projection", "environment", "background", "window"),
+    *("cut", "time", "smooth", "hide", "material"),
 )
 """Parameters that are no quantity: all views have the same."""
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.film import coded, ground_of
-from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
@@ -27,7 +26,7 @@ from server.prewarm.order import stepped
 from server.progress import open_scene
 from server.settings import Settings
 from server.values import finite, shown
-from server.views import view_of
+from server.views import view_of, with_first_view
 
 MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""
@@ -77,6 +76,7 @@ def publish(
     check_output(request.output)
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
+    knobs = with_first_view(scene, knobs)
     shots = shots_of(
         sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)}
     )
@@ -183,9 +183,7 @@ def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
     """The place of a slider where the page begins: the nearest to what the scene is seen with at
     first.
     """
-    front = dict(
-        zip(("azimuth", "elevation"), front_of(scene.volume, scene.lighting.room.any), strict=True)
-    )
+    front = dict(zip(("azimuth", "elevation"), scene.front, strict=True))
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0

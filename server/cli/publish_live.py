@@ -40,7 +40,7 @@ from server.prewarm.order import levels_of, order_of
 from server.prewarm.work import RangeLight, bake_range, views_of
 from server.progress import Progress, open_scene
 from server.settings import Settings
-from server.views import isovalue_of, view_of
+from server.views import isovalue_of, view_of, with_first_view
 
 LIGHT_TARGET_SHARE = 0.5
 """The target that light is planned and baked for, over that of the page's pictures: no pixel has
@@ -141,7 +141,10 @@ def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
     levels = levels_of([knobs.get("isovalue", f"{scene.isovalue!r}")])
     span = Span(min(levels.all), max(levels.all))
     start = min(max(scene.isovalue, span.low), span.high)
-    params = read(FrameParams, {**knobs, "isovalue": repr(start)}.items())
+    first = with_first_view(scene, knobs)
+    if first.get("background") not in PAGE_BACKGROUNDS and "background" not in knobs:
+        first.pop("background", None)
+    params = read(FrameParams, {**first, "isovalue": repr(start)}.items())
     for end in (span.low, span.high):
         isovalue_of(scene, params.model_copy(update={"isovalue": end}))
     ground_of(params)

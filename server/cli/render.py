@@ -21,7 +21,6 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import View
-from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
@@ -41,15 +40,12 @@ from server.progress import Progress, compiling, open_scene
 from server.render.bakes import Patience, time_limit
 from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
-from server.views import view_of
+from server.views import PLACING, view_of, with_first_view
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
 FRAME_SECONDS = 2.0
 """Seconds between two frames, while light is baked."""
-
-PLACED = {"distance", "eye", "target", "up"}
-"""Parameters that say where the camera is."""
 
 LOOKED_AT = 24
 """Pictures of many, at most, whose surfaces are looked at."""
@@ -77,6 +73,7 @@ def render(
     started = time.monotonic()
     form = format_of(output)
     scene = open_scene(target, settings)
+    knobs = with_first_view(scene, knobs)
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
     view_of(scene, params, settings)
@@ -207,7 +204,7 @@ def format_of(output: Path) -> str:
 
 def is_placed(given: Iterable[str]) -> bool:
     """Whether any of the parameters that are ``given`` places the camera."""
-    return not PLACED.isdisjoint(given)
+    return not PLACING.isdisjoint(given)
 
 
 def seen_whole(
@@ -228,7 +225,7 @@ def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
     """The ``shot`` from the angles that it gives, and where it gives none, from the scene's
     front.
     """
-    azimuth, elevation = front_of(scene.volume, scene.lighting.room.any)
+    azimuth, elevation = scene.front
     front = {"azimuth": azimuth, "elevation": elevation}
     return shot.model_copy(
         update={name: angle for name, angle in front.items() if name not in shot.model_fields_set}

@@ -28,13 +28,15 @@ T = TypeVar("T")
 class Change:
     """What a request changes of a scene, as its parameters spell it; None of what stays.
 
-    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, what
-    pinned ``surfaces`` let pass, the labels to ``hide``, and the ``material`` with its numbers.
+    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, how far it
+    is to ``smooth``, what pinned ``surfaces`` let pass, the labels to ``hide``, and the
+    ``material`` with its numbers.
     """
 
     environment: str | None = None
     cut: str | None = None
     time: int | None = None
+    smooth: float | None = None
     surfaces: str | None = None
     hide: str | None = None
     material: str | None = None
@@ -45,7 +47,8 @@ class SceneVariant:
     """The variant of the scene with the id ``base``; None of what stays as it is there.
 
     ``clears`` are the shares of rays that pass pinned surfaces, ``hidden`` the labels that are not
-    shown, ``material`` is a text that ``read_material_text`` reads, and ``cut`` the text of planes.
+    shown, ``material`` is a text that ``read_material_text`` reads, ``smooth`` is in voxels, and
+    ``cut`` the text of planes.
     """
 
     base: str
@@ -54,6 +57,7 @@ class SceneVariant:
     material: str | None = None
     hidden: Hidden | None = None
     time: int | None = None
+    smooth: float | None = None
     cut: str | None = None
 
     @classmethod
@@ -76,7 +80,11 @@ class SceneVariant:
             time = None
         else:
             time = change.time
-        return cls(scene.id, change.environment, clears, material, hidden, time, change.cut)
+        if change.smooth == scene.source.document.get("smooth", 0.0):
+            smooth = None
+        else:
+            smooth = change.smooth
+        return cls(scene.id, change.environment, clears, material, hidden, time, smooth, change.cut)
 
     @property
     def settings(self) -> MaterialSettings | None:
@@ -108,6 +116,7 @@ class SceneVariant:
             ("=", self.material),
             ("!", hidden),
             ("+", self.time),
+            ("*", self.smooth),
         )
         lit = "".join(f"{mark}{part}" for mark, part in parts if part is not None)
         if self.cut is not None:
@@ -125,22 +134,22 @@ class SceneVariant:
         return replace(self, cut=None)
 
     @property
-    def voxels(self) -> tuple[str, Hidden | None, int | None]:
+    def voxels(self) -> tuple[str, Hidden | None, int | None, float | None]:
         """What the voxels depend on, but for a cut."""
-        return self.base, self.hidden, self.time
+        return self.base, self.hidden, self.time, self.smooth
 
     @property
     def has_voxels(self) -> bool:
         """Whether it has voxels that its scene has not, but for its step in time."""
-        return self.cut is not None or self.hidden is not None
+        return self.cut is not None or self.hidden is not None or self.smooth is not None
 
     def may_lend(self, other: "SceneVariant") -> bool:
         """Whether its light may stand in for that of the ``other``.
 
-        They differ in their step in time and in which labels are hidden alone, and neither is cut
-        open.
+        They differ in their step in time, in which labels are hidden and in how far they are
+        smoothed alone, and neither is cut open.
         """
-        alike = replace(self, hidden=other.hidden, time=other.time) == other
+        alike = replace(self, hidden=other.hidden, time=other.time, smooth=other.smooth) == other
         return alike and self != other and self.cut is None
 
 

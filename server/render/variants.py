@@ -24,6 +24,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import (
     at_time,
     cut_open,
+    smoothed_by,
     under,
     with_clears,
     with_hidden,
@@ -168,6 +169,8 @@ class Variants:
                 made = scene
             else:
                 made = self._at(scene, variant, variant.time)
+            if variant.smooth is not None:
+                made = self._smoothed(made, variant, variant.smooth)
             if variant.hidden is not None:
                 made = self._hiding(made, variant, variant.hidden)
             if variant.clears is not None:
@@ -249,11 +252,19 @@ class Variants:
 
     def _at(self, scene: Scene, variant: SceneVariant, time: int) -> Scene:
         """The scene at another time, with the voxels of a variant that has them already."""
-        like = self._like(replace(variant, hidden=None))
+        like = self._like(replace(variant, hidden=None, smooth=None))
         try:
             return at_time(scene, time, variant.id, like.volume if like else None)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "time") from None
+
+    def _smoothed(self, scene: Scene, variant: SceneVariant, sigma: float) -> Scene:
+        """The scene smoothed otherwise, with the voxels of a variant that has them already."""
+        like = self._like(replace(variant, hidden=None))
+        try:
+            return smoothed_by(scene, sigma, variant.id, like.volume if like else None)
+        except (SceneError, VolumeError) as error:
+            raise ParameterError(str(error), "smooth") from None
 
     def _hiding(self, scene: Scene, variant: SceneVariant, hidden: Hidden) -> Scene:
         """The scene with other labels hidden, with the voxels of a variant that has them

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.files.vector import Vector
-from isogi_core.frame.fitting import FILLED, FITTED_SIDE, Stand, fitted, fitted_to_all, nearest
+from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
@@ -19,35 +19,120 @@ from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench, ball, scene_of
 from tests.loaded import load_scene
 
-SLOPES = (0.3, 0.2)
 SCENE = load_scene("demo:orbital")
 
 
-def seen(points: np.ndarray, aim: np.ndarray, away: float) -> np.ndarray:
-    """Where points are in the picture, 1 at its edges, (n, 2)."""
-    from_eye = points - aim - [0.0, 0.0, away]
-    return np.asarray(np.abs(from_eye[:, :2] / from_eye[:, 2:]) / SLOPES)
+def outside(bench: Workbench, found: tuple[Vector, float], azimuth: float, elevation: float) -> int:
+    """Pixels of the surface outside of the picture of a fitted camera, in one of three times the
+    height and the width about it.
+    """
+    size = 240
+    fov = 2.0 * np.degrees(np.arctan(3.0 * np.tan(np.radians(15.0))))
+    camera = orbit(found[0], bench.scene.volume.radius, azimuth, elevation, found[1], fov)
+    view = View(bench.scene.isovalue, bench.scene.in_box(camera), width=size, height=size)
+    row, column = np.divmod(bench.renderer.gbuffer(view).pixels.astype(np.int64), size)
+    assert len(row) > 20
+    third = size // 3
+    inside = (row >= third) & (row < 2 * third) & (column >= third) & (column < 2 * third)
+    return int((~inside).sum())
 
 
-@pytest.mark.parametrize("size", [(1.0, 1.0, 1.0), (9.0, 1.0, 3.0), (1.0, 5.0, 20.0)])
-def test_all_points_are_seen_and_some_at_an_edge(size: tuple[float, float, float]) -> None:
-    points = np.random.default_rng(5).uniform(-1.0, 1.0, (400, 3)) * size + [7.0, -3.0, 11.0]
-    aim, away = nearest(points, SLOPES)
-    assert 0.95 < seen(points, aim, away).max() < 1.0 / FILLED
+def rod_and_speck() -> np.ndarray:
+    """A long rod in a corner of the box, and a speck far from it."""
+    voxels = np.zeros((40, 48, 64), np.float32)
+    voxels[4:9, 3:8, 2:55] = 1.0
+    voxels[31:33, 40:42, 5:7] = 1.0
+    return voxels
 
 
-def test_a_speck_afar_does_not_push_the_camera_away() -> None:
-    points = np.random.default_rng(6).uniform(-1.0, 1.0, (2000, 3))
-    _, near = nearest(points, SLOPES)
-    _, with_speck = nearest(np.vstack([points, [[500.0, 0.0, 0.0]]]), SLOPES)
-    assert with_speck == pytest.approx(near, rel=0.02)
+def pillar() -> np.ndarray:
+    """A high pillar beside the middle of its box."""
+    voxels = np.zeros((64, 40, 40), np.float32)
+    voxels[2:60, 22:30, 5:12] = 1.0
+    return voxels
+
+
+@pytest.mark.parametrize("elevation", [0.0, 25.0, -60.0])
+@pytest.mark.parametrize("make", [rod_and_speck, pillar])
+def test_no_turn_moves_the_surface_out_of_the_picture(
+    make: Callable[[], np.ndarray], elevation: float, tmp_path: Path
+) -> None:
+    """At every azimuth all of it is inside, and at one of them it is as large as the margin
+    allows.
+    """
+    bench = Workbench(
+        scene_of(make_volume(make(), spacing=(1.0, 1.0, 1.0)), 0.5), tmp_path / "light"
+    )
+    found = fitted(bench.renderer, bench.view(), 50.0, elevation)
+    assert found is not None
+    assert [outside(bench, found, azimuth, elevation) for azimuth in range(0, 360, 20)] == [0] * 18
+    nearer = (found[0], 0.8 * found[1])
+    assert any(outside(bench, nearer, azimuth, elevation) for azimuth in range(0, 360, 20))
+
+
+def test_the_camera_turns_about_the_middle_of_the_surface(tmp_path: Path) -> None:
+    """Whatever the side that it looks from first, also where the box is turned in the world."""
+    for place in (Orientation(), TURNED):
+        volume = replace(make_volume(rod_and_speck()), orientation=place)
+        bench = Workbench(scene_of(volume, 0.5), tmp_path / "light")
+        found = [fitted(bench.renderer, bench.view(), side, 25.0) for side in (0.0, 50.0, 200.0)]
+        assert found[0] is not None and found[0] == found[1] == found[2]
+        ends = place.to_world(np.argwhere(rod_and_speck() > 0.5)[:, ::-1])
+        expected = (ends.min(axis=0) + ends.max(axis=0)) / 2.0
+        assert np.abs(np.subtract(found[0][0], expected)).max() < 0.75
+
+
+EIGHT = {
+    "engine_256x256x128_uint8": 70,
+    "ct_head_208x256x225_uint8": 64,
+    "avm_337x319x154_uint8": 45,
+    "mni152_t1_197x233x189_uint8": 140,
+    "bucky_32x32x32_uint8": 90,
+    "hydrogen3d_64x64x64_float32": 0.1,
+    "boston_teapot_256x256x178_uint8": 35,
+    "tooth_103x94x161_uint16": 700,
+}
+"""Shared volumes, and isovalues that show them."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EIGHT)
+def test_a_whole_turn_keeps_real_surfaces_inside(
+    name: str, shared_data: Path, tmp_path: Path
+) -> None:
+    scene = load_scene(shared_data / f"{name}.nhdr", isovalue=EIGHT[name])
+    bench = Workbench(scene, tmp_path)
+    azimuth, elevation = scene.front
+    found = fitted(bench.renderer, bench.view(), azimuth, elevation)
+    assert found is not None
+    turns = range(0, 360, 15)
+    assert not any(outside(bench, found, azimuth + turn, elevation) for turn in turns)
+
+
+GLOWING_BALL = {"sphere": [85.0, 12.0, 47.0, 8.0]}
+
+
+def reach_of(
+    bench: Workbench, found: tuple[Vector, float], point: list[float], radius: float
+) -> float:
+    """How far a ball reaches in the picture of the fitted camera, 1 at its edges, at the azimuth
+    where that is farthest.
+    """
+    reached = []
+    for azimuth in range(0, 360, 5):
+        camera = orbit(found[0], bench.scene.volume.radius, azimuth, 20.0, found[1], 30.0)
+        away = np.array(point) - camera.eye
+        right, up, forward = camera.basis()
+        aside = max(abs(away @ right), abs(away @ up)) + radius
+        reached.append(aside / (away @ forward) / np.tan(np.radians(15.0)))
+    return max(reached)
 
 
 @pytest.mark.parametrize("size", [(1, 400), (400, 1), (300, 200)])
-def test_long_pictures_are_fitted_by_few_rays(
+def test_no_picture_is_fitted_by_rays(
     size: tuple[int, int], workbench: Callable[[Scene], Workbench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All that they show is seen in the square in their middle."""
+    """The points of the surface alone decide, however long the picture is."""
     renderer = workbench(scene_of(ball(), 0.0)).renderer
     cast = list[int]()
 
@@ -59,29 +144,49 @@ def test_long_pictures_are_fitted_by_few_rays(
     view = replace(workbench(scene_of(ball(), 0.0)).view(), width=size[0], height=size[1])
     found = fitted(renderer, view, 30.0, 20.0)
     assert found is not None
-    assert max(cast) <= FITTED_SIDE**2
+    assert cast == []
 
 
 def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
-    """A ball at the box's edge, and not a range of values, which may glow anywhere in its box."""
-    ball = {"sphere": [85.0, 12.0, 47.0, 8.0]}
-    views = []
+    """A ball at the box's edge, and a mist of values as far as these go in its box."""
+    *middle, radius = GLOWING_BALL["sphere"]
+    found = {}
     for name, glow in (
         ("none", {}),
-        ("ball", {"glow": [ball]}),
+        ("ball", {"glow": [GLOWING_BALL]}),
+        ("bright", {"glow": [{"values": [0.02, 0.03]}]}),
         ("mist", {"glow": [{"values": [0.003, 0.03]}]}),
+        ("boxed", {"glow": [{"values": [0.003, 0.03], "box": [[40, 40, 40], [50, 50, 50]]}]}),
     ):
-        bench = Workbench(load_scene("demo:orbital", **glow), tmp_path / name)
-        found = fitted(bench.renderer, bench.view(size=16), 30.0, 20.0)
-        assert found is not None
-        camera = orbit(found[0], bench.scene.volume.radius, 30.0, 20.0, found[1], 30.0)
-        away = np.array(ball["sphere"][:3]) - camera.eye
-        right, up, forward = camera.basis()
-        reach = max(abs(away @ right), abs(away @ up)) + ball["sphere"][3]
-        views.append((found, reach / (away @ forward) / np.tan(np.radians(15.0))))
-    assert views[0][1] > 1.05
-    assert views[1][1] < 1.0
-    assert views[2] == views[0]
+        bench = Workbench(load_scene("demo:orbital", isovalue=0.02, **glow), tmp_path / name)
+        fit = fitted(bench.renderer, bench.view(size=16), 30.0, 20.0)
+        assert fit is not None
+        found[name] = fit
+    assert reach_of(bench, found["none"], middle, radius) > 1.05
+    assert 0.8 < reach_of(bench, found["ball"], middle, radius) < 1.0
+    assert found["bright"] == found["boxed"] == found["none"]
+    assert found["mist"][1] > 1.1 * found["none"][1]
+
+
+def test_a_room_is_seen_whole_and_a_wide_floor_is_not(tmp_path: Path) -> None:
+    room = Workbench(load_scene("demo:orbital", room="cornell"), tmp_path / "room")
+    alone = Workbench(load_scene("demo:orbital"), tmp_path / "alone")
+    floor = {"corner": [-900, -900, -4], "edges": [[2000, 0, 0], [0, 2000, 0]]}
+    wide = Workbench(load_scene("demo:orbital", walls=[floor]), tmp_path / "wide")
+    inside, without, on_floor = (
+        fitted(each.renderer, each.view(size=16), 90.0, 5.0) for each in (room, alone, wide)
+    )
+    assert inside is not None and without is not None and on_floor is not None
+    camera = orbit(inside[0], room.scene.volume.radius, 90.0, 5.0, inside[1], 30.0)
+    right, up, forward = camera.basis()
+    reached = []
+    for wall in room.scene.lighting.room.walls:
+        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            away = np.array(wall.corner) + a * np.array(wall.edges[0]) + b * np.array(wall.edges[1])
+            away -= camera.eye
+            reached.append(max(abs(away @ right), abs(away @ up)) / (away @ forward))
+    assert max(reached) == pytest.approx(FILLED * np.tan(np.radians(15.0)), rel=0.01)
+    assert without[1] < on_floor[1] < inside[1] + 0.5
 
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:

@@ -17,6 +17,7 @@ from isogi_core.frame.film import (
     develop,
     find_edges,
     linear_table,
+    lit,
     pattern,
     tone_table,
 )
@@ -62,7 +63,7 @@ def test_each_overlay_marks_its_pixels() -> None:
 
 @pytest.mark.parametrize(
     ("background", "codes"),
-    [("light", (226, 228, 230)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))],
+    [("light", (203, 206, 209)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))],
 )
 def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
     frame = frame_of(np.full(24, 0.05))
@@ -70,6 +71,23 @@ def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[
     dark = develop(frame, 1.0)
     assert (picture[frame.state == 0] == codes).all()
     assert (picture[frame.state > 0] == dark[frame.state > 0]).all()
+
+
+def test_what_is_lit_stands_out_from_a_light_ground() -> None:
+    """A surface that shows an albedo of 0.55 to 0.7, as most are exposed to, is 10 to 35 levels
+    lighter.
+    """
+    ground = np.array(codes_of("light"))
+    for albedo in (0.55, 0.6, 0.65, 0.7):
+        light = np.full((1, 1, 3), albedo, np.float32)
+        shown = lit(light, np.full((1, 1), 3, np.uint8), 1.0, False)[0, 0].astype(int)
+        assert (shown - ground > 9).all() and (shown - ground < 36).all()
+
+
+def codes_of(background: str) -> tuple[int, ...]:
+    """The sRGB codes of a background."""
+    picture = develop(frame_of(np.full(24, 0.05)), 1.0, "none", background)
+    return tuple(map(int, picture[frame_of(np.full(24, 0.05)).state == 0][0]))
 
 
 def test_a_transparent_picture_covers_its_surface() -> None:

@@ -17,7 +17,7 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
-const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
+const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "material"];
 const OF_DOCUMENT = [
   ...VARIANT,
   "shading",

@@ -19,7 +19,7 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
 // parameters of a view that say what its surface is
-const OF_SIZE = ["isovalue", "cut", "time", "hide"];
+const OF_SIZE = ["isovalue", "cut", "time", "smooth", "hide"];
 // and what of it is seen, and what is beside it
 const OF_SURFACE = [...OF_SIZE, "window", "surfaces"];
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
@@ -109,7 +109,7 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
   const { min, max } = scene.ranges?.isovalue ?? {};
   if (isovalue !== undefined && isovalue >= min && isovalue <= max)
     asked.set("isovalue", String(isovalue));
-  return { ...scene, start: await (early ?? fit()) };
+  return { ...scene, start: { ...scene.view, ...(await (early ?? fit())) } };
 }
 
 /**
@@ -278,11 +278,11 @@ export function frameAddress(scene, query) {
  * @param {Scene} scene
  * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
  * @param {number} at voxel index
- * @param {number|undefined} time step of a series in time
+ * @param {string} voxels parameters that say which voxels, see `voxelsOf`
  * @returns {Promise<ArrayBuffer|null>}
  */
-export async function readSlice(scene, axis, at, time) {
-  const query = { axis, at, ...(time === undefined ? {} : { time }) };
+export async function readSlice(scene, axis, at, voxels) {
+  const query = { axis, at, ...Object.fromEntries(new URLSearchParams(voxels)) };
   const read = (/** @type {FrameQuery} */ more) =>
     ask(sceneAddress(scene.id, "slice", { ...query, ...more }));
   return persistently(async () => {

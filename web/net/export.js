@@ -21,6 +21,7 @@ const OF_LIGHT = [
   "environment",
   "cut",
   "time",
+  "smooth",
   "surfaces",
   "hide",
   "material",

@@ -175,6 +175,51 @@ export function changedParameters(scene, query) {
   return Object.fromEntries(Object.entries(query).filter(changed));
 }
 
+const VIEW_KEYS = [
+  ...["azimuth", "elevation", "distance", "target", "fov"],
+  ...["yaw", "pitch", "roll", "exposure", "background"],
+];
+const SCENE_KEYS = ["isovalue", "smooth", "projection", "environment", "cut", "albedo"];
+
+/**
+ * The view as lines of a scene file: keys of the scene, and its table `[view]`.
+ * @param {FrameQuery} query the parameters of the picture shown
+ * @returns {string}
+ */
+export function sceneText(query) {
+  /** @param {string} name */
+  const line = (name) => `${name} = ${tomlValue(name, query[name])}`;
+  const given = (/** @type {string[]} */ names) => names.filter((name) => query[name] !== undefined);
+  const made = materialLines(query.material);
+  return [...given(SCENE_KEYS).map(line), ...made, "[view]", ...given(VIEW_KEYS).map(line)].join("\n");
+}
+
+/**
+ * @param {string} name
+ * @param {string|number} value
+ * @returns {string}
+ */
+function tomlValue(name, value) {
+  if (["target", "albedo"].includes(name) && String(value).includes(","))
+    return `[${String(value).split(",").join(", ")}]`;
+  return typeof value === "number" || name === "albedo" ? String(value) : JSON.stringify(value);
+}
+
+/**
+ * The keys of a material that `glass,index=1.3,absorption=0.1,0.2,0.3` spells.
+ * @param {string|number|undefined} text
+ * @returns {string[]}
+ */
+function materialLines(text) {
+  if (!text) return [];
+  const [kind, ...rest] = String(text).split(/,(?=[a-z])/);
+  const numbers = rest.map((each) => {
+    const [key, value] = each.split("=");
+    return `${key} = ${value.includes(",") ? `[${value.split(",").join(", ")}]` : value}`;
+  });
+  return [`material = ${JSON.stringify(kind)}`, ...numbers];
+}
+
 /**
  * A line for a shell that saves the picture. It names the variable that holds the token, never the
  * token.

@@ -11,8 +11,8 @@
  *   & {albedo?: number|string, shine?: string, shading?: string, projection?: string}} Defaults what each parameter is
  * where it is left out; an albedo that has a colour is a text
  *
- * @typedef {Omit<import("../documents.js").Scene, "defaults"> & {defaults: Defaults, start: import("../documents.js").Camera}} Scene
- * with the camera at first
+ * @typedef {Omit<import("../documents.js").Scene, "defaults"> & {defaults: Defaults, start: import("../documents.js").Camera
+ *   & {background?: unknown}}} Scene with the camera at first, and what else the scene says of its first view
  */
 
 /** @typedef {"final"|"converging"|"provisional"} State of a pixel of the surface */

@@ -1,11 +1,11 @@
 /**
- * The menu that shows the view as a link, as a line for a shell and as a line of Python, and copies
- * them.
+ * The menu that shows the view as a link, as lines of a scene file, as a line for a shell and as a
+ * line of Python, and copies them.
  */
 
 import { find } from "../dom.js";
 import { frameAddress, wantsToken } from "./api.js";
-import { changedParameters, curlLine, pythonLine } from "./request.js";
+import { changedParameters, curlLine, pythonLine, sceneText } from "./request.js";
 
 /** @typedef {import("./request.js").Description} Description */
 /** @typedef {import("./schemas.js").Scene} Scene */
@@ -16,8 +16,8 @@ const REFUSED = "The browser lets no page copy here: it is selected, copy it by 
 
 /**
  * Tie the menu to the view.
- * @param {HTMLElement} menu a popover that holds `#share-link`, `#share-curl`, `#share-python`,
- *   each with its button
+ * @param {HTMLElement} menu a popover that holds `#share-link`, `#share-scene`, `#share-curl`,
+ *   `#share-python`, each with its button
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
  * @param {Description} description of the view
@@ -31,6 +31,7 @@ export function attachShare(menu, scene, view, { link, query, file }) {
     const address = frameAddress(scene.id, { ...changed, f: "png", wait_ms: WAIT_MS });
     const server = new URL(".", document.baseURI).href.replace(/\/$/, "");
     find(menu, "#share-link").textContent = link();
+    find(menu, "#share-scene").textContent = sceneText(query());
     find(menu, "#share-curl").textContent = curlLine(address, name, token ?? false);
     find(menu, "#share-python").textContent = pythonLine(server, scene.id, changed, name);
   };

@@ -88,7 +88,7 @@ export class Sheet {
     const paint = this.#paint;
     if (!paint) return;
     const colours = light
-      ? { over: "#3a4048", under: "#e2e4e6" }
+      ? { over: "#3a4048", under: "#cbced1" }
       : { over: "#f4ead8", under: "#1a1d22" };
     paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
     shapes.areas?.forEach((area) => fillArea(paint, area, colours));

@@ -27,13 +27,15 @@ export function attachHistogram(form, scene, view, say) {
   const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) =>
     find(form, id, HTMLInputElement),
   );
-  const show = (/** @type {number} */ value) => showNumber(value, niceStep(max - min));
-  setLimits(slider, min, max);
+  const axis = axisOf(scene.histogram, min, max);
+  const show = (/** @type {number} */ value) =>
+    axis.logarithmic ? String(Number(value.toPrecision(3))) : showNumber(value, niceStep(max - min));
+  setLimits(slider, axis.to(min), axis.to(max));
   Object.assign(number, { min, max });
   slider.disabled = number.disabled = single;
   find(form, "#isovalue-min").textContent = show(min);
   find(form, "#isovalue-max").textContent = show(max);
-  slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));
+  slider.addEventListener("input", () => view.set({ isovalue: axis.from(slider.valueAsNumber) }));
   slider.addEventListener("keydown", (event) => {
     if (!(event.key in PAGES)) return;
     event.preventDefault();
@@ -45,11 +47,14 @@ export function attachHistogram(form, scene, view, say) {
     mirror(view.values);
   });
   if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
+  else if (axis.logarithmic)
+    find(form, "#histogram-note").textContent = "how often each value occurs, by powers of ten";
+  const ranks = attachRanks(form, scene, view);
   const solid = drawBars(
     find(form, "#histogram", SVGSVGElement),
-    outline(scene.histogram, min, max),
+    outline(scene.histogram, min, max, axis),
   );
-  const ticks = svgElement("path", { d: ticksAt(scene.stops, min, max) });
+  const ticks = svgElement("path", { d: ticksAt(scene.stops, min, max, axis) });
   find(form, "#stops", SVGSVGElement).replaceChildren(
     svgElement("title", {}, stopsInWords(scene.stops_note)),
     ticks,
@@ -60,11 +65,12 @@ export function attachHistogram(form, scene, view, say) {
     for (const part of form.querySelectorAll("#isovalue-part > .of-values")) hide(part);
   /** @param {Knobs} values */
   const mirror = ({ isovalue }) => {
-    slider.value = String(isovalue);
+    slider.value = String(axis.to(isovalue));
     slider.setAttribute("aria-valuetext", show(isovalue));
     if (document.activeElement !== number || number.valueAsNumber !== isovalue)
       number.value = show(isovalue);
-    const { x, width } = solidSpan((isovalue - min) / (max - min || 1), scene.solid === "below");
+    ranks(isovalue);
+    const { x, width } = solidSpan(axis.share(isovalue), scene.solid === "below");
     solid.setAttribute("x", String(x));
     solid.setAttribute("width", String(width));
   };
@@ -78,17 +84,131 @@ function hide(part) {
 }
 
 /**
+ * @typedef {object} Axis
+ * @property {boolean} logarithmic
+ * @property {(value: number) => number} to where a value is on the slider
+ * @property {(place: number) => number} from the value of a place on the slider
+ * @property {(value: number) => number} share where a value is, from 0 to 1
+ */
+
+/**
+ * The axis of the isovalue: even, or by powers of ten, where values below the histogram's first bin
+ * are at its low end.
+ * @param {{edges: number[], logarithmic?: boolean}} histogram
+ * @param {number} min
+ * @param {number} max
+ * @returns {Axis}
+ */
+export function axisOf({ edges, logarithmic = false }, min, max) {
+  const least = Math.max(min, edges[1]);
+  if (!logarithmic || !(least < max)) {
+    const same = (/** @type {number} */ value) => value;
+    return { logarithmic: false, to: same, from: same, share: (value) => share(value - min, max - min) };
+  }
+  const [low, high] = [Math.log10(least), Math.log10(max)];
+  const to = (/** @type {number} */ value) => Math.log10(Math.max(value, least));
+  return {
+    logarithmic: true,
+    to,
+    from: (place) => Math.min(max, Math.max(least, 10 ** place)),
+    share: (value) => share(to(value) - low, high - low),
+  };
+}
+
+/** A value that a link can hold. @param {number} value */
+function inDigits(value) {
+  return Number(value.toPrecision(6));
+}
+
+/**
+ * Tie the fields of percentile and σ to the view's isovalue.
+ * @param {HTMLElement} form holds `#percentile` and `#sigmas`
+ * @param {Scene} scene
+ * @param {import("../view/model.js").ViewModel} view
+ * @returns {(isovalue: number) => void} shows both of an isovalue
+ */
+function attachRanks(form, { histogram }, view) {
+  const [percentile, sigmas] = ["#percentile", "#sigmas"].map((id) =>
+    find(form, id, HTMLInputElement),
+  );
+  const { mean, deviation } = momentsOf(histogram);
+  sigmas.disabled = !(deviation > 0);
+  const mirror = (/** @type {number} */ isovalue) => {
+    const shown = [percentileOf(histogram, isovalue), (isovalue - mean) / (deviation || 1)];
+    [percentile, sigmas].forEach((field, i) => {
+      if (document.activeElement !== field) field.value = String(Number(shown[i].toFixed(2)));
+    });
+  };
+  percentile.addEventListener("change", () => {
+    if (Number.isFinite(percentile.valueAsNumber))
+      view.set({ isovalue: inDigits(valueAt(histogram, percentile.valueAsNumber)) });
+    mirror(view.values.isovalue);
+  });
+  sigmas.addEventListener("change", () => {
+    if (Number.isFinite(sigmas.valueAsNumber))
+      view.set({ isovalue: inDigits(mean + sigmas.valueAsNumber * deviation) });
+    mirror(view.values.isovalue);
+  });
+  return mirror;
+}
+
+/**
+ * Mean and standard deviation of the values in a histogram, by the middles of its bins.
+ * @param {{counts: number[], edges: number[]}} histogram
+ * @returns {{mean: number, deviation: number}}
+ */
+export function momentsOf({ counts, edges }) {
+  const total = counts.reduce((sum, count) => sum + count, 0) || 1;
+  const middles = counts.map((_, i) => edges[i] / 2 + edges[i + 1] / 2);
+  const mean = counts.reduce((sum, count, i) => sum + (count / total) * middles[i], 0);
+  const square = counts.reduce((sum, count, i) => sum + (count / total) * (middles[i] - mean) ** 2, 0);
+  return { mean, deviation: Math.sqrt(square) };
+}
+
+/**
+ * The percentage of voxels below a value, evenly spread within bins.
+ * @param {{counts: number[], edges: number[]}} histogram
+ * @param {number} value
+ * @returns {number}
+ */
+export function percentileOf({ counts, edges }, value) {
+  const total = counts.reduce((sum, count) => sum + count, 0) || 1;
+  const below = counts.reduce(
+    (sum, count, i) => sum + count * share(value - edges[i], edges[i + 1] - edges[i]),
+    0,
+  );
+  return (100 * below) / total;
+}
+
+/**
+ * The value below which a percentage of voxels is: `percentileOf`, the other way round.
+ * @param {{counts: number[], edges: number[]}} histogram
+ * @param {number} percent
+ * @returns {number}
+ */
+export function valueAt({ counts, edges }, percent) {
+  const total = counts.reduce((sum, count) => sum + count, 0);
+  let left = (total * Math.min(100, Math.max(0, percent))) / 100;
+  for (const [i, count] of counts.entries()) {
+    if (left <= count && count > 0) return edges[i] + (left / count) * (edges[i + 1] - edges[i]);
+    left -= count;
+  }
+  return edges[edges.length - 1];
+}
+
+/**
  * Outline of the log counts between two values, as the data of an SVG path in a box of 1000 × 100.
  * @param {{counts: number[], edges: number[]}} histogram
  * @param {number} min
  * @param {number} max
+ * @param {Axis} [axis] even by default
  * @returns {string}
  */
-export function outline({ counts, edges }, min, max) {
+export function outline({ counts, edges }, min, max, axis = axisOf({ edges }, min, max)) {
   const heights = counts.map((count) => Math.log1p(count));
   const seen = heights.filter((_, i) => edges[i + 1] > min && edges[i] < max);
   const tallest = Math.max(...seen, 1e-9);
-  const x = (/** @type {number} */ value) => (WIDTH * share(value - min, max - min)).toFixed(1);
+  const x = (/** @type {number} */ value) => (WIDTH * axis.share(value)).toFixed(1);
   const y = (/** @type {number} */ height) =>
     (HEIGHT * (1 - 0.94 * Math.min(1, height / tallest))).toFixed(1);
   const steps = heights.map(
@@ -103,11 +223,12 @@ export function outline({ counts, edges }, min, max) {
  * @param {number[]} stops
  * @param {number} min
  * @param {number} max
+ * @param {Axis} [axis] even by default
  * @returns {string}
  */
-export function ticksAt(stops, min, max) {
+export function ticksAt(stops, min, max, axis = axisOf({ edges: [min, max] }, min, max)) {
   return stops
-    .map((stop) => `M${(WIDTH * share(stop - min, max - min)).toFixed(1)} 0V${HEIGHT}`)
+    .map((stop) => `M${(WIDTH * axis.share(stop)).toFixed(1)} 0V${HEIGHT}`)
     .join("");
 }
 

@@ -6,7 +6,7 @@
 import { find, textElement } from "../dom.js";
 import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
 import { niceStep, shadingName } from "../view/format.js";
-import { UNITS, inShort, sliderRange } from "../view/model.js";
+import { SMOOTH_STEPS, UNITS, inShort, sliderRange } from "../view/model.js";
 import { decades, legendNumbers } from "../view/rulers.js";
 import { idleKnobs } from "../view/surfaces.js";
 
@@ -66,7 +66,8 @@ export function attachKnobs(form, scene, view, shown) {
  * @param {number} max
  */
 export function setLimits(input, min, max) {
-  Object.assign(input, { min, max, step: input.name === "time" ? 1 : niceStep(max - min) });
+  const steps = /** @type {Record<string, number>} */ ({ time: 1, smooth: 1 / SMOOTH_STEPS });
+  Object.assign(input, { min, max, step: steps[input.name] ?? niceStep(max - min) });
 }
 
 /**
@@ -80,6 +81,7 @@ export function knobInWords(name, value, exposure) {
   const unit = UNITS[name];
   if (unit === "degrees") return `${Math.round(value)}°`.replace("-", "−");
   if (unit === "share") return value.toFixed(2);
+  if (unit === "voxels") return value ? `${value} voxels` : "none";
   if (unit === "step") return `step ${value}`;
   if (unit === "radii") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / exposure).toFixed(1));
@@ -124,7 +126,9 @@ export function attachSlider(knob, scene, view) {
     ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
     : [Number, Number];
   setLimits(input, inward(range.min), inward(range.max));
-  input.addEventListener("input", () => view.set({ [name]: outward(input.valueAsNumber) }));
+  // each step of smoothing is another volume: it is made once the hand lets go
+  const moved = name === "smooth" ? "change" : "input";
+  input.addEventListener(moved, () => view.set({ [name]: outward(input.valueAsNumber) }));
   return ({ [name]: value = NaN, material }) => {
     knob.toggleAttribute("hidden", name === "albedo" && idleKnobs(material).includes(name));
     if (name === "exposure") {

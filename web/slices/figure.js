@@ -11,7 +11,7 @@ import { contourOf } from "./contour.js";
 import { sliceAt, stepped, voxelAt } from "./geometry.js";
 import { attachSliceGestures } from "./gestures.js";
 import { CutLines } from "./lines.js";
-import { pixelsOf } from "./values.js";
+import { pixelsOf, voxelsOf } from "./values.js";
 
 /** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
 /** @typedef {import("../view/crosshair.js").Greys} Greys */
@@ -70,7 +70,7 @@ export class SliceFigure {
   #hooks;
   #cut;
   #plane;
-  /** @type {{slice: Values, at: number, time: number|undefined}|null} */
+  /** @type {{slice: Values, at: number, voxels: string}|null} */
   #shown = null;
   #painted = ""; // what is on the canvas of values
   /** @type {{of: Values|null, isovalues: string, contours: number[][]}} */
@@ -153,11 +153,11 @@ export class SliceFigure {
 
   /** Whether the values are of the slice that is wanted. */
   #isCurrent() {
-    const { slices, time } = this.#view.values;
+    const { slices } = this.#view.values;
     return (
       slices !== null &&
       this.#shown?.at === slices.voxel[this.lie.across] &&
-      this.#shown.time === time
+      this.#shown.voxels === voxelsOf(this.#view.values)
     );
   }
 
@@ -166,13 +166,14 @@ export class SliceFigure {
     if (this.#loading) return;
     this.#loading = true;
     for (
-      let { slices, time } = this.#view.values;
+      let { slices } = this.#view.values;
       slices && !this.#isCurrent();
-      { slices, time } = this.#view.values
+      { slices } = this.#view.values
     ) {
       const at = slices.voxel[this.lie.across];
-      const slice = await this.#shelf.find(this.lie, at, time);
-      if (slice) this.#shown = { slice, at, time };
+      const voxels = voxelsOf(this.#view.values);
+      const slice = await this.#shelf.find(this.lie, at, voxels);
+      if (slice) this.#shown = { slice, at, voxels };
       else
         await new Promise((done) => {
           setTimeout(done, AGAIN_MS);
@@ -184,9 +185,9 @@ export class SliceFigure {
 
   #paint() {
     if (!this.#shown) return;
-    const { slice, at, time } = this.#shown;
+    const { slice, at, voxels } = this.#shown;
     const greys = this.#hooks.greys();
-    const now = [at, time, ...greys].join(" ");
+    const now = [at, voxels, ...greys].join(" ");
     if (now === this.#painted) return;
     this.#painted = now;
     const canvas = find(this.root, ".values", HTMLCanvasElement);

@@ -71,7 +71,10 @@ export class SlicesPane {
     button.addEventListener("click", () => this.toggle());
     cuts.addEventListener("toggle", () => this.#follow());
     view.watch(
-      ({ slices, isovalue, planes, time, surfaces }) => [slices, isovalue, planes, time, surfaces],
+      ({ slices, isovalue, planes, time, smooth, surfaces }) => [
+        ...[slices, isovalue, planes],
+        ...[time, smooth, surfaces],
+      ],
       () => this.#follow(),
     );
     this.#draw();

@@ -3,7 +3,6 @@
  * and kept for a while.
  */
 
-
 /** @typedef {import("../view/crosshair.js").Greys} Greys */
 /** @typedef {import("./geometry.js").Axis} Axis */
 /** @typedef {import("./geometry.js").Lie} Lie */
@@ -14,12 +13,11 @@
  *   first; NaN in holes
  */
 /**
- * @typedef {(axis: Axis, at: number, time: number|undefined) => Promise<ArrayBuffer|null>} Read
+ * @typedef {(axis: Axis, at: number, voxels: string) => Promise<ArrayBuffer|null>} Read
  *   gives a slice's `npy` file
  */
 
 /** @type {Record<string, new (buffer: ArrayBuffer) => Numbers>} */
-const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
 const KINDS = {
   "|u1": Uint8Array,
   "<u2": Uint16Array,
@@ -27,7 +25,7 @@ const KINDS = {
   "<f4": Float32Array,
   "<f8": Float64Array,
 };
-// bytes from the first of an npy file to the length of its header, which takes two
+const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
 // of the voxels: so many may be blacker than black, and so many whiter than white
 const RARE = 0.002;
 const KEPT_BYTES = 1 << 26; // of slices
@@ -112,6 +110,17 @@ export function pixelsOf({ values }, [black, white]) {
 }
 
 /**
+ * Which of a scene's voxels a view shows, as parameters: the step of a series in time, and how far
+ * they are smoothed.
+ * @param {{time?: number, smooth?: number}} values knobs of the view
+ * @returns {string}
+ */
+export function voxelsOf({ time, smooth }) {
+  const given = Object.entries({ time, smooth }).filter(([, value]) => value !== undefined);
+  return new URLSearchParams(given.map(([name, value]) => [name, String(value)])).toString();
+}
+
+/**
  * Slices that were read, until others need their room: going back and forth asks the server for
  * none twice.
  */
@@ -130,14 +139,14 @@ export class Shelf {
    * A slice as it lies on the screen; null where the server does not answer.
    * @param {Lie} lie
    * @param {number} at voxel index
-   * @param {number|undefined} time step of a series in time
+   * @param {string} voxels which of the scene's voxels, see `voxelsOf`
    * @returns {Promise<Values|null>}
    */
-  async find(lie, at, time) {
-    const name = [lie.axis, at, time].join(" ");
+  async find(lie, at, voxels) {
+    const name = [lie.axis, at, voxels].join(" ");
     const kept = this.#kept.get(name);
     if (kept) return this.#keep(name, kept);
-    const file = await this.#read(lie.axis, at, time);
+    const file = await this.#read(lie.axis, at, voxels);
     return file && this.#keep(name, turned(readValues(file), lie));
   }
 

@@ -67,6 +67,7 @@ export const UNITS = {
   strength: "share",
   glow: "share",
   time: "step",
+  smooth: "voxels",
   exposure: "stops",
 };
 
@@ -81,6 +82,9 @@ export const OVERLAYS = ["none", "provisional", "error"];
 /** What may be behind the surface: as the page, or always one. */
 export const BACKGROUNDS = ["page", "dark", "light"];
 
+/** Steps of smoothing in a voxel: each is another volume, with light of its own. */
+export const SMOOTH_STEPS = 4;
+
 const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
 const LOGARITHMIC = new Set(["distance", "exposure"]);
 /** @type {Partial<Record<NumberKnob, [number, number]>>} */
@@ -92,6 +96,7 @@ const FALLBACK = {
   yaw: [-180, 180],
   pitch: [-90, 90],
   roll: [-180, 180],
+  smooth: [0, 3],
 };
 
 /**
@@ -145,7 +150,7 @@ export class ViewModel {
       shading,
       overlay: "none",
       compare: "",
-      background: "page",
+      background: BACKGROUNDS.find((each) => each === start.background) ?? "page",
       environment: "",
       rulers: "on",
       measures: [],
@@ -325,6 +330,7 @@ export function inShort(scene, name, value) {
 function rounded(value, name) {
   if (name === "isovalue") return value;
   if (name === "time") return Math.round(value);
+  if (name === "smooth") return Math.round(value * SMOOTH_STEPS) / SMOOTH_STEPS;
   return LOGARITHMIC.has(name) ? Number(value.toPrecision(4)) : Math.round(value * 100) / 100;
 }
 

@@ -30,6 +30,8 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
+from isogi_core.plan.volumes.smoothing import MOST_SMOOTH, smoothed
 
 COPY_FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
@@ -48,7 +50,7 @@ def open_volume(
     settings: Settings, progress: Progress = no_progress, fallback: str = "above"
 ) -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side
-    and missing values.
+    and missing values, smoothed where the scene says so.
 
     Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file,
     is made a field of its labels. ``fallback`` is the solid side where the scene names none.
@@ -62,6 +64,8 @@ def open_volume(
     missing = settings.listed("missing")
     tables = read_tables(settings)
     labels = find_labels(settings)
+    smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
+    pieces = settings.count("pieces", MOST_PIECE) or 0
     if not name.startswith("demo:"):
         grid, stem = open_own(settings)
         moment = grid.moment
@@ -75,6 +79,19 @@ def open_volume(
             raise SceneError(
                 "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
             )
+        if smooth and segmented:
+            raise SceneError(
+                f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
+            )
+        if smooth:
+            straight = smoothed(straight, smooth, missing)
+            missing = ()  # these are holes by now
+        if pieces and segmented:
+            raise SceneError(
+                f"The volume '{stem}' shows labels: hide labels, and leave pieces out."
+            )
+        if pieces:
+            straight = without_small_pieces(straight, pieces, solid, missing)
         masks = [
             place(table, open_beside(settings, table.file), grid, straight) for table in tables
         ]
@@ -95,14 +112,21 @@ def open_volume(
         raise VolumeError(
             f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
         )
-    if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
+    given = spacing or missing or chosen or raw or tables or pieces
+    if given or labels is not None or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
         named = ", ".join(
             f"'{key}'"
-            for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen)
+            for key in (
+                *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
+                *chosen,
+            )
         )
         raise SceneError(f"{name} {made}: leave out {named}.")
-    return demo_volume(name.removeprefix("demo:"))
+    key = name.removeprefix("demo:")
+    if smooth:
+        return make_volume(smoothed(Grid.of(DEMOS[key].build()), smooth).whole(), name=key)
+    return demo_volume(key)
 
 
 def chosen_part(settings: Settings) -> dict[str, Any]:

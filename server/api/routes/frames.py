@@ -168,6 +168,9 @@ async def read_fit(
     request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep
 ) -> CameraSchema:
     """The camera that shows the whole surface as large as the picture takes it."""
+    first = scene.settings.first
+    if first.fov is not None and "fov" not in params.model_fields_set:
+        params = params.model_copy(update={"fov": first.fov})
     picture = service.picture_of(scene, params.view)
     view = picture.view
     angles = (params.azimuth, params.elevation)

@@ -130,7 +130,9 @@ async def read_slice(
     """
     if params.f == "npy" and not service.settings.hands_out_voxels:
         raise ForbiddenError(VALUES_WITHHELD)
-    step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
+    step = VariantParams.model_validate(
+        params.model_dump(include={"time", "smooth"}, exclude_none=True)
+    )
     shown = await service.variant(scene, step, client_of(request.scope))
     return await asyncio.to_thread(sliced, request, shown, params)
 

@@ -49,7 +49,7 @@ def test_the_page_begins_at_the_first_view() -> None:
 
 @pytest.mark.parametrize(
     ("background", "colour"),
-    [("light", "#e2e4e6"), ("#102030", "#102030"), ("dark", "#1a1d22"), ("transparent", "")],
+    [("light", "#cbced1"), ("#102030", "#102030"), ("dark", "#1a1d22"), ("transparent", "")],
 )
 def test_the_pages_ground_is_the_pictures(background: str, colour: str) -> None:
     assert ground_colour(background) == colour

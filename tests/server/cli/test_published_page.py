@@ -77,7 +77,7 @@ def _shot(page: Page, folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("background", "dark", "paper"),
     [
-        ("light", True, (226, 228, 230)),
+        ("light", True, (203, 206, 209)),
         ("dark", False, (26, 29, 34)),
         ("transparent", False, (255, 255, 255)),
     ],

@@ -7,13 +7,14 @@ import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords, tailInWords } from "../../../web/panels/error.js";
-import { outline, solidSpan, stopsInWords, ticksAt } from "../../../web/panels/histogram.js";
+import { axisOf, momentsOf, outline, percentileOf, solidSpan, stopsInWords, ticksAt, valueAt } from "../../../web/panels/histogram.js";
 import { knobInWords, knobSpoken } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
 import { announcement, badge, doneOf, predictedInWords } from "../../../web/panels/status.js";
 import { rateOf, timeRows } from "../../../web/panels/times.js";
+import { voxelsOf } from "../../../web/slices/values.js";
 import { PAINTED, SCENE, facts } from "./fixtures.mjs";
 
 const labels = ({ ticks }) => ticks.map(({ label }) => label);
@@ -123,6 +124,35 @@ test("a histogram is drawn by the logarithm of its counts", () => {
 test("bars outside the slider's range do not flatten the rest", () => {
   const path = outline({ counts: [1e9, 9], edges: [0, 1, 2] }, 1, 2);
   assert.ok(path.endsWith("L0.0 6.0L1000.0 6.0L1000 100Z"), path);
+});
+
+test("percentiles and values are each other's inverse", () => {
+  const histogram = { counts: [10, 0, 30, 60], edges: [0, 1, 2, 3, 5] };
+  assert.equal(percentileOf(histogram, 1), 10);
+  assert.equal(percentileOf(histogram, 1.5), 10);
+  assert.equal(percentileOf(histogram, 4), 70);
+  assert.equal(valueAt(histogram, 70), 4);
+  for (const percent of [0.5, 10.5, 33, 99, 100])
+    assert.ok(Math.abs(percentileOf(histogram, valueAt(histogram, percent)) - percent) < 1e-9);
+  assert.equal(valueAt({ counts: [0, 0], edges: [1, 1, 1] }, 50), 1);
+});
+
+test("mean and deviation are those of even values", () => {
+  const counts = Array(200).fill(5);
+  const edges = Array.from({ length: 201 }, (_, i) => 10 + i / 20); // even from 10 to 20
+  const { mean, deviation } = momentsOf({ counts, edges });
+  assert.ok(Math.abs(mean - 15) < 1e-9);
+  assert.ok(Math.abs(deviation - 10 / Math.sqrt(12)) < 1e-3);
+});
+
+test("a logarithmic axis gives each power of ten the same width", () => {
+  const histogram = { counts: [5, 5, 5], edges: [0, 0.001, 0.1, 10], logarithmic: true };
+  const axis = axisOf(histogram, 0, 10);
+  assert.deepEqual([0, 0.001, 0.01, 0.1, 1, 10].map((value) => Math.round(1000 * axis.share(value))), [0, 0, 250, 500, 750, 1000]);
+  assert.ok(Math.abs(axis.from(axis.to(0.03)) - 0.03) < 1e-12);
+  assert.equal(axis.from(axis.to(0)), 0.001);
+  assert.ok(outline(histogram, 0, 10, axis).includes("L500.0"));
+  assert.ok(!axisOf({ ...histogram, logarithmic: false }, 0, 10).logarithmic);
 });
 
 test("a histogram of one value is still a path", () => {
@@ -358,4 +388,10 @@ test("a point says how far its light is", () => {
 
 test("an error that nobody measured is called predicted", () => {
   assert.equal(predictedInWords(0.0512), " · drawn here, about 5.1 % error (predicted)");
+});
+
+test("slices are read again of other voxels alone", () => {
+  assert.equal(voxelsOf({ smooth: 0.5 }), "smooth=0.5");
+  assert.equal(voxelsOf({ time: 3, smooth: 0 }), "time=3&smooth=0");
+  assert.equal(voxelsOf({}), "");
 });

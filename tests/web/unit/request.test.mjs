@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
+import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine, sceneText } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
@@ -335,4 +335,18 @@ test("links and files of an upload have its name", () => {
   assert.deepEqual([new URLSearchParams(query).get("name"), new URLSearchParams(writeAddress(SCENE, knobs())).get("name")], [upload.name, null]);
   assert.deepEqual(complaints(query, SCENE), ["There is no scene “My skull (CT), ä/1.nii”: this is Small."]);
   assert.deepEqual(complaints(query, upload), []);
+});
+
+test("a view is lines of a scene file", () => {
+  const query = {
+    isovalue: 70.5, azimuth: 35, elevation: -18, distance: 2.6, fov: 30, exposure: 6, target: "1,-2.5,3",
+    environment: "gallery", cut: "z>12", material: "glass,index=1.3,absorption=0.1,0.2,0.3",
+    width: 9, height: 9, shading: "gi", overlay: "none", background: "dark", f: "png",
+  };
+  assert.deepEqual(sceneText(query).split("\n"), [
+    "isovalue = 70.5", 'environment = "gallery"', 'cut = "z>12"',
+    'material = "glass"', "index = 1.3", "absorption = [0.1, 0.2, 0.3]",
+    "[view]", "azimuth = 35", "elevation = -18", "distance = 2.6", "target = [1, -2.5, 3]", "fov = 30",
+    "exposure = 6", 'background = "dark"',
+  ]);
 });

@@ -1,0 +1,74 @@
+"""Small pieces taken out of a volume at every level at once: an area opening.
+
+Source: Vincent, "Grayscale area openings and closings", 1993; by union-find as in Meijster and
+Wilkinson, "A comparison of algorithms for connected set openings and closings", 2002.
+"""
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+
+NOT_SEEN = np.int64(1) << np.int64(62)
+"""Parent of a voxel that was not reached yet, or is a hole."""
+
+PLACES = types.int64[::1]
+RANKS = types.int32[::1]
+
+
+@kernel()
+def root_of(parents, place):
+    """The root of the piece that ``place`` is in; the way there is shortened."""
+    root = place
+    while parents[root] >= 0:
+        root = parents[root]
+    while parents[place] >= 0:
+        ahead = parents[place]
+        parents[place] = root
+        place = ahead
+    return root
+
+
+@kernel()
+def join(parents, ranks, place, other, least):
+    """Join the piece of ``other``, a neighbour that was reached, to that of ``place``, a root.
+
+    A piece of ``least`` voxels or more that lies higher is left as it is: what is joined to it is
+    as large.
+    """
+    root = root_of(parents, other)
+    if root == place:
+        return
+    if ranks[root] == ranks[place] or -parents[root] < least:
+        parents[place] += parents[root]
+        parents[root] = place
+    else:
+        parents[place] = min(parents[place], -least)
+
+
+@kernel(types.void(RANKS, PLACES, types.UniTuple(types.int64, 3), types.int64, PLACES))
+def open_by_size(ranks, order, shape, least, parents):
+    """Fill ``parents`` with the place of the voxel whose value each voxel takes, so that at every
+    level each piece of what is above has ``least`` voxels or more.
+
+    ``order`` has the places of the voxels that are no holes, flat, the highest first, and ``ranks``
+    ascend with values. Voxels are joined as the level falls: a piece that is still too small when
+    it meets another takes the value at which both are large enough. Voxels that share a corner are
+    neighbours. ``parents`` of roots are minus the voxels of their piece meanwhile.
+    """
+    nz, ny, nx = shape
+    parents[:] = NOT_SEEN
+    for n in range(order.shape[0]):
+        place = order[n]
+        parents[place] = -1
+        k, j, i = place // (ny * nx), place // nx % ny, place % nx
+        for c in range(max(k - 1, 0), min(k + 2, nz)):
+            for b in range(max(j - 1, 0), min(j + 2, ny)):
+                for a in range(max(i - 1, 0), min(i + 2, nx)):
+                    other = (c * ny + b) * nx + a
+                    if other != place and parents[other] != NOT_SEEN:
+                        join(parents, ranks, place, other, least)
+    # parents come later in the order, so that from its end each is known before its children
+    for n in range(order.shape[0] - 1, -1, -1):
+        place = order[n]
+        parents[place] = place if parents[place] < 0 else parents[parents[place]]

@@ -1,0 +1,75 @@
+"""The histogram that people choose isovalues by: its bins are even, or of even ratios where values
+span decades.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.model.volume import HISTOGRAM_BINS, Volume
+from isogi_core.plan.inputs import found
+
+MAX_SAMPLED = 1 << 18
+"""Voxels that are looked at for whether values span decades, about."""
+
+MIN_DECADES = 2.0
+"""Powers of ten, at least, that all but the tenth of the positive values at either end span on a
+logarithmic axis.
+"""
+
+CROWDED_END = 0.5
+"""Part of an even axis, at its low end, that nine tenths of the positive values are crowded in."""
+
+MOST_DECADES = 6.0
+"""Powers of ten below the greatest value that a logarithmic axis has."""
+
+
+class ShownHistogram(NamedTuple):
+    """``counts`` (bins,) int64 of voxels in the core, and the ``edges`` (bins + 1,) of bins, in the
+    units of the volume's file.
+
+    Where it is ``logarithmic``, all edges but the least are at even ratios.
+    """
+
+    counts: np.ndarray
+    edges: np.ndarray
+    logarithmic: bool
+
+
+def shown_histogram(volume: Volume) -> ShownHistogram:
+    """The histogram of a ``volume``."""
+    return found(volume, "histogram", lambda: _shown_histogram(volume))
+
+
+def _shown_histogram(volume: Volume) -> ShownHistogram:
+    low = least_shown(volume)
+    if low is None:
+        return ShownHistogram(*volume.histogram(), False)
+    inner = np.geomspace(low, volume.core[1], HISTOGRAM_BINS)
+    edges = np.concatenate([[min(volume.core[0], low)], inner])
+    edges[-1] = volume.core[1]
+    counts = np.zeros(HISTOGRAM_BINS, np.int64)
+    for voxels in volume.core_voxels():
+        values = volume.offset + volume.scale * voxels.ravel().astype(np.float64)
+        counts += np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0]
+    return ShownHistogram(counts, edges, True)
+
+
+def least_shown(volume: Volume) -> float | None:
+    """The least value of a logarithmic axis; None where values are whole numbers or negative ones,
+    do not span MIN_DECADES, or are not crowded at the low end of an even axis.
+    """
+    low, high = volume.core
+    if low < 0.0 or not 0.0 < high < math.inf or np.dtype(volume.dtype).kind != "f":
+        return None
+    flat = volume.voxels.reshape(-1)
+    some = flat[:: max(flat.size // MAX_SAMPLED, 1)].astype(np.float64)
+    values = volume.offset + volume.scale * some
+    positive = values[(values > 0.0) & (values <= high)]
+    if not len(positive):
+        return None
+    few, many = np.quantile(positive, (0.1, 0.9))
+    if many < few * 10.0**MIN_DECADES or many > CROWDED_END * high:
+        return None
+    return float(max(few, high * 10.0**-MOST_DECADES, low))
