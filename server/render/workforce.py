@@ -28,7 +28,6 @@ from worker import pool
 from worker.baker import Baker
 from worker.errors import WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
-from worker.pool import show_certificate
 from worker.tasks import bake_kernels, prepared_scene
 
 log = logging.getLogger("isogi.server")
@@ -49,6 +48,8 @@ def scheduler_of(settings: Settings) -> str | None:
     """
     authority, certificate, key = settings.certificates
     if authority and certificate and key:
+        from worker.dask_pool import show_certificate  # noqa: PLC0415 (loads Dask)
+
         show_certificate(str(authority), str(certificate), str(key))
     return settings.scheduler
 
@@ -149,7 +150,7 @@ class Workforce:
     def _employ(self, kinds: Collection[str], first: SceneSource | None) -> None:
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
-        self._pool = pool.WorkerPool(self._workers, self._scheduler, kinds)
+        self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
         if first is not None:
             self._pool.prepare(partial(prepared_scene, first, None, self._store))
         self._pool.attend(self._baker.stir)
