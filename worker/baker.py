@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.texel_reading import Stage
@@ -26,7 +25,7 @@ from worker.bake_requests import GUEST_VIEWER, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
 from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
-from worker.tasks import BakeResult, BakeTask, Whole, open_spec
+from worker.tasks import Assets, BakeResult, BakeTask, Whole, open_spec
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
@@ -109,9 +108,9 @@ class Bake:
     light.
 
     ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its
-    chunks. ``arrived`` is called with each chunk that has new light. Workers that lack the scene's
-    files read its ``assets`` instead. Texels lie on the isosurface that is ``shown``, if any. The
-    scene may be cut from a ``whole``.
+    chunks. ``arrived`` is called with each chunk that has new light. Workers open the ``assets``,
+    where there are some, in place of the scene's files. Texels lie on the isosurface that is
+    ``shown``, if any. The scene may be cut from a ``whole``.
     """
 
     source: SceneSource
@@ -121,7 +120,7 @@ class Bake:
     store_url: StoreUrl
     arrived: Callable[[Index], None]
     costs: Costs
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
     shown: Isovalue | None = None
     whole: Whole | None = None
 
@@ -148,7 +147,7 @@ class Baker:
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
         self._in_flight = 0
-        self._done_tasks = self._failed_tasks = 0
+        self._done_tasks = self._done_chunks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
         self._seconds = 0.0
@@ -208,7 +207,7 @@ class Baker:
         enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
         """Request the light that a viewer's newest view lacks. Returns the chunks that will be
-        baked.
+        baked, or have been since the view was drawn.
 
         There are none where the scene was dropped.
         """
@@ -216,11 +215,10 @@ class Baker:
         with self._changed:
             if scene not in self._bakes:
                 return frozenset()
-            self._queue.request(wanted, target, viewer, enough)
+            stale = self._queue.request(wanted, target, viewer, enough)
             self._feed()
-            return frozenset(
-                request.key[1] for request in self._queue.open(key for key, _ in wanted)
-            )
+            coming = self._queue.open(key for key, _ in wanted)
+            return frozenset(index for _, index in (*stale, *(each.key for each in coming)))
 
     def make_way(self) -> None:
         """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the
@@ -333,7 +331,7 @@ class Baker:
                 people = (0, 0)
             else:
                 people = (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self.paths, *people, self._kept)
+            return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
 
     def stop(self) -> None:
         """Hand out no more tasks, and save the measured costs."""
@@ -357,7 +355,9 @@ class Baker:
             if request is None:
                 return
             self._fly(1)
-            self._submit(self._pool, self._queue.take_along(request, self._pool.together))
+            self._submit(
+                self._pool, self._queue.take_along(request, self._pool.together, self._pool.room)
+            )
 
     def _fly(self, more: int) -> None:
         """Count so many ``more`` tasks as in flight; the caller holds the lock."""
@@ -412,6 +412,9 @@ class Baker:
                 bake.arrived(task.index)
         with self._changed:
             self._fly(-1)
+            self._done_tasks += any(
+                isinstance(each, BakeResult) and not each.elsewhere for each in outcomes
+            )
             for task, outcome in zip(tasks, outcomes, strict=True):
                 self._settle(scene, task, outcome)
             self._changed.notify_all()
@@ -433,7 +436,7 @@ class Baker:
             self.paths += outcome.cost.paths
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
-            self._done_tasks += 1
+            self._done_chunks += 1
             self._pause.end()
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed

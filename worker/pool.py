@@ -5,8 +5,10 @@ from typing import Protocol
 
 from worker.tasks import PLAIN_LAYER_KINDS, BakeResult, BakeTask
 
-MAX_TASK_TEXELS = 2048
-"""Most texels of a task: at 1024 and more their paths fill whole waves."""
+MAX_TASK_TEXELS = 1 << 14
+"""Most texels of a task: at 1024 and more their paths fill whole waves; the sums of so many take
+some 20 MB.
+"""
 
 TASKS_AHEAD = 2
 """Tasks in flight per worker: few, as a task in flight can be neither re-ordered nor stopped."""

@@ -36,7 +36,7 @@ from isogi_core.cache.scene_assets import (
     receive_colours,
     receive_glow_bits,
 )
-from isogi_core.errors import SceneError, StoreAwayError
+from isogi_core.errors import SceneError, SharedMemoryError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import MATERIAL_NUMBERS, VOXEL_SETTINGS, SceneSource
 from isogi_core.kernels._jit import entries_of, load
@@ -63,18 +63,24 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import COLOURED_KIND, PATH_KINDS
 from isogi_core.plan.volumes.masks import cut_digest, voxels_left
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.prepared.shared_scenes import SharedScene, receive_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+
+Assets = SceneAssets | SharedScene
+"""What a worker opens in place of a scene's files: copies of them in the store, or what the server
+shares with processes of its machine.
+"""
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The scene that one was cut from: its ``source``, and its ``assets`` where workers lack its
-    files.
+    """The scene that one was cut from: its ``source``, and the ``assets`` that workers open in
+    place of its files.
     """
 
     source: SceneSource
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
 
     def planes(self, cut: SceneSource) -> str:
         """What a ``cut`` of it takes away, as its document has that besides what the whole is cut
@@ -193,11 +199,11 @@ class BakeTask:
 
     Texels need no more once they are good for pictures of the relative error ``target``, or have
     ``enough`` samples. ``plan`` is what is baked. ``digest`` names the light that the server means,
-    as the scene's files may have changed since. Where there are ``assets``, these are read in place
-    of the scene's files. ``owner`` names the baker, which claims the chunk while others are at work
-    too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
-    ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they keep
-    what light of that the cut leaves as it is.
+    as the scene's files may have changed since. Where there are ``assets``, these are opened in
+    place of the scene's files. ``owner`` names the baker, which claims the chunk while others are
+    at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that
+    is ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they
+    keep what light of that the cut leaves as it is.
     """
 
     source: SceneSource
@@ -209,7 +215,7 @@ class BakeTask:
     footprints: np.ndarray
     until: int
     target: float
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
     owner: str = ""
     insists: bool = False
     shown: Isovalue | None = None
@@ -257,11 +263,15 @@ def claims_of(store_url: StoreUrl) -> Claims:
 
 @lru_cache(maxsize=4)
 def prepared_scene(
-    source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl
+    source: SceneSource, assets: Assets | None, store_url: StoreUrl
 ) -> PreparedScene:
-    """The prepared scene, opened once a process for all of its bakes: from its files, or its assets
-    in the store.
+    """The prepared scene, opened once a process for all of its bakes: as the server shares it, from
+    its files, or its assets in the store.
     """
+    if isinstance(assets, SharedScene):
+        with suppress(SharedMemoryError):  # the server has let go of the scene: its files are read
+            return receive_scene(assets, most_maps())
+        return opened(source)
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
@@ -330,7 +340,7 @@ def open_spec(
     plan: ScenePlan,
     digest: str,
     store_url: StoreUrl,
-    assets: SceneAssets | None = None,
+    assets: Assets | None = None,
     shown: Isovalue | None = None,
 ) -> tuple[BakeSpec, ChunkStore]:
     """A bake's spec and chunk store, opened once a process; its kernels are loaded too.
@@ -360,7 +370,7 @@ def open_whole(
     plan: ScenePlan,
     digest: str,
     store_url: StoreUrl,
-    assets: SceneAssets | None,
+    assets: Assets | None,
 ) -> WholeLight | None:
     """The light of the whole that a bake's scene was cut from, opened once a process; None where it
     keeps none.
