@@ -13,8 +13,8 @@ from distributed.scheduler import KilledWorker
 
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import stand_behind, worker_niceness
-from worker.pool import MAX_TASK_TEXELS, TASKS_AHEAD, AllDone, Done, all_ended
-from worker.tasks import BakeTask, bake, bake_all
+from worker.pool import MAX_TASK_TEXELS, TASKS_AHEAD, AllDone, Done, WriteDone, all_ended
+from worker.tasks import BakeTask, WriteTask, bake, bake_all, write_all
 
 
 def show_certificate(authority: str, certificate: str, key: str) -> "dask.config.set":
@@ -111,6 +111,7 @@ class DaskPool:
 
     together = MAX_TASK_TEXELS
     preparing = ""
+    keeps_light = False
 
     def __init__(self, scheduler: str) -> None:
         """Join the ``scheduler``. Raises WorkersError, and WorkersAwayError if it is not there."""
@@ -174,6 +175,10 @@ class DaskPool:
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
         """Hand tasks of one bake over, to be done together."""
         self._send(bake_all, tasks, all_ended(tasks, done))
+
+    def write(self, task: WriteTask, done: WriteDone) -> None:
+        """Have light written: its workers write what they bake themselves."""
+        self._send(write_all, task, done)
 
     def prepare(self, work: Callable[[], object]) -> None:
         """Do nothing: joined workers prepare when they start."""

@@ -22,8 +22,25 @@ from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
 from worker.local_worker import LAST_SECONDS, Answer, Job, Start, run_worker
 from worker.niceness import Sessions, leads_session, worker_niceness
-from worker.pool import MAX_TASK_TEXELS, TASKS_AHEAD, WORKERS_COMPILE, AllDone, Done, all_ended
-from worker.tasks import PLAIN_LAYER_KINDS, BakeTask, attempt, bake, bake_all, kernels_missing
+from worker.pool import (
+    MAX_TASK_TEXELS,
+    TASKS_AHEAD,
+    WORKERS_COMPILE,
+    AllDone,
+    Done,
+    WriteDone,
+    all_ended,
+)
+from worker.tasks import (
+    PLAIN_LAYER_KINDS,
+    BakeTask,
+    WriteTask,
+    attempt,
+    bake,
+    bake_all,
+    kernels_missing,
+    write_all,
+)
 
 START_SECONDS = 120.0
 """Seconds within which the first workers come: the fork server imports and loads kernels first."""
@@ -80,6 +97,7 @@ class LocalPool:
 
     connected = True
     together = MAX_TASK_TEXELS
+    keeps_light = True
 
     def __init__(self, workers: int, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
         """Start ``workers`` processes, which load or compile kernels of layers of these ``kinds``.
@@ -153,6 +171,10 @@ class LocalPool:
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
         """Hand tasks of one bake over, to be done together."""
         self._bake(Job(bake_all, (tasks,)), tasks[0].plan, all_ended(tasks, done))
+
+    def write(self, task: WriteTask, done: WriteDone) -> None:
+        """Have light written."""
+        self._bake(Job(write_all, (task,)), task.plan, done)
 
     def prepare(self, work: Callable[[], object]) -> None:
         """Have each worker do some ``work`` ahead of its tasks."""

@@ -45,12 +45,19 @@ LAST_SECONDS = 1.0
 """Seconds that the job at work may take once the server has closed the pipe, or has ended."""
 
 
+TERM_SECONDS = 5.0
+"""Seconds that a process lives on that is told to end: whoever ends a whole group tells the server
+too, which has its workers write light before it closes their pipes.
+"""
+
+
 def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
     """Do one job after the other, until the server closes the pipe or ends.
 
     The first answer, of no job, says that the process is there.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, end_later)
     os.environ.clear()
     os.environ.update(start.environment)
     stand_behind(start.niceness, apart=True)
@@ -63,6 +70,13 @@ def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
         attempt(partial(load_kernels, tuple(start.kinds)))
         while (sent := waiting.get()) is not None and not closed.is_set():
             answers.send_bytes(answer_to(sent))
+
+
+def end_later(*_: object) -> None:
+    """End the process after TERM_SECONDS."""
+    timer = threading.Timer(TERM_SECONDS, os._exit, [0])
+    timer.daemon = True
+    timer.start()
 
 
 def read_jobs(

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from worker.tasks import PLAIN_LAYER_KINDS, BakeResult, BakeTask
+from worker.tasks import PLAIN_LAYER_KINDS, BakeResult, BakeTask, WriteTask, Written
 
 MAX_TASK_TEXELS = 1 << 14
 """Most texels of a task: at 1024 and more their paths fill whole waves; the sums of so many take
@@ -16,6 +16,7 @@ TASKS_AHEAD = 2
 WORKERS_COMPILE = "The workers compile their kernels."
 
 Done = Callable[[BakeResult | None, BaseException | None], None]
+WriteDone = Callable[[Sequence[Written] | None, BaseException | None], None]
 AllDone = Callable[[Sequence[BakeResult | BaseException]], None]
 
 
@@ -60,6 +61,15 @@ class WorkerPool(Protocol):
         """Hand tasks of one bake over, to be done together; ``done`` is called with the result or
         error of each.
         """
+
+    @property
+    def keeps_light(self) -> bool:
+        """Whether the server keeps light that converges: its workers hand it back, and ``write`` it
+        when they are told.
+        """
+
+    def write(self, task: WriteTask, done: WriteDone) -> None:
+        """Have light written; ``done`` is called as for ``submit``."""
 
     def prepare(self, work: Callable[[], object]) -> None:
         """Have each worker of this machine do some ``work`` ahead of its tasks; if it fails, it

@@ -300,6 +300,18 @@ class BakeQueue:
             request.advance(result, grown)
             self._rank_everywhere(request)
 
+    def wanted(self, bake: str) -> set[Index]:
+        """The chunks of a ``bake`` whose requests are open."""
+        return {
+            index
+            for (name, index), request in self.requests.items()
+            if name == bake and not request.given_up
+        }
+
+    def is_busy(self, bake: str, index: Index) -> bool:
+        """Whether a task of a ``bake`` is in flight for a chunk."""
+        return bake in self._in_flight.get(index, ())
+
     def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST_VIEWER) -> None:
         """Renew a ``viewer``'s interest in ``keys``."""
         claimed = self._interesting.get(viewer.client, {})

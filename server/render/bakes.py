@@ -21,6 +21,7 @@ from starlette.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.cache.costs import Costs
+from isogi_core.cache.fresh_light import fresh_light
 from isogi_core.cache.scene_assets import SceneAssets, send_assets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import trim_projected
@@ -96,9 +97,9 @@ def make_bake(
     def note(index: Index) -> None:
         arrived(name, index, shown)
 
-    return Bake(
-        scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole
-    )
+    light = fresh_light(store, spec.digest)
+    how = (assets, shown, whole, light)
+    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, *how)
 
 
 BACKGROUND_VIEWER = Viewer("background", patient=True)

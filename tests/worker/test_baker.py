@@ -52,6 +52,7 @@ class FakePool:
     def __init__(self, room: int) -> None:
         self.room = room
         self.together = 1
+        self.keeps_light = False
         self.workers = 2
         self.deaths = 0
         self.in_flight: list[tuple[BakeTask, Done]] = []

@@ -223,6 +223,15 @@ def test_a_worker_that_dies_again_and_again_comes_back_each_time() -> None:
             assert stirred.acquire(timeout=LONG)
 
 
+def test_a_worker_that_is_told_to_end_works_on_for_a_while() -> None:
+    """So long that a server which is told at the same moment can have its light written."""
+    with closing(LocalPool(1)) as fresh:
+        (pid,) = fresh.pids()
+        os.kill(pid, signal.SIGTERM)
+        assert run(fresh, os.getpid) == [pid]
+        assert wait_for(lambda: fresh.deaths == 1 and fresh.pids() not in ([], [pid]), LONG)
+
+
 class Unpackable(Exception):
     """An error that can be pickled, and not read again."""
 

@@ -472,7 +472,7 @@ from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 
 class Idle:
-    room, trouble, preparing = 0, "", ""
+    room, trouble, preparing, keeps_light = 0, "", "", False
     def __init__(self, *_): pass
     def attend(self, stir): pass
     def prepare(self, work): pass
