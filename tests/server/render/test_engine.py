@@ -32,6 +32,7 @@ from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
+from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
@@ -140,6 +141,12 @@ def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPa
     come.set()
     assert not look(engine, wait=LONG).provisional
     assert engine.unready() == [] and engine.workforce.preparing == ""
+
+
+def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> None:
+    """They neither read nor survey it: see ``tests/worker/test_tasks.py``."""
+    engine = begin()
+    assert isinstance(engine.baker._bakes[scene.id].assets, SharedScene)
 
 
 def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
