@@ -124,6 +124,7 @@ def test_worker_sessions_have_low_priority_while_a_view_moves(pool: LocalPool) -
     reach(pids, BACK_NICENESS)
     assert session_niceness(os.getpid()) == own
     reach(pids, FORWARD_NICENESS)
+    baker.stop()
 
 
 def test_kernels_are_loaded_and_not_compiled_again(
