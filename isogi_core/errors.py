@@ -93,6 +93,10 @@ class DamagedChunkError(StoreError):
     """A chunk's bytes are not what was written: cut, flipped, or another scene's."""
 
 
+class SharedMemoryError(IsogiError):
+    """What another process shared is gone."""
+
+
 class ReportError(IsogiError):
     """What a report needs (a reference, data of a former run) is damaged, or of something else."""
 

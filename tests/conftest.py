@@ -52,7 +52,7 @@ ROOMS = {
 LONGEST = (
     *(
         "web/card/test_published.py",
-        "worker/test_pool.py",
+        "worker/test_dask_pool.py",
         "docs/test_commands.py",
         "benchmarks/test_service.py",
     ),

@@ -272,3 +272,20 @@ def test_a_clock_of_one_module_may_be_replaced() -> None:
     assert not clocks_replaced(
         ast.walk(ast.parse("m.setattr(jobs, 'time', clock); m.setattr(jobs, 'now', f)"))
     )
+
+
+CLUSTER_MODULES = {"distributed", "dask", "tornado", "cryptography"}
+"""Modules that only a server loads that joins a cluster."""
+
+LOADED_TO_BAKE = "server.cli.serve server.cli.render server.cli.prewarm worker.local_pool"
+
+
+def test_who_joins_no_cluster_loads_nothing_of_clusters() -> None:
+    """Neither a server nor `isogi render`, nor their workers, which run ``worker.local_worker``."""
+    program = f"import sys, {', '.join(LOADED_TO_BAKE.split())}; print(*sys.modules)"
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    loaded = set(told.stdout.split())
+    assert "worker.local_worker" in loaded
+    assert loaded & CLUSTER_MODULES == set()

@@ -52,10 +52,14 @@ LONG_TASK_PATHS = 1 << 14
 a tenth of a second, for which others may have to wait.
 """
 
-SHORT_TASK_SECONDS = 0.1
-"""Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read
-and write.
+TASK_SECONDS = 0.25
+SHORT_TASK_SECONDS = 0.05
+"""Processor seconds that a task is filled up to, and that it is filled up to at least, where little
+is left and all workers are to have some of it.
 """
+
+PATH_SECONDS = 5e-6
+"""Processor seconds that a path of a chunk is assumed to take before any has ended."""
 
 NO_EFFORT = Effort(0, 0.0, 0.0)
 
@@ -210,7 +214,7 @@ class BakeRequest:
     @property
     def until(self) -> int:
         """The sample count beyond which no texel is taken next."""
-        return next_until(self.effort)
+        return min(next_until(self.effort), self.enough)
 
     @property
     def paths(self) -> float:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.scene_assets import SceneAssets
+from isogi_core.cache.fresh_light import FreshLight
 from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.texel_reading import Stage
@@ -26,7 +26,8 @@ from worker.bake_requests import GUEST_VIEWER, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
 from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
-from worker.tasks import BakeResult, BakeTask, Whole, open_spec
+from worker.tasks import Assets, BakeResult, BakeTask, Whole, open_spec
+from worker.writer import LOOK_SECONDS, LightWriter
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
@@ -109,9 +110,10 @@ class Bake:
     light.
 
     ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its
-    chunks. ``arrived`` is called with each chunk that has new light. Workers that lack the scene's
-    files read its ``assets`` instead. Texels lie on the isosurface that is ``shown``, if any. The
-    scene may be cut from a ``whole``.
+    chunks. ``arrived`` is called with each chunk that has new light. Workers open the ``assets``,
+    where there are some, in place of the scene's files. Texels lie on the isosurface that is
+    ``shown``, if any. The scene may be cut from a ``whole``. Its ``light`` stays in memory while it
+    converges, where the workers are of this machine.
     """
 
     source: SceneSource
@@ -121,9 +123,10 @@ class Bake:
     store_url: StoreUrl
     arrived: Callable[[Index], None]
     costs: Costs
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
     shown: Isovalue | None = None
     whole: Whole | None = None
+    light: FreshLight | None = None
 
 
 class Baker:
@@ -147,8 +150,11 @@ class Baker:
         self._pace = Pace(clock)
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
+        self._writer: LightWriter | None = None
+        self._stopped = threading.Event()
+        self._looker: threading.Thread | None = None
         self._in_flight = 0
-        self._done_tasks = self._failed_tasks = 0
+        self._done_tasks = self._done_chunks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
         self._seconds = 0.0
@@ -158,8 +164,10 @@ class Baker:
         self._listeners: list[Listener] = []
 
     def add(self, scene: str, bake: Bake) -> None:
-        """Add the bake of a scene."""
+        """Add the bake of a scene; what a whole has that it was cut from is written for it."""
         self._bakes[scene] = bake
+        if bake.whole is not None and self._writer is not None:
+            self._writer.write()
 
     def forget(self, scene: str) -> None:
         """Drop a scene's bake; listeners learn that no more of its chunks is baked."""
@@ -175,6 +183,10 @@ class Baker:
         """Begin to hand out tasks to ``pool``."""
         with self._changed:
             self._pool = pool
+            if pool.keeps_light:
+                self._writer = LightWriter(pool, self._met, self.stir)
+                self._looker = threading.Thread(target=self._look, name="writing", daemon=True)
+                self._looker.start()
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
@@ -208,7 +220,7 @@ class Baker:
         enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
         """Request the light that a viewer's newest view lacks. Returns the chunks that will be
-        baked.
+        baked, or have been since the view was drawn.
 
         There are none where the scene was dropped.
         """
@@ -216,11 +228,10 @@ class Baker:
         with self._changed:
             if scene not in self._bakes:
                 return frozenset()
-            self._queue.request(wanted, target, viewer, enough)
+            stale = self._queue.request(wanted, target, viewer, enough)
             self._feed()
-            return frozenset(
-                request.key[1] for request in self._queue.open(key for key, _ in wanted)
-            )
+            coming = self._queue.open(key for key, _ in wanted)
+            return frozenset(index for _, index in (*stale, *(each.key for each in coming)))
 
     def make_way(self) -> None:
         """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the
@@ -315,7 +326,7 @@ class Baker:
 
     def paused(self) -> str:
         """Why baking is paused: the store is away; empty where it is not."""
-        return self._pause.reason
+        return self._pause.reason or (self._writer.reason if self._writer else "")
 
     def tally(self) -> Tally:
         """Counts of waiting, done and failed work so far."""
@@ -333,16 +344,54 @@ class Baker:
                 people = (0, 0)
             else:
                 people = (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self.paths, *people, self._kept)
+            return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
 
     def stop(self) -> None:
-        """Hand out no more tasks, and save the measured costs."""
+        """Hand out no more tasks, write the light that is in memory, and save the measured
+        costs.
+        """
         with self._changed:
             self._pool = None
             self._pause.end()
             self._changed.notify_all()
+        self._stopped.set()
+        if self._looker is not None:
+            self._looker.join()
+        if self._writer is not None:
+            self._writer.finish()
         for bake in list(self._bakes.values()):
             bake.costs.save()
+
+    def write(self) -> None:
+        """Write the light that is in memory, and return when it is written."""
+        if self._writer is not None:
+            self._writer.finish()
+
+    @property
+    def unwritten(self) -> int:
+        """How many chunks have light that is in memory alone."""
+        if self._writer is None:
+            return 0
+        return self._writer.unwritten
+
+    def _look(self) -> None:
+        """Have light written when that is due, until the baker stops."""
+        while self._writer is not None and not self._stopped.wait(LOOK_SECONDS):
+            self._writer.look(self._wanted)
+            with self._changed:
+                self._writer.sweep(self._queue.is_busy)
+
+    def _wanted(self, name: str) -> set[Index]:
+        """The chunks of a bake that are still to be baked."""
+        with self._changed:
+            return self._queue.wanted(name)
+
+    def _met(self, name: str, index: Index) -> None:
+        """Have light read again that another writer has added to."""
+        bake = self._bakes.get(name)
+        if bake is not None:
+            bake.arrived(index)
+            self._notify(name, index, False)
 
     def _shared(self, one: str, other: str) -> bool:
         """Whether two bakes write to the same layer; False for a bake that was dropped."""
@@ -357,7 +406,9 @@ class Baker:
             if request is None:
                 return
             self._fly(1)
-            self._submit(self._pool, self._queue.take_along(request, self._pool.together))
+            self._submit(
+                self._pool, self._queue.take_along(request, self._pool.together, self._pool.room)
+            )
 
     def _fly(self, more: int) -> None:
         """Count so many ``more`` tasks as in flight; the caller holds the lock."""
@@ -368,6 +419,8 @@ class Baker:
         """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view
         moves.
         """
+        if self._writer is not None and self._writer.reason:
+            return 0
         if self._pause.reason:
             return min(int(self._pause.over), pool.room)
         return min(
@@ -381,7 +434,8 @@ class Baker:
         """Hand over the tasks of requests of one bake, to be done together."""
         scene = requests[0].key[0]
         bake = self._bakes[scene]
-        tasks = [self._task(bake, request) for request in requests]
+        keeps = self._writer is not None and bake.light is not None
+        tasks = [self._task(bake, request, keeps) for request in requests]
         if len(tasks) == 1:
             pool.submit(
                 tasks[0], lambda result, error: self._done(scene, bake, tasks, [result or error])
@@ -389,13 +443,25 @@ class Baker:
         else:
             pool.submit_all(tasks, lambda outcomes: self._done(scene, bake, tasks, outcomes))
 
-    def _task(self, bake: Bake, request: BakeRequest) -> BakeTask:
+    def _task(self, bake: Bake, request: BakeRequest, keeps: bool) -> BakeTask:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (*request.next, request.until, request.target)
         insists = request.waited >= LONGEST_REST
+        light = None
+        if keeps and bake.light is not None:
+            light = bake.light.some(index, request.next[0])
         return BakeTask(
-            *place, *what, bake.assets, self._name, insists, bake.shown, bake.whole, request.enough
+            *place,
+            *what,
+            bake.assets,
+            self._name,
+            insists,
+            bake.shown,
+            bake.whole,
+            request.enough,
+            keeps,
+            light,
         )
 
     def _done(
@@ -409,9 +475,14 @@ class Baker:
         for task, outcome in zip(tasks, outcomes, strict=True):
             if isinstance(outcome, BakeResult) and not outcome.elsewhere:
                 bake.costs.add(task.index, outcome.cost)
+                if self._writer is not None and bake.light is not None:
+                    self._writer.take(scene, bake.light, task, outcome)
                 bake.arrived(task.index)
         with self._changed:
             self._fly(-1)
+            self._done_tasks += any(
+                isinstance(each, BakeResult) and not each.elsewhere for each in outcomes
+            )
             for task, outcome in zip(tasks, outcomes, strict=True):
                 self._settle(scene, task, outcome)
             self._changed.notify_all()
@@ -433,8 +504,9 @@ class Baker:
             self.paths += outcome.cost.paths
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
-            self._done_tasks += 1
-            self._pause.end()
+            self._done_chunks += 1
+            if task.light is None:  # it has read the store
+                self._pause.end()
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
             self._kept += outcome.kept

@@ -10,9 +10,6 @@ import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
-
-from distributed import WorkerPlugin
 
 from worker.fork_server import WORKER_PROCESS_NAME
 
@@ -26,28 +23,24 @@ Two such sessions together have as much of the cores as one of niceness 0, such 
 """
 
 
-class Nice(WorkerPlugin):
-    """Gives a worker process its name, and lower priority than the server."""
+def worker_niceness() -> int:
+    """The niceness of workers that stay below this process, the server."""
+    return min(os.getpriority(os.PRIO_PROCESS, 0) + WORKER_NICENESS, 19)
 
-    name = "nice"
 
-    def __init__(self, apart: bool = False) -> None:
-        """Take the priority of this process, the server, as the one to stay below.
+def stand_behind(niceness: int, apart: bool = False) -> None:
+    """Give this process, a worker, its name, and lower its priority to a ``niceness``, unless it is
+    as low already.
 
-        Workers that are set ``apart`` lead sessions of their own, where the kernel has autogroups.
-        """
-        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + WORKER_NICENESS, 19)
-        self.apart = apart
-
-    def setup(self, worker: Any) -> None:
-        """Name the process, and lower its priority, unless it is as low already."""
-        with suppress(OSError):  # another system
-            Path("/proc/self/comm").write_text(WORKER_PROCESS_NAME, encoding="ascii")
-        os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
-        if self.apart and Path("/proc/self/autogroup").exists():
-            with suppress(PermissionError):
-                os.setsid()
-                set_session_niceness(os.getpid(), FORWARD_NICENESS)
+    A worker that is set ``apart`` leads a session of its own, if the kernel has autogroups.
+    """
+    with suppress(OSError):  # another system
+        Path("/proc/self/comm").write_text(WORKER_PROCESS_NAME, encoding="ascii")
+    os.setpriority(os.PRIO_PROCESS, 0, max(niceness, os.getpriority(os.PRIO_PROCESS, 0)))
+    if apart and Path("/proc/self/autogroup").exists():
+        with suppress(PermissionError):
+            os.setsid()
+            set_session_niceness(os.getpid(), FORWARD_NICENESS)
 
 
 def leads_session(pid: int) -> bool:

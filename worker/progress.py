@@ -23,8 +23,9 @@ class Tally:
     """Counts of a baker's work.
 
     Chunks ``waiting`` and ``given_up``, and the ``age`` of the oldest request in seconds; tasks
-    ``in_flight``, ``done`` and ``failed``; done tasks whose light was there already (``duplicate``)
-    or was damaged and is baked again (``healed``); the ``paths`` that were baked; the present
+    ``in_flight`` and ``done``, each of one or more chunks; ``chunks`` that were baked in them, and
+    that ``failed``; of these, chunks whose light was there already (``duplicate``) or was damaged
+    and is baked again (``healed``); the ``paths`` that were baked; the present
     ``workers``, and the ``deaths`` of workers; texels that ``kept`` the light of a whole volume
     where that is cut.
     """
@@ -41,6 +42,7 @@ class Tally:
     workers: int
     deaths: int
     kept: int = 0
+    chunks: int = 0
 
 
 # --- time left

@@ -20,7 +20,19 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST_VIEWER, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
+from worker.bake_requests import (
+    GUEST_VIEWER,
+    NO_INTEREST,
+    PATH_SECONDS,
+    SHORT_TASK_SECONDS,
+    TASK_SECONDS,
+    BakeRequest,
+    Key,
+    MergedInterest,
+    Shares,
+    Viewer,
+    exceeds,
+)
 from worker.tasks import BakeResult
 
 Rank = tuple[bool, int, int, float, float]
@@ -81,6 +93,13 @@ class ClientQueues:
         queue = queues.get(client) or queues.setdefault(client, ClientQueue())
         queue.push(client, (rank, interest.ticket, request))
 
+    def length(self, patient: bool, client: Hashable) -> int:
+        """How many places a client's queue has, outdated ones among them."""
+        queue = self._queues[patient].get(client)
+        if queue is None:
+            return 0
+        return len(queue.places)
+
     def pop(self, patient: bool, client: Hashable) -> tuple[Rank, BakeRequest] | None:
         """Take out the first request of a client's queue, with its rank; None where the queue is
         empty, and removed.
@@ -98,6 +117,11 @@ def is_current(place: Place, client: Hashable) -> bool:
     interest = request.interests.get(client)
     return interest is not None and interest.ticket == ticket
 
+
+STALE_SECONDS = 2.0
+"""Seconds within which a view that lacks what was just finished is taken to have been drawn before
+that.
+"""
 
 FORGET_AFTER = 60.0
 EXPIRY_CHECK_SECONDS = 1.0
@@ -133,6 +157,7 @@ class BakeQueue:
     _in_flight: dict[Index, set[str]] = field(default_factory=dict)
     _held: dict[Index, list[BakeRequest]] = field(default_factory=dict)
     _postponed: list[tuple[float, BakeRequest]] = field(default_factory=list)
+    _finished: dict[Key, tuple[float, MergedInterest]] = field(default_factory=dict)
     _alone: bool = False
     _turn: tuple[bool, Hashable] = (False, "")
 
@@ -142,18 +167,36 @@ class BakeQueue:
         target: float,
         viewer: Viewer = GUEST_VIEWER,
         enough: int = MAX_SAMPLES,
-    ) -> None:
-        """Add the demands of a ``viewer``'s newest view."""
+    ) -> set[Key]:
+        """Add the demands of a ``viewer``'s newest view.
+
+        Returns those that are left out: their light has come since the view was drawn.
+        """
         self._forget()
+        stale = set[Key]()
         self.views += 1
         now = self.clock()
         for key, demand in demands:
+            if key not in self.requests and self._has_come(key, demand, target, enough):
+                stale.add(key)
+                continue
             request = self.requests.get(key) or self.requests.setdefault(key, BakeRequest(key))
             if not request.given_up:
                 request.add_interest(demand, target, viewer, self.views, now, enough)
                 self._add_for(request, viewer.client)
         if viewer.single:
             self._release(viewer, self.views)
+        return stale
+
+    def _has_come(self, key: Key, demand: Demand, target: float, enough: int) -> bool:
+        """Whether what is demanded of a chunk was finished within the last STALE_SECONDS."""
+        when, done = self._finished.get(key, (-math.inf, NO_INTEREST))
+        return self.clock() - when < STALE_SECONDS and not exceeds(
+            MergedInterest(demand.offsets, demand.footprints, target, enough),
+            done.offsets,
+            done.target,
+            done.enough,
+        )
 
     def leave(self, viewer: Viewer) -> None:
         """Drop the interests that a ``viewer`` was the last of its client to renew."""
@@ -185,26 +228,29 @@ class BakeQueue:
                     return self._take(request, client)
         return None
 
-    def take_along(self, first: BakeRequest, most: int) -> list[BakeRequest]:
-        """Take what goes with the request that was just taken: ``most`` texels and
-        SHORT_TASK_SECONDS of the same turn.
+    def take_along(self, first: BakeRequest, most: int, tasks: int = 1) -> list[BakeRequest]:
+        """Take what goes with the request that was just taken: ``most`` texels of the same turn,
+        and TASK_SECONDS.
 
         They are the next of that client, as long as these are of the same bake, target and sample
-        level.
+        level. Where what is left would not fill so many ``tasks``, it is shared evenly among them,
+        so that all workers come to the end of it together.
         """
         taken = [first]
         left = most - len(first.next[0])
         seconds = self.seconds(first)
         patient, client = self._turn
+        waiting = seconds * (1 + self._queues.length(patient, client))
+        enough = min(max(waiting / tasks, SHORT_TASK_SECONDS), TASK_SECONDS)
         while (
             left > 0
-            and seconds < SHORT_TASK_SECONDS
+            and seconds < enough
             and not first.suspect
             and (found := self._first(patient, client))
         ):
             left = left - len(found.next[0])
             seconds = seconds + self.seconds(found)
-            if left < 0 or seconds > SHORT_TASK_SECONDS or not alike(first, found):
+            if left < 0 or seconds > enough or not alike(first, found):
                 self._rank_for(found, client)
                 break
             self._start(found, client)
@@ -212,10 +258,8 @@ class BakeQueue:
         return taken
 
     def seconds(self, request: BakeRequest) -> float:
-        """The seconds that the next task of a request is predicted to take; 0 where that is
-        unknown.
-        """
-        return request.paths * (self.rate(request.key) or 0.0)
+        """The seconds that the next task of a request is predicted to take."""
+        return request.paths * (self.rate(request.key) or PATH_SECONDS)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:
         """The rank of a request among those of a client; the smallest comes first."""
@@ -249,10 +293,24 @@ class BakeQueue:
         if not request.interests:
             del self.requests[key]
         elif result.unfinished == 0 and not grown:
+            done = MergedInterest(request.offsets, request.footprints, target, enough)
+            self._finished[key] = self.clock(), done
             self._drop_all(request)
         else:
             request.advance(result, grown)
             self._rank_everywhere(request)
+
+    def wanted(self, bake: str) -> set[Index]:
+        """The chunks of a ``bake`` whose requests are open."""
+        return {
+            index
+            for (name, index), request in self.requests.items()
+            if name == bake and not request.given_up
+        }
+
+    def is_busy(self, bake: str, index: Index) -> bool:
+        """Whether a task of a ``bake`` is in flight for a chunk."""
+        return bake in self._in_flight.get(index, ())
 
     def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST_VIEWER) -> None:
         """Renew a ``viewer``'s interest in ``keys``."""
@@ -424,6 +482,11 @@ class BakeQueue:
         if self.clock() - self.looked < EXPIRY_CHECK_SECONDS:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
+        self._finished = {
+            key: each
+            for key, each in self._finished.items()
+            if self.clock() - each[0] < STALE_SECONDS
+        }
         for client in tuple(self._interesting):
             for request in self._older_than(client, horizon):
                 self._drop(request, client)

@@ -36,7 +36,7 @@ from isogi_core.cache.scene_assets import (
     receive_colours,
     receive_glow_bits,
 )
-from isogi_core.errors import SceneError, StoreAwayError
+from isogi_core.errors import SceneError, SharedMemoryError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import MATERIAL_NUMBERS, VOXEL_SETTINGS, SceneSource
 from isogi_core.kernels._jit import entries_of, load
@@ -63,18 +63,24 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import COLOURED_KIND, PATH_KINDS
 from isogi_core.plan.volumes.masks import cut_digest, voxels_left
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.prepared.shared_scenes import SharedScene, receive_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+
+Assets = SceneAssets | SharedScene
+"""What a worker opens in place of a scene's files: copies of them in the store, or what the server
+shares with processes of its machine.
+"""
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The scene that one was cut from: its ``source``, and its ``assets`` where workers lack its
-    files.
+    """The scene that one was cut from: its ``source``, and the ``assets`` that workers open in
+    place of its files.
     """
 
     source: SceneSource
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
 
     def planes(self, cut: SceneSource) -> str:
         """What a ``cut`` of it takes away, as its document has that besides what the whole is cut
@@ -193,11 +199,15 @@ class BakeTask:
 
     Texels need no more once they are good for pictures of the relative error ``target``, or have
     ``enough`` samples. ``plan`` is what is baked. ``digest`` names the light that the server means,
-    as the scene's files may have changed since. Where there are ``assets``, these are read in place
-    of the scene's files. ``owner`` names the baker, which claims the chunk while others are at work
-    too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
-    ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they keep
-    what light of that the cut leaves as it is.
+    as the scene's files may have changed since. Where there are ``assets``, these are opened in
+    place of the scene's files. ``owner`` names the baker, which claims the chunk while others are
+    at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that
+    is ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they
+    keep what light of that the cut leaves as it is.
+
+    Where the server ``keeps`` the light, it comes with the result and is written later, by a
+    ``WriteTask``. The server then sends the ``light`` that it has of these texels, if it has the
+    chunk.
     """
 
     source: SceneSource
@@ -209,12 +219,14 @@ class BakeTask:
     footprints: np.ndarray
     until: int
     target: float
-    assets: SceneAssets | None = None
+    assets: Assets | None = None
     owner: str = ""
     insists: bool = False
     shown: Isovalue | None = None
     whole: Whole | None = None
     enough: int = MAX_SAMPLES
+    keeps: bool = False
+    light: Chunk | None = None
 
 
 @dataclass(frozen=True)
@@ -225,7 +237,9 @@ class BakeResult:
     the paths taken, and ``effort`` the work done and left. ``cost`` is the task's own. The task is
     a ``duplicate`` where all its light was there already, and has ``healed`` the chunk where that
     was damaged. So many texels ``kept`` the light of a whole volume. With another baker at the
-    chunk (``elsewhere``) nothing was done.
+    chunk (``elsewhere``) nothing was done. ``chunk`` is its light where the server keeps that, in
+    which the layers that ``changed`` are not written: all of it, or of the task's texels where the
+    server has sent these.
     """
 
     unfinished: int
@@ -236,6 +250,8 @@ class BakeResult:
     healed: bool = False
     elsewhere: bool = False
     kept: int = 0
+    chunk: Chunk | None = None
+    changed: tuple[bool, ...] = ()
 
 
 BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
@@ -257,11 +273,15 @@ def claims_of(store_url: StoreUrl) -> Claims:
 
 @lru_cache(maxsize=4)
 def prepared_scene(
-    source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl
+    source: SceneSource, assets: Assets | None, store_url: StoreUrl
 ) -> PreparedScene:
-    """The prepared scene, opened once a process for all of its bakes: from its files, or its assets
-    in the store.
+    """The prepared scene, opened once a process for all of its bakes: as the server shares it, from
+    its files, or its assets in the store.
     """
+    if isinstance(assets, SharedScene):
+        with suppress(SharedMemoryError):  # the server has let go of the scene: its files are read
+            return receive_scene(assets, most_maps())
+        return opened(source)
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
@@ -330,7 +350,7 @@ def open_spec(
     plan: ScenePlan,
     digest: str,
     store_url: StoreUrl,
-    assets: SceneAssets | None = None,
+    assets: Assets | None = None,
     shown: Isovalue | None = None,
 ) -> tuple[BakeSpec, ChunkStore]:
     """A bake's spec and chunk store, opened once a process; its kernels are loaded too.
@@ -360,7 +380,7 @@ def open_whole(
     plan: ScenePlan,
     digest: str,
     store_url: StoreUrl,
-    assets: SceneAssets | None,
+    assets: Assets | None,
 ) -> WholeLight | None:
     """The light of the whole that a bake's scene was cut from, opened once a process; None where it
     keeps none.
@@ -446,30 +466,26 @@ class Work:
 
     @classmethod
     def begin(cls, task: BakeTask, chunk_store: ChunkStore) -> Self:
-        """Read the chunk of a task."""
+        """Read the chunk of a task, unless its light has come with it."""
         damaged = chunk_store.damaged
-        chunk = chunk_store.load(task.index).with_texels(task.offsets)
+        chunk = (task.light or chunk_store.load(task.index)).with_texels(task.offsets)
         known = [part.samples.copy() for part in chunk.light.parts]
         chunk.light.agree_on_void()
         rows = chunk.rows_of(task.offsets)
         return cls(chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
-    def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> bool:
-        """Write the chunk back as one object, with new ``light`` of its texels; whether any of that
-        is new.
-        """
+    def end(self, light: Light) -> tuple[bool, ...]:
+        """Put new ``light`` of its texels into the chunk; which layers have any that is new."""
         self.chunk.light.put(self.rows, light)
         pairs = zip(self.chunk.light.parts, self.known, strict=True)
-        changed = [not np.array_equal(part.samples, old) for part, old in pairs]
-        if chunk_store.save(self.chunk, changed):
-            claims.note_contention()
-        return any(changed)
+        return tuple(not np.array_equal(part.samples, old) for part, old in pairs)
 
 
 def bake_chunks(
     tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims
 ) -> list[BakeResult]:
-    """Read the chunks of tasks, add samples to all of them together, write each back as one object.
+    """Read the chunks of tasks, add samples to all of them together, write each back as one object,
+    or hand it to the server where that keeps it.
 
     The outcome depends on the texels and their sample counts alone, so a task that is done twice,
     done again after a kill, or done beside others, leaves the same bytes. What it took, to read and
@@ -490,9 +506,12 @@ def bake_chunks(
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
     rows = [slice(a, b) for a, b in pairwise(bounds)]
     news = [
-        work.end(light.rows(np.arange(len(light))[own]), chunk_store, claims)
+        work.end(light.rows(np.arange(len(light))[own]))
         for work, own in zip(works, rows, strict=True)
     ]
+    for task, work, changed in zip(tasks, works, news, strict=True):
+        if not task.keeps:
+            save(Unwritten(work.chunk, changed), chunk_store, claims)
     results = results_of(light, spec, tasks)
     seconds = time.process_time() - begun
     samples = light.samples
@@ -506,12 +525,66 @@ def bake_chunks(
         replace(
             result,
             cost=cost_of(samples[own], before[own], float(each * shares[own].sum())),
-            duplicate=not new,
+            duplicate=not any(changed),
             healed=work.healed,
             kept=int(kept[own].sum()),
+            chunk=work.chunk if task.keeps else None,
+            changed=changed,
         )
-        for result, work, new, own in zip(results, works, news, rows, strict=True)
+        for task, result, work, changed, own in zip(tasks, results, works, news, rows, strict=True)
     ]
+
+
+@dataclass(frozen=True, eq=False)
+class Unwritten:
+    """A ``chunk`` that is to be written, as far as its layers have ``changed``."""
+
+    chunk: Chunk
+    changed: tuple[bool, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WriteTask:
+    """Write the light of ``chunks`` of one bake, which the other fields name as in a
+    ``BakeTask``.
+    """
+
+    source: SceneSource
+    plan: ScenePlan
+    digest: str
+    store_url: StoreUrl
+    assets: Assets | None
+    shown: Isovalue | None
+    chunks: tuple[Unwritten, ...]
+
+
+Written = bool | Exception
+"""What became of a chunk that was to be written: whether another writer was met, or an error."""
+
+
+def write_all(task: WriteTask) -> list[Written]:
+    """Write each chunk of a task as one object a layer."""
+    _, chunk_store = open_spec(
+        task.source, task.plan, task.digest, task.store_url, task.assets, task.shown
+    )
+    claims = claims_of(task.store_url)
+    return [written(each, chunk_store, claims) for each in task.chunks]
+
+
+def written(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> Written:
+    """What becomes of one chunk that is to be written."""
+    try:
+        return save(each, chunk_store, claims)
+    except Exception as error:
+        return error
+
+
+def save(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> bool:
+    """Write a chunk; whether another writer was met at it. Raises StoreError."""
+    met = chunk_store.save(each.chunk, each.changed)
+    if met:
+        claims.note_contention()
+    return met
 
 
 def keep_light(

@@ -40,7 +40,7 @@ from server.render.engine import RenderEngine
 from tests.cluster.processes import cluster as running_cluster
 from tests.cluster.processes import until
 from tests.server.inline import EngineWithoutWorkers
-from worker.pool import WorkerPool
+from worker.pool import WorkerPool, start_pool
 from worker.tasks import BakeResult, BakeTask
 
 MIB = 1 << 20
@@ -115,10 +115,10 @@ def hired(kind: str, workers: int) -> Iterator[WorkerPool]:
     """A pool of so many workers of a kind."""
     with ExitStack() as stack:
         if kind == "embedded":
-            yield stack.enter_context(closing(WorkerPool(workers)))
+            yield stack.enter_context(closing(start_pool(workers)))
             return
         address = stack.enter_context(running_cluster(workers)).address
-        pool = stack.enter_context(closing(WorkerPool(1, address)))
+        pool = stack.enter_context(closing(start_pool(1, address)))
         until(lambda: len(pool.pids()) == workers)
         yield pool
 
@@ -252,7 +252,7 @@ def digests(numbers: Sequence[int]) -> Iterator[tuple[str, str]]:
         for before, number in pairwise((0, *sorted(numbers))):
             for _ in range(number - before):
                 running.worker()
-            with closing(WorkerPool(1, running.address)) as pool:
+            with closing(start_pool(1, running.address)) as pool:
                 until(lambda n=number, p=pool: len(p.pids()) == n)  # type: ignore[misc]
             yield named("joined", number), digest(scene, number, running.address)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import psutil
 
 from isogi_core.cache.chunk_record import Chunk
-from worker.niceness import Nice
+from worker.niceness import stand_behind, worker_niceness
 from worker.tasks import BakeTask, cost_of, open_spec, sample_texels
 
 LONG = 600.0
@@ -44,7 +44,7 @@ def copy(tasks: Sequence[BakeTask], line: Connection) -> None:
     """The life of one copy, as nice as a worker: bake those of the tasks that are named, until none
     are.
     """
-    Nice(apart=True).setup(None)
+    stand_behind(worker_niceness(), apart=True)
     line.send(climb(tasks[0]))
     while share := line.recv():
         begun = time.perf_counter()

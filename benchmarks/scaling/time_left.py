@@ -41,6 +41,7 @@ class OneByOne:
 
     room = 2
     together = 1
+    keeps_light = False
     workers = 1
     trouble = ""
 

@@ -13,6 +13,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_record import Chunk, Chunks
+from isogi_core.cache.fresh_light import FreshLight, fresh_light, texels_of
 from isogi_core.cache.inventory import STAMPS_FOLDER
 from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
@@ -186,15 +187,22 @@ class ChunkStore:
             layer.open()
         self.fallbacks  # noqa: B018
 
+    @cached_property
+    def fresh(self) -> FreshLight:
+        """The light that this process has of the bake and has not written yet."""
+        return fresh_light(self.store, self.spec.digest)
+
     @property
     def made(self) -> bool:
-        """Whether any layer's array was made: until then there is nothing to read."""
-        return any(layer.made for layer in self.layers)
+        """Whether there may be light to read: any layer's array was made, or some is in memory."""
+        return len(self.fresh) > 0 or any(layer.made for layer in self.layers)
 
     def read(self, index: Index) -> Chunk | None:
-        """Read a chunk; None where no layer has anything of it. Damaged objects count as absent and
-        are logged.
+        """Read a chunk, or take it from memory where that is newer; None where no layer has any of
+        it. Damaged objects count as absent and are logged.
         """
+        if (newer := self.fresh.newer(index)) is not None:
+            return newer
         return self._chunk(
             index, [self._decoded(layer, index, layer.read(index)) for layer in self.layers]
         )
@@ -237,6 +245,20 @@ class ChunkStore:
                     indices, stored[len(self.layers) + number], self._report_damage
                 )
                 found[number] = completed(*found[number], *smaller)
+        return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
+
+    def show_fresh(self, chunks: Sequence[Chunk]) -> Chunks:
+        """The ``chunks`` that are newer than the store, as ``show`` gives those of the store."""
+        indices = [chunk.index for chunk in chunks]
+        places, light = texels_of(chunks, self.spec.prepared.lattice.texels)
+        found = []
+        for part, other in zip(light.parts, self.fallbacks, strict=True):
+            lit = part.samples != 0
+            own = places[lit], part.rows(lit)
+            if other is not None:
+                stored = [other.read(index) for index in indices]
+                own = completed(*own, *other.decode_all(indices, stored, self._report_damage))
+            found.append(own)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def load(self, index: Index) -> Chunk:

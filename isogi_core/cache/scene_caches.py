@@ -60,7 +60,13 @@ class Loader:
             together = frozenset(chunks)
         else:
             together = frozenset()
-        with self._reading() as refreshed, closing(self._shown(missing)) as shown:
+        newer = {index: self.chunk_store.fresh.newer(index) for index in missing}
+        fresh = [chunk for chunk in newer.values() if chunk is not None]
+        stored = [index for index, chunk in newer.items() if chunk is None]
+        with self._reading() as refreshed, closing(self._shown(stored)) as shown:
+            if fresh:
+                shown_fresh = self.chunk_store.show_fresh(fresh)
+                self._take([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
             for indices, found in shown:
                 check()
                 self._take(indices, found, together, refreshed)

@@ -127,6 +127,7 @@ class ActiveCellMaps:
         measured = survey("ranges", lambda: measure_ranges(voxels))
         self._ranges = block_ranges(voxels, take=self._take, measured=measured)
         self.levels = survey("levels", lambda: find_levels(voxels))
+        self.measured = {"ranges": measured, "levels": self.levels}
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most = most
         self._sizes = dict[tuple[int, int], int]()

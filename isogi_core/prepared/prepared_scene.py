@@ -76,22 +76,26 @@ Met = Open | InRoom | Among | Through
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """A scene as kernels take it; at most ``most`` bytes of active-cell maps are kept."""
+    """A scene as kernels take it; at most ``most`` bytes of active-cell maps are kept.
+
+    A ``survey`` gives what is measured of the voxels, if others have measured it.
+    """
 
     scene: Scene
     most: int = MAP_BYTES
+    survey: Survey | None = None
 
     @cached_property
     def field(self) -> Field:
         """The volume with its macrocells."""
-        return make_field(
-            self.scene.volume, self.scene.settings.normals == "bspline", self.scene.settings.offset
-        )
+        smooth = self.scene.settings.normals == "bspline"
+        return make_field(self.scene.volume, smooth, self.scene.settings.offset, self.survey)
 
     @cached_property
     def maps(self) -> ActiveCellMaps:
         """The active-cell maps of the volume."""
-        return ActiveCellMaps(self.scene.volume.voxels, self.most, survey_of(self.scene.volume))
+        survey = self.survey or survey_of(self.scene.volume)
+        return ActiveCellMaps(self.scene.volume.voxels, self.most, survey)
 
     @cached_property
     def voxel_codes(self) -> VoxelCodes:
@@ -102,7 +106,7 @@ class PreparedScene:
         """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels
         serves both.
         """
-        made = PreparedScene(scene, self.most)
+        made = PreparedScene(scene, self.most, self.survey)
         vars(made).update(field=self.field, maps=self.maps)
         return made
 
@@ -295,7 +299,12 @@ SURVEY_VERSION = 1
 """Version of what is measured of volumes: increased when the same voxels give other arrays."""
 
 
-def make_field(volume: Volume, smooth: bool = True, offset: float = RAY_OFFSET_VOXELS) -> Field:
+def make_field(
+    volume: Volume,
+    smooth: bool = True,
+    offset: float = RAY_OFFSET_VOXELS,
+    survey: Survey | None = None,
+) -> Field:
     """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a
     surface.
     """
@@ -305,5 +314,5 @@ def make_field(volume: Volume, smooth: bool = True, offset: float = RAY_OFFSET_V
         fill_macrocells(volume.voxels, *found)
         return found
 
-    low, high = survey_of(volume)("macrocells", measure)
+    low, high = (survey or survey_of(volume))("macrocells", measure)
     return Field(volume.voxels, low, high, volume.spacing, smooth, offset)

@@ -193,7 +193,7 @@ def histogram_between(histogram: Histogram, span: Span) -> Histogram:
         count if span.low <= low and high <= span.high else 0
         for count, low, high in zip(histogram.counts, edges[:-1], edges[1:], strict=True)
     ]
-    return Histogram(counts=counts, edges=edges)
+    return Histogram(counts=counts, edges=edges, logarithmic=histogram.logarithmic)
 
 
 def fits_of(

@@ -22,6 +22,7 @@ from starlette.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.cache.costs import Costs
+from isogi_core.cache.fresh_light import fresh_light
 from isogi_core.cache.scene_assets import SceneAssets, send_assets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import trim_projected
@@ -29,15 +30,14 @@ from isogi_core.errors import Cancelled, IsogiError, StoreFullError, StoreReadOn
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import Index
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from server.bearers import bearer_of, client_of
 from worker.bake_requests import Viewer
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
-from worker.tasks import Whole
+from worker.tasks import Assets, Whole
 
 
 def bake_name(scene: str, spec: str) -> str:
@@ -49,13 +49,25 @@ def bake_name(scene: str, spec: str) -> str:
     return f"{scene} ({spec})"
 
 
-def sent(scene: Scene, store: Store) -> SceneAssets | None:
-    """What joined workers read in place of the scene's files; None where the store takes
+Lend = Callable[[PreparedScene], Assets | None]
+"""Gives what workers open in place of a scene's files; None if they read these."""
+
+
+def lend_nothing(prepared: PreparedScene) -> None:
+    """Have workers read the scene's files."""
+
+
+def lend_by_store(store: Store) -> Lend:
+    """Have joined workers read copies of the scene's files in the ``store``, unless it takes
     nothing.
     """
-    with suppress(StoreReadOnlyError, StoreFullError):
-        return send_assets(scene, store)
-    return None
+
+    def sent(prepared: PreparedScene) -> SceneAssets | None:
+        with suppress(StoreReadOnlyError, StoreFullError):
+            return send_assets(prepared.scene, store)
+        return None
+
+    return sent
 
 
 Arrived = Callable[[str, Index, Isovalue | None], None]
@@ -64,13 +76,12 @@ Arrived = Callable[[str, Index, Isovalue | None], None]
 def make_bake(
     caches: Caches,
     name: str,
-    assets: SceneAssets | None,
+    assets: Assets | None,
     arrived: Arrived,
     shown: Isovalue | None = None,
     whole: Whole | None = None,
 ) -> Bake:
-    """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read
-    the ``assets``.
+    """The bake of a spec, by its name; workers open the ``assets`` in place of the scene's files.
 
     Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut
     from a ``whole``. Nothing of the ``caches`` is kept: ``arrived`` is called with the spec's name,
@@ -87,9 +98,9 @@ def make_bake(
     def note(index: Index) -> None:
         arrived(name, index, shown)
 
-    return Bake(
-        scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole
-    )
+    light = fresh_light(store, spec.digest)
+    how = (assets, shown, whole, light)
+    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, *how)
 
 
 BACKGROUND_VIEWER = Viewer("background", patient=True)
@@ -168,16 +179,14 @@ class SideBakes:
             f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make
         )
 
-    def side(self, scene: str, spec: str, stage: Stage, send: bool) -> str:
+    def side(self, scene: str, spec: str, stage: Stage, lend: Lend) -> str:
         """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's
-        surfaces; made where it is new. Its assets are put into the store where they are to be
-        ``sent``. The caches that asked last are told of its light: those before them may have been
-        let go.
+        surfaces; made where it is new. Workers open what ``lend`` gives. The caches that asked last
+        are told of its light: those before them may have been let go.
         """
         if stage.caches is None:
             raise ValueError("A stage of the scene's own light has a bake already.")
         caches = stage.caches
-        own = stage.caches.prepared.scene
         name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
         self._readers[name] = caches
 
@@ -186,9 +195,7 @@ class SideBakes:
                 held.refresh(spec, index, shown)
 
         def make() -> Bake:
-            return make_bake(
-                caches, spec, sent(own, self._store) if send else None, arrived, stage.shown
-            )
+            return make_bake(caches, spec, lend(caches.prepared), arrived, stage.shown)
 
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 

@@ -24,6 +24,7 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from isogi_core.prepared.shared_scenes import SharedScenes
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store, StoreLike
 from server.errors import UnknownSceneError
@@ -34,6 +35,7 @@ from server.render.bakes import (
     PictureChecks,
     SideBakes,
     bake_name,
+    lend_by_store,
     make_bake,
 )
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
@@ -128,6 +130,10 @@ class RenderEngine:
         self._tiles = Tiles()
         self.baker = baker or Baker(workers=None if scheduler else workers)
         self.workforce = Workforce(self.baker, self.store.url, workers, scheduler)
+        if self.workforce.joins:
+            self._lend = lend_by_store(self.store)
+        else:
+            self._lend = SharedScenes().share
         self._beside = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
@@ -182,9 +188,7 @@ class RenderEngine:
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire(
-            self.kernels.kinds, next((each.source for each in self.scenes.values()), None)
-        )
+        self.workforce.hire(self.kernels.kinds)
 
     def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
         """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded
@@ -354,7 +358,7 @@ class RenderEngine:
         ``fineness`` steps.
         """
         if stage.caches is not None and scene in self.scenes:
-            return self._beside.side(scene, spec, stage, self.workforce.joins)
+            return self._beside.side(scene, spec, stage, self._lend)
         if scene not in self.scenes or (stage.shown is None and not fineness):
             return bake_name(scene, spec)
         loaded = self._find(scene).level(fineness)
@@ -530,9 +534,14 @@ class RenderEngine:
             whole = self._loaded.held(variant.whole.id)
         else:
             whole = self._loaded.latest(lenders)
-        send = self.workforce.joins
         loaded = load_scene_parts(
-            scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole
+            scene,
+            self.store,
+            self._tiles,
+            self._memory,
+            lend=self._lend,
+            beside=beside,
+            whole=whole,
         )
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
         arrived = partial(self._arrived, scene.id, 0)

@@ -16,7 +16,6 @@ import numpy as np
 
 from isogi_core.allocation import give_memory_back
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, NoRoomError
 from isogi_core.frame.frame import Frame
@@ -35,9 +34,9 @@ from isogi_core.plan.volumes.masks import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
-from server.render.bakes import sent
+from server.render.bakes import Lend, lend_nothing
 from server.render.workforce import Memory
-from worker.tasks import Whole
+from worker.tasks import Assets, Whole
 
 log = logging.getLogger("isogi.render")
 
@@ -190,8 +189,8 @@ def group_of(isovalue: float, levels: np.ndarray) -> int:
 
 @dataclass(eq=False)
 class LoadedScene:
-    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in
-    their place.
+    """One scene, ready to be rendered; ``assets`` are what workers open in place of its files, as
+    ``lend`` gives them for a prepared scene.
 
     Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels
     ask for finer ones are those of ``finer``, which is loaded then, beside the ``memory`` and on
@@ -202,7 +201,8 @@ class LoadedScene:
     renderer: Renderer
     prefetch: Prefetch
     memory: Memory
-    assets: SceneAssets | None = None
+    lend: Lend
+    assets: Assets | None = None
     fineness: int = 0
     whole: Whole | None = None
     _finer: "LoadedScene | None" = None
@@ -217,7 +217,7 @@ class LoadedScene:
                 memory = self.memory.finer
                 caches = Caches(prepared, self.renderer.caches.store, memory.light)
                 self._finer = loaded(
-                    caches, self.renderer.tiles, memory, self.assets, self.fineness + 1
+                    caches, self.renderer.tiles, memory, self.lend, self.fineness + 1
                 )
             return self._finer
 
@@ -304,12 +304,12 @@ def load_scene_parts(
     store: Store,
     tiles: Tiles,
     memory: Memory,
-    send: bool = False,
+    lend: Lend = lend_nothing,
     beside: LoadedScene | None = None,
     whole: LoadedScene | None = None,
 ) -> LoadedScene:
-    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises
-    StoreError.
+    """Prepare a scene and open its layers in a ``store``; workers open what ``lend`` gives.
+    Raises StoreError.
 
     One that is loaded ``beside`` another, of the same volume, shares what that has worked out of
     the voxels. The light of a ``whole`` stands in for that of one that is cut, or of another time.
@@ -339,7 +339,7 @@ def load_scene_parts(
         caches,
         tiles,
         memory,
-        sent(scene, store) if send else None,
+        lend,
         stand_in=stand_in,
         whole=cut_from,
     )
@@ -349,7 +349,7 @@ def loaded(
     caches: Caches,
     tiles: Tiles,
     memory: Memory,
-    assets: SceneAssets | None,
+    lend: Lend,
     fineness: int = 0,
     stand_in: StandIn | None = None,
     whole: Whole | None = None,
@@ -372,7 +372,8 @@ def loaded(
     )
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
-    return LoadedScene(planned, renderer, prefetch, memory, assets, fineness, whole)
+    assets = lend(prepared)
+    return LoadedScene(planned, renderer, prefetch, memory, lend, assets, fineness, whole)
 
 
 def prepare(

@@ -198,11 +198,16 @@ class BakingCollector(Collector):
             "isogi_workers_utilization", "Share of them that have a task.", busy
         )
         yield CounterMetricFamily(
-            "isogi_tasks_done", "Tasks that baked light of a chunk.", tally.done
+            "isogi_tasks_done", "Tasks that workers did, of one or more chunks each.", tally.done
         )
-        yield CounterMetricFamily("isogi_tasks_failed", "Tasks that failed.", tally.failed)
         yield CounterMetricFamily(
-            "isogi_tasks_duplicate", "Tasks whose light was there already.", tally.duplicate
+            "isogi_chunks_baked", "Chunks that tasks added light to, each time.", tally.chunks
+        )
+        yield CounterMetricFamily("isogi_tasks_failed", "Chunks whose task failed.", tally.failed)
+        yield CounterMetricFamily(
+            "isogi_tasks_duplicate",
+            "Chunks of tasks whose light was there already.",
+            tally.duplicate,
         )
         yield CounterMetricFamily(
             "isogi_chunks_healed", "Damaged chunks that were baked again.", tally.healed

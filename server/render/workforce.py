@@ -7,13 +7,11 @@ import threading
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.errors import IsogiError, StoreError, StoreReadOnlyError
-from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune_folders
 from isogi_core.kernels._compilation import COMPILER_NICENESS, Compilation, KernelProgress, warm
@@ -28,8 +26,7 @@ from worker import pool
 from worker.baker import Baker
 from worker.errors import WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
-from worker.pool import show_certificate
-from worker.tasks import bake_kernels, prepared_scene
+from worker.tasks import bake_kernels
 
 log = logging.getLogger("isogi.server")
 
@@ -49,6 +46,8 @@ def scheduler_of(settings: Settings) -> str | None:
     """
     authority, certificate, key = settings.certificates
     if authority and certificate and key:
+        from worker.dask_pool import show_certificate  # noqa: PLC0415 (loads Dask)
+
         show_certificate(str(authority), str(certificate), str(key))
     return settings.scheduler
 
@@ -78,15 +77,13 @@ class Workforce:
         """Whether the workers are those of a scheduler, which may lack the scenes' files."""
         return self._scheduler is not None
 
-    def hire(self, kinds: Collection[str], first: SceneSource | None = None) -> None:
+    def hire(self, kinds: Collection[str]) -> None:
         """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds``
         come first.
-
-        Those of this machine then open the ``first`` scene, while the server does so itself.
         """
         if self._hiring is None:
             self._hiring = threading.Thread(
-                target=self._hire, args=[kinds, first], name="hiring", daemon=True
+                target=self._hire, args=[kinds], name="hiring", daemon=True
             )
             self._hiring.start()
 
@@ -129,11 +126,11 @@ class Workforce:
         if self._pool is not None:
             self._pool.close()
 
-    def _hire(self, kinds: Collection[str], first: SceneSource | None) -> None:
+    def _hire(self, kinds: Collection[str]) -> None:
         """Have the workers come; a scheduler that is not there yet is waited for."""
         while not self._stopped.is_set():
             try:
-                self._employ(kinds, first)
+                self._employ(kinds)
                 self._error = None
                 return
             except IsogiError as error:
@@ -146,12 +143,10 @@ class Workforce:
                 return
             self._stopped.wait(SCHEDULER_RETRY_SECONDS)
 
-    def _employ(self, kinds: Collection[str], first: SceneSource | None) -> None:
+    def _employ(self, kinds: Collection[str]) -> None:
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
-        self._pool = pool.WorkerPool(self._workers, self._scheduler, kinds)
-        if first is not None:
-            self._pool.prepare(partial(prepared_scene, first, None, self._store))
+        self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)
         self._baker.prepare()

@@ -191,7 +191,7 @@ def in_process(target: str, store: Path, *more: str) -> dict[str, Any]:
 
 
 def test_what_came_is_told_beside_what_was_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(pool, "start_pool", InlinePool)
     monkeypatch.setattr(prewarm, "prewarmed", in_process)
     options = ["--only", "casting", "--size", "12", "--views", "1", "--error", "0.5"]
     found = figures(prewarm.prewarm, *options)

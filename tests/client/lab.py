@@ -86,6 +86,7 @@ class Broken:
 
     room = 2
     together = 1
+    keeps_light = False
     workers = 1
     trouble = ""
 

@@ -12,7 +12,7 @@ from tests.cluster.processes import LONG, ROOT
 ATTACK = """
 import asyncio, json, os, sys, urllib.request
 from distributed.comm import connect, get_address_host_port, listen
-from worker.pool import temporary_security
+from tests.cluster.certificates import temporary_security
 
 patience = float(sys.argv[2])
 FORGED = temporary_security().get_connection_args("client")

@@ -17,7 +17,8 @@ from typing import Any, Self
 import httpx
 import psutil
 
-from worker.pool import show_certificate, temporary_security
+from tests.cluster.certificates import temporary_security
+from worker.dask_pool import show_certificate
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0

@@ -112,7 +112,7 @@ def test_however_many_bake_the_bytes_are_the_same(
     small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         alone = baked(small_scene, tmp_path / "alone")
     assert alone
     address = "127.0.0.1:0"

@@ -1,6 +1,6 @@
 """Failpoints: places in the life of a chunk at which a worker fails when a test says so.
 
-A Dask preload of the workers of a test. To arm one, a file is put into the folder
+The workers of a test run ``run_failing_worker``. To arm one, a file is put into the folder
 ``$ISOGI_TEST_FAILPOINTS``: its name is a point, a fault and anything, such as ``mid_write.kill.1``;
 who takes the file away does the fault, once. A file whose name ends with ``.always`` stays, and one
 with ``@1_2_3`` after its fault is for that chunk alone.
@@ -12,8 +12,13 @@ import signal
 import time
 from collections.abc import Callable
 from functools import wraps
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+
+from isogi_core.cache.layer import LayerStore
+from worker import tasks
+from worker.local_worker import Start, run_worker
 
 POINTS = ("before_bake", "before_write", "mid_write", "after_write", "after_bake")
 """Before a task reads its chunk; before a layer's object is written, when it is but has not its
@@ -25,11 +30,14 @@ FOLDER = "ISOGI_TEST_FAILPOINTS"
 SLEEP = 0.5
 
 
-def dask_setup(worker: Any) -> None:
-    """Put the failpoints around what a worker does."""
-    from isogi_core.cache.layer import LayerStore
-    from worker import tasks
+def run_failing_worker(jobs: Connection, answers: Connection, start: Start) -> None:
+    """Run a worker with the failpoints in it."""
+    set_up()
+    run_worker(jobs, answers, start)
 
+
+def set_up() -> None:
+    """Put the failpoints around what a worker does."""
     tasks.Work.begin = staticmethod(  # type: ignore[method-assign, assignment]
         around(tasks.Work.begin, lambda task, _: task.index, before="before_bake")
     )

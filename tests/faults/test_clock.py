@@ -16,7 +16,6 @@ CALENDAR = {
 TOLD_TO_PEOPLE = {
     "server/render/jobs.py",  # when a job began and ended, and until when it is known
     "isogi_core/storage/store.py",  # how old objects are, by the dates that the store gives them
-    "worker/pool.py",  # from when to when a certificate is good, a hundred years
 }
 
 

@@ -47,7 +47,7 @@ def test_baking_waits_for_room_and_goes_on_by_itself(
     """On a thread of this process: what a full disk does to a worker process is a fault of
     ``test_points.py``.
     """
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(pool, "start_pool", InlinePool)
     scene = load_scene(
         "demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3
     )

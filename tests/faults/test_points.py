@@ -9,6 +9,7 @@ import pytest
 from tests.baking import bake_each_texel
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS
+from tests.server.sockets import wait_for
 from worker.bake_requests import MOST_FAILURES
 
 pytestmark = pytest.mark.kill
@@ -31,6 +32,7 @@ def test_every_fault_at_every_point_costs_time_and_nothing_else(
             for fault, demand in zip(FAULTS, demands, strict=False)
         ]
         frame = bake_each_texel(bench.engine, bench.scene.id, view)
+        assert wait_for(lambda: bench.engine.baker.unwritten == 0, LONG), "light is written late"
         assert not [token.name for token in tokens if token.exists()], "they were not reached"
         assert not frame.provisional, f"{point}: {bench.engine.trouble()}"
         bake_here(bench, demands, tmp_path)

@@ -36,7 +36,7 @@ def client(live_server: str) -> Iterator[httpx.Client]:
 @pytest.fixture
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let engines and commands bake on a thread of this process, in place of workers."""
-    monkeypatch.setattr("worker.pool.WorkerPool", InlinePool)
+    monkeypatch.setattr("worker.pool.start_pool", InlinePool)
 
 
 @pytest.fixture

@@ -54,6 +54,7 @@ class InlinePool:
 
     room = 2
     together = 1
+    keeps_light = False
     workers = 1
     deaths = 0
     trouble = ""

@@ -52,6 +52,7 @@ class FakePool:
     def __init__(self, room: int) -> None:
         self.room = room
         self.together = 1
+        self.keeps_light = False
         self.workers = 2
         self.deaths = 0
         self.in_flight: list[tuple[BakeTask, Done]] = []
@@ -555,6 +556,16 @@ def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
     assert bench.baker.paused() == "" and pool.tasks() == []
 
 
+def test_light_that_has_come_meanwhile_is_told_as_coming(bench: Bench) -> None:
+    """Whoever asked draws the view again: nothing is open, so that nobody waits."""
+    pool = bench.employ(1)
+    assert bench.request(1) == {(0, 0, 1)}
+    pool.end()
+    assert bench.request(1) == {(0, 0, 1)}
+    assert pool.tasks() == [] and bench.baker.open("scene", [(0, 0, 1)]) == 0
+    bench.baker.wait("scene", [(0, 0, 1)], 60.0)
+
+
 def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None:
     bench.request(1, 2, 3, 4)
     pool = FakePool(1)
@@ -565,7 +576,7 @@ def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None
     done([DONE, left(1, 1.0), RuntimeError("no"), BAKED_ELSEWHERE])
     assert bench.arrived == [(0, 0, 1), (0, 0, 2)]
     tally = bench.baker.tally()
-    assert (tally.done, tally.failed, tally.in_flight) == (2, 1, 1)
+    assert (tally.done, tally.chunks, tally.failed, tally.in_flight) == (1, 2, 1, 1)
 
 
 def test_counts_of_waiting_requests_and_their_age(bench: Bench) -> None:
@@ -582,6 +593,6 @@ def test_counts_of_done_failed_and_given_up_tasks(bench: Bench) -> None:
     pool.deaths = 3
     bench.request(1, 2)
     pool.end(replace(DONE, healed=True))
-    assert bench.baker.tally() == Tally(1, 0, 0.0, 1, 1, 0, 0, 1, 100, 2, 3)
+    assert bench.baker.tally() == Tally(1, 0, 0.0, 1, 1, 0, 0, 1, 100, 2, 3, chunks=1)
     fail(bench, pool, 3)
-    assert bench.baker.tally() == Tally(0, 1, 0.0, 0, 1, 3, 0, 1, 100, 2, 3)
+    assert bench.baker.tally() == Tally(0, 1, 0.0, 0, 1, 3, 0, 1, 100, 2, 3, chunks=1)

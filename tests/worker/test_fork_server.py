@@ -3,15 +3,15 @@
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 
 import psutil
 import pytest
 
 from isogi_core.kernels._jit import entries_of
 from tests.server.sockets import wait_for
+from tests.worker.pools import run
 from worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
-from worker.pool import WorkerPool
+from worker.local_pool import LocalPool
 from worker.tasks import bake_kernels
 
 pytestmark = pytest.mark.skipif(
@@ -23,26 +23,24 @@ LONG = 60.0
 
 
 @pytest.fixture
-def pool(monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkerPool]:
+def pool(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalPool]:
     monkeypatch.setenv("ISOGI_LATE", "set after the fork server began")
-    made = WorkerPool(2, kinds=["direct"])
+    made = LocalPool(2, kinds=["direct"])
     yield made
     made.close()
 
 
-def parents(pool: WorkerPool) -> set[int]:
+def parents(pool: LocalPool) -> set[int]:
     """The processes that the workers were forked from."""
-    return set(pool._client.run(os.getppid).values())
+    return set(run(pool, os.getppid))
 
 
-def replaced(pool: WorkerPool, former: set[int]) -> bool:
-    """Whether two workers have come in place of the ``former`` ones; those that just end may not
-    answer.
-    """
-    with suppress(Exception):
-        pids = set(pool.pids())
-        return len(pids) == 2 and not former & pids
-    return False
+CLUSTER_MODULES = {"distributed", "dask", "cryptography"}
+"""Modules that only those load who join a cluster."""
+
+
+def modules() -> set[str]:
+    return set(sys.modules)
 
 
 def kernels_loaded() -> list[bool]:
@@ -50,31 +48,28 @@ def kernels_loaded() -> list[bool]:
 
 
 @pytest.mark.slow
-def test_workers_share_what_one_process_has_loaded(pool: WorkerPool) -> None:
+def test_workers_share_what_one_process_has_loaded(pool: LocalPool) -> None:
     (parent,) = parents(pool)
     assert psutil.Process(parent).ppid() == os.getpid()
     assert {psutil.Process(pid).name() for pid in pool.pids()} == {WORKER_PROCESS_NAME}
-    assert all(all(loaded) for loaded in pool._client.run(kernels_loaded).values())
-    assert all(
-        "worker.tasks" in names for names in pool._client.run(lambda: list(sys.modules)).values()
-    )
+    assert all(all(loaded) for loaded in run(pool, kernels_loaded))
+    for names in run(pool, modules):
+        assert "worker.tasks" in names
+        assert names.isdisjoint(CLUSTER_MODULES)
 
 
-def test_workers_have_the_environment_of_when_they_were_hired(pool: WorkerPool) -> None:
-    assert set(pool._client.run(os.environ.get, "ISOGI_LATE").values()) == {
-        "set after the fork server began"
-    }
+def test_workers_have_the_environment_of_when_they_were_hired(pool: LocalPool) -> None:
+    assert set(run(pool, os.getenv, "ISOGI_LATE")) == {"set after the fork server began"}
 
 
-def test_another_fork_server_takes_the_place_of_a_dead_one(pool: WorkerPool) -> None:
+def test_workers_outlive_their_fork_server_and_another_comes(pool: LocalPool) -> None:
     (parent,) = parents(pool)
-    former = set(pool.pids())
+    former = pool.pids()
     psutil.Process(parent).kill()
-    assert wait_for(lambda: replaced(pool, former), LONG)
-    (other,) = parents(pool)
+    assert run(pool, sum, [1, 2]) == [3, 3] and pool.pids() == former
+    psutil.Process(former[0]).kill()
+    assert wait_for(lambda: pool.deaths == 1 and len(pool.pids()) == 2, LONG)
+    (new,) = set(pool.pids()) - set(former)
+    other = psutil.Process(new).ppid()
     assert other != parent and psutil.Process(other).ppid() == os.getpid()
-    assert pool._client.submit(sum, [1, 2], pure=False).result(timeout=LONG) == 3
-    _, left = psutil.wait_procs(
-        [psutil.Process(pid) for pid in former if psutil.pid_exists(pid)], timeout=LONG
-    )
-    assert left == []
+    assert run(pool, sum, [1, 2]) == [3, 3]

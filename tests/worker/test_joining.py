@@ -1,20 +1,12 @@
-"""What a pool knows of clusters: keys of its own one, and deaths in one that it joined."""
+"""What a pool knows of deaths in a cluster that it joined."""
 
 import threading
 from collections.abc import Callable
 from typing import Any
 
 import pytest
-from distributed import Security
 
-from worker.pool import WorkerPool, temporary_security
-
-
-def test_each_cluster_has_a_key_of_its_own() -> None:
-    one, other = temporary_security(), temporary_security()
-    assert one.require_encryption
-    assert one.tls_worker_key == one.tls_client_key != other.tls_client_key
-    assert isinstance(one, Security) and "PRIVATE" not in repr(one)
+from worker.dask_pool import DaskPool
 
 
 def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,8 +39,8 @@ def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> 
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr("worker.pool.OwnClient", FakeClient)
-    pool = WorkerPool(2, "tcp://elsewhere")
+    monkeypatch.setattr("worker.dask_pool.OwnClient", FakeClient)
+    pool = DaskPool("tcp://elsewhere")
     stirred = threading.Semaphore(0)
     pool.attend(stirred.release)
     assert (pool.workers, pool.deaths) == (2, 0)

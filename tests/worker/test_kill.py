@@ -113,7 +113,7 @@ def test_killed_workers_cost_time_and_nothing_else(
     alone = tmp_path / "alone"
     disturbed = tmp_path / "disturbed"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         expected = bake_views(RenderEngine([scene], alone, workers=1), alone, views)
     light = light_in(alone)
     levels = (None, *(scene.volume.normalise_isovalue(view.isovalue) for view in views))

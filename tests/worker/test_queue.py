@@ -13,11 +13,12 @@ from worker.bake_requests import (
     LONG_TASK_PATHS,
     MOST_FAILURES,
     SHORT_TASK_SECONDS,
+    TASK_SECONDS,
     BakeRequest,
     Key,
     Viewer,
 )
-from worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, BakeQueue
+from worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, STALE_SECONDS, BakeQueue
 from worker.tasks import BakeResult
 
 UNLIT = Effort(3, 0.0, 0.0)
@@ -52,6 +53,7 @@ def request(
     target: float = 0.1,
     effort: Effort = UNLIT,
     viewer: Viewer = GUEST_VIEWER,
+    enough: int = MAX_SAMPLES,
 ) -> None:
     """One view that demands chunks (x, weight)."""
     offsets = np.array(texels, np.int32)
@@ -60,6 +62,7 @@ def request(
         [(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands],
         target,
         viewer,
+        enough,
     )
 
 
@@ -491,7 +494,7 @@ def test_given_up_chunks_are_not_retried_by_short_visits(queue: BakeQueue) -> No
 
 
 def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> None:
-    queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 200.0)
+    queue = BakeQueue(clock, rate=lambda _: TASK_SECONDS / 200.0)
     request(queue, (4, 1.0), target=0.2)
     request(queue, *((x, 1.0) for x in range(4)))
     first = taken_from(queue)
@@ -506,7 +509,7 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
 def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
     """Not by all that their texels will ever take: where that is long, a task climbs one level."""
     effort = Effort(0, 48.0, 1e6, lit=3)
-    queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 150.0)
+    queue = BakeQueue(clock, rate=lambda _: TASK_SECONDS / 150.0)
     lit = BakeResult(3, 1.0, effort, Cost(9.0, 48))
     request(queue, *((x, 1.0) for x in range(4)))
     assert sum(take(queue) is not None for _ in range(4)) == 4
@@ -515,6 +518,48 @@ def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
     first = taken_from(queue)
     assert first.until == 2 * FIRST_LEVEL
     assert len(queue.take_along(first, 100)) == 3  # 48 paths each of 150
+
+
+def test_the_rest_of_a_rung_is_shared_by_all_workers(clock: Clock) -> None:
+    """Each of four tasks takes a fourth of what is left, and never less than is worth its way."""
+    queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 48.0)
+    request(queue, *((x, 1.0) for x in range(16)))
+    sizes = []
+    while (first := queue.take()) is not None:
+        sizes.append(len(queue.take_along(first, 1000, 4)))
+    assert sum(sizes) == 16
+    assert sizes[0] == 4 and sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
+
+
+def test_rungs_of_one_picture_are_taken_together(clock: Clock) -> None:
+    """What is long by itself goes with what is short where both end at the picture's rung."""
+    queue = BakeQueue(clock, rate=lambda _: 1e-9)
+    request(queue, (1, 1.0), (2, 1.0), enough=4 * FIRST_LEVEL)
+    assert take(queue) is not None and take(queue) is not None
+    for x, left in ((1, 48.0), (2, 1e6)):
+        end(queue, x, BakeResult(3, 1.0, Effort(0, 6.0 * FIRST_LEVEL, left, lit=3), Cost(9.0, 48)))
+    first = taken_from(queue)
+    assert first.until == 4 * FIRST_LEVEL
+    assert len(queue.take_along(first, 100)) == 2
+
+
+def test_a_view_drawn_before_its_light_came_opens_nothing(queue: BakeQueue, clock: Clock) -> None:
+    """One that wants more than was finished does, and one that still lacks it some time later."""
+    request(queue, (1, 1.0))
+    assert take(queue) == 1
+    end(queue, 1, DONE)
+    request(queue, (1, 1.0))
+    request(queue, (1, 1.0), texels=(1, 2))
+    assert not queue.open([key(1)]) and take(queue) is None
+    request(queue, (1, 1.0), texels=(1, 2, 3, 4))
+    assert take(queue) == 1
+    end(queue, 1, DONE)
+    request(queue, (1, 1.0), target=0.05)
+    assert take(queue) == 1
+    end(queue, 1, DONE)
+    clock.now += STALE_SECONDS
+    request(queue, (1, 1.0))
+    assert take(queue) == 1
 
 
 def test_what_may_have_killed_a_worker_is_taken_alone(queue: BakeQueue) -> None:

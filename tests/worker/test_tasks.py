@@ -19,9 +19,12 @@ from isogi_core.errors import SceneError, StoreAwayError, VolumeError
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared import prepared_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.prepared.shared_scenes import SharedScenes
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import SENTINEL_KEY, Store
+from worker import tasks
 from worker.tasks import (
     BAKED_ELSEWHERE,
     OPEN,
@@ -374,6 +377,23 @@ def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> No
     void = locate(places, spec.prepared, spec.shown)[1]
     np.testing.assert_array_equal(chunk.light.void, void)
     assert 0 < void.sum() < len(void)
+
+
+def test_a_shared_scene_is_neither_read_nor_surveyed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Where the server has let go of it, the scene's files are read again."""
+    shared = SharedScenes().share(SPEC.prepared)
+    assert shared is not None
+    with monkeypatch.context() as patch:
+        patch.setattr(tasks, "build_scene", lambda *_: pytest.fail("it is read again"))
+        patch.setattr(prepared_scene, "survey_of", lambda _: pytest.fail("it is surveyed again"))
+        do(tmp_path / "shared", assets=shared)
+    do(tmp_path / "own")
+    assert stored(tmp_path / "shared") == stored(tmp_path / "own")
+    gone = replace(shared, volume=replace(shared.volume, key=bytes(16)))
+    do(tmp_path / "gone", assets=gone)
+    assert stored(tmp_path / "gone") == stored(tmp_path / "own")
 
 
 def test_scenes_in_other_light_share_what_is_open(small_scene: Path) -> None:

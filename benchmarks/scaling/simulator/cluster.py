@@ -72,6 +72,7 @@ class Cluster:
             self._await_death()
 
     together = 1
+    keeps_light = False
     """Chunks are baked one by one here."""
 
     @property

@@ -7,9 +7,7 @@ import time
 from typing import Any
 
 import numpy as np
-from distributed import Client
-
-from worker.pool import start_cluster
+from distributed import Client, LocalCluster
 
 PAYLOAD = np.arange(400, dtype=np.int32)
 """About as much as a task carries: offsets and footprints of its texels."""
@@ -24,10 +22,18 @@ def measure(tasks: int, workers: int = 2, flying: int = 64) -> dict[str, float]:
     """Seconds a task, where so many fly at once: of the wall, and of the processor in the process
     that has them.
 
-    That holds the scheduler and its client, as a server with workers of its own does; the workers
-    are not counted.
+    That holds the scheduler and its client; the workers are not counted.
     """
-    with start_cluster(workers) as cluster, Client(cluster, set_as_default=False) as client:
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=50,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
         hand_over(client, flying, flying)
         wall = time.perf_counter()
         processor = time.process_time()

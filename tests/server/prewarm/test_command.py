@@ -180,7 +180,7 @@ def test_workers_that_fail_end_it(
     def refuse(*_: object) -> None:
         raise WorkersError("No workers today.")
 
-    monkeypatch.setattr(pool, "WorkerPool", refuse)
+    monkeypatch.setattr(pool, "start_pool", refuse)
     with pytest.raises(WorkersError, match=r"^No workers today\.$"):
         warmed(blocks, tmp_path, "0.5")
     (record,) = (tmp_path / "jobs").glob("*.json")

@@ -58,6 +58,6 @@ def whole(
     """A view as one server over a folder leaves it, and its chunks."""
     folder = tmp_path_factory.mktemp("light")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         with engine_at(small_scene, str(folder)) as engine:
             return picture(engine), chunks_in(folder)

@@ -32,6 +32,7 @@ from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
+from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
@@ -66,7 +67,7 @@ def baked(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Frame
         pytest.MonkeyPatch.context() as patch,
         closing(RenderEngine([scene], str(folder))) as engine,
     ):
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         engine.start()
         return look(engine, wait=LONG), folder
 
@@ -133,13 +134,19 @@ def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPa
         assert come.wait(LONG)
         return InlinePool(workers)
 
-    monkeypatch.setattr(pool, "WorkerPool", hire)
+    monkeypatch.setattr(pool, "start_pool", hire)
     engine = begin()
     assert engine.unready() == [engine.workforce.preparing] == ["The workers are starting."]
     assert_unlit(look(engine))
     come.set()
     assert not look(engine, wait=LONG).provisional
     assert engine.unready() == [] and engine.workforce.preparing == ""
+
+
+def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> None:
+    """They neither read nor survey it: see ``tests/worker/test_tasks.py``."""
+    engine = begin()
+    assert isinstance(engine.baker._bakes[scene.id].assets, SharedScene)
 
 
 def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,7 +156,7 @@ def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -
         hired.append(InlinePool(workers))
         return hired[0]
 
-    monkeypatch.setattr(pool, "WorkerPool", hire)
+    monkeypatch.setattr(pool, "start_pool", hire)
     engine = begin()
     engine.hire()
     assert not look(engine, wait=LONG).provisional
@@ -189,7 +196,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
         return InlinePool(*given)
 
     monkeypatch.setattr("server.render.workforce.SCHEDULER_RETRY_SECONDS", 0.01)
-    monkeypatch.setattr(pool, "WorkerPool", join)
+    monkeypatch.setattr(pool, "start_pool", join)
     engine = begin()
     assert not look(engine, wait=LONG).provisional
     assert engine.unready() == []
@@ -212,7 +219,7 @@ def test_anything_that_keeps_workers_from_coming_is_told(
     def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise error
 
-    monkeypatch.setattr(pool, "WorkerPool", fail)
+    monkeypatch.setattr(pool, "start_pool", fail)
     engine = begin()
     assert_unlit(look(engine, wait=0.1))
     assert engine.unready() == [engine.trouble()] == [told]
@@ -472,14 +479,14 @@ from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 
 class Idle:
-    room, trouble, preparing = 0, "", ""
+    room, trouble, preparing, keeps_light = 0, "", "", False
     def __init__(self, *_): pass
     def attend(self, stir): pass
     def prepare(self, work): pass
     def close(self): pass
 
 if __name__ == "__main__":
-    pool.WorkerPool = Idle
+    pool.start_pool = Idle
     scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
     with closing(RenderEngine([scene], sys.argv[2])) as engine:
         engine.start()

@@ -89,7 +89,7 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
     scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tidied = threading.Semaphore(0)
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(pool, "start_pool", InlinePool)
     monkeypatch.setattr(loaded_scene, "TIDY_SECONDS", 0.01)
     monkeypatch.setattr(loaded_scene, "give_memory_back", tidied.release)
     with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:

@@ -24,7 +24,7 @@ from isogi_core.storage.store import Store
 from server.api.headers import projection_header
 from server.pictures import planes
 from server.render import bakes as room
-from server.render.bakes import SideBakes
+from server.render.bakes import SideBakes, lend_nothing
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, view_of
 from worker.bake_requests import GUEST_VIEWER
@@ -86,7 +86,10 @@ def test_the_caches_that_asked_last_hear_of_new_light(
     former, latter = (
         Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2)
     )
-    names = {bakes.side("a", "gi", Stage((), 0.3, caches=each), False) for each in (former, latter)}
+    names = {
+        bakes.side("a", "gi", Stage((), 0.3, caches=each), lend_nothing)
+        for each in (former, latter)
+    }
     assert len(names) == len(baker.bakes) == 1
     baker.bakes[names.pop()].arrived((0, 0, 0))
     assert told == [(latter, ("gi", (0, 0, 0), None))]

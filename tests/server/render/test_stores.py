@@ -89,7 +89,7 @@ def final(client: httpx.Client, view: dict[str, Any]) -> bytes:
 def pictures(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """Both views as they look over a folder."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         with server(small_scene, tmp_path_factory.mktemp("light")) as client:
             return [final(client, view) for view in (VIEW, OTHER)]
 

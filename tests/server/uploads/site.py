@@ -79,7 +79,7 @@ def opened(scene: Path, folder: Path) -> Iterator[Site]:
     """A site that shows a scene; its light and its uploads are in the folder."""
     volumes = folder / "volumes"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         engine = RenderEngine([load_scene(scene)], str(folder / "light"))
         app = create_app(engine, Settings(uploads_mb=64, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
         with live(app) as url, httpx.Client(base_url=url, timeout=120) as client:

@@ -91,7 +91,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         "light",
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
+        patch.setattr(pool, "start_pool", InlinePool)
         assert (
             run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")])
             == 0
