@@ -11,10 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from isogi_core.model.choices import MAX_GLOW_STRENGTH, OVERLAYS, PROJECTIONS, VIEW_SHADINGS
+from isogi_core.model.choices import (
+    MAX_GLOW_STRENGTH,
+    MOST_SMOOTH,
+    OVERLAYS,
+    PROJECTIONS,
+    VIEW_SHADINGS,
+)
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.material import SHINE_HELP, SHINE_KINDS, SHINE_KNOBS, SHINE_RANGES
-from isogi_core.plan.volumes.smoothing import MOST_SMOOTH
 from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, Span, Words
 
 if TYPE_CHECKING:

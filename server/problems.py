@@ -18,7 +18,9 @@ from isogi_core.errors import (
     IsogiError,
     LightError,
     SceneError,
+    SharedMemoryError,
     StoreError,
+    UnwritableError,
     ViewError,
     VolumeError,
 )
@@ -64,10 +66,12 @@ STATUS: Mapping[type[Exception], int] = {
     StartingError: 503,
     StoreError: 503,
     WorkersError: 503,
+    SharedMemoryError: 503,
     UploadFolderError: 503,
     LateError: 503,
     Cancelled: 503,
     FullError: 507,
+    UnwritableError: 507,
     IsogiError: 500,
 }
 REFUSALS: Mapping[type[Exception], str] = {

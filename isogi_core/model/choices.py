@@ -17,3 +17,6 @@ PROJECTIONS = ("perspective", "orthographic")
 
 MAX_GLOW_STRENGTH = 16.0
 """How many times as bright as a scene says views may show what glows, at most."""
+
+MOST_SMOOTH = 8.0
+"""Greatest standard deviation of the Gaussian that smooths a volume, in voxels."""

@@ -58,6 +58,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._compilation import with_callees
 from isogi_core.kernels._jit import Entry
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.frame.fitting import fitted
 from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
 
@@ -102,6 +103,7 @@ def compare(settings):
         for _ in range(3):
             renderer.render(replace(view, moving=True), 1.0)
         develop(frame, 1.0)
+        fitted(renderer, view, 30.0, 20.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in with_callees(frame_kernels([scene]))}
     print(f"called but not listed: {called - listed}", flush=True, end=", ")
@@ -136,6 +138,7 @@ import sys, tempfile
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.film import develop
+from isogi_core.frame.fitting import fitted
 from isogi_core.frame.entry_kernels import first_kernels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
@@ -159,6 +162,7 @@ with tempfile.TemporaryDirectory() as store:
     frame = renderer.render(view)
     assert frame.counts["final"]
     develop(frame, 1.0)
+    fitted(renderer, view, 30.0, 20.0)
 called = {name for name, kernel in entries.items() if kernel.loaded}
 listed = {kernel.name for kernel in with_callees(first_kernels([scene]))}
 print(f"called but not listed: {called - listed}, listed but not called: {listed - called}")

@@ -29,7 +29,7 @@ export function attachHistogram(form, scene, view, say) {
   );
   const axis = axisOf(scene.histogram, min, max);
   const show = (/** @type {number} */ value) =>
-    axis.logarithmic ? String(Number(value.toPrecision(3))) : showNumber(value, niceStep(max - min));
+    axis.logarithmic ? String(inDigits(value)) : showNumber(value, niceStep(max - min));
   setLimits(slider, axis.to(min), axis.to(max));
   Object.assign(number, { min, max });
   slider.disabled = number.disabled = single;
@@ -110,7 +110,7 @@ export function axisOf({ edges, logarithmic = false }, min, max) {
   return {
     logarithmic: true,
     to,
-    from: (place) => Math.min(max, Math.max(least, 10 ** place)),
+    from: (place) => Math.min(max, Math.max(least, Number((10 ** place).toPrecision(4)))),
     share: (value) => share(to(value) - low, high - low),
   };
 }

@@ -4,6 +4,7 @@ not.
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -19,6 +20,7 @@ from isogi_core.files.packed_files import in_short, reason_of
 from isogi_core.files.packing import without_fill
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import Draft, get_copy
+from isogi_core.model.choices import MOST_SMOOTH
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Orientation, Volume, make_volume
@@ -31,7 +33,7 @@ from isogi_core.plan.volumes.labels import (
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
-from isogi_core.plan.volumes.smoothing import MOST_SMOOTH, smoothed
+from isogi_core.plan.volumes.smoothing import smoothed
 
 COPY_FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
@@ -196,10 +198,8 @@ def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]
     chosen = {key: value for key, value in chosen.items() if key != "region"}
     (named, inside) = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
-    if isinstance(place, Path) and not place.resolve().name:
-        raise VolumeError(
-            f"'{place.resolve()}' is the root of all folders: name a file or a folder in it."
-        )
+    if isinstance(place, Path) and not os.path.abspath(place).strip("/"):
+        raise VolumeError("'/' is the root of all folders: name a file or a folder in it.")
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 

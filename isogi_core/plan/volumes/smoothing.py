@@ -16,9 +16,6 @@ import numpy as np
 from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import are_measured, find_marks, usable, usable_type
 
-MOST_SMOOTH = 8.0
-"""Greatest standard deviation, voxels."""
-
 GAUSSIAN_REACH = 4.0
 """Standard deviations to which the Gaussian is summed: beyond lies a share of 6·10⁻⁵ of it."""
 

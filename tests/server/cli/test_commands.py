@@ -39,7 +39,7 @@ def test_help_is_quick_to_import() -> None:
 
 def test_options_are_those_of_http_and_of_the_settings() -> None:
     http_only = {"wait_ms", "max_error", "f", "version", "strip"}
-    of_the_target = {"environment", "cut", "time", "surfaces", "hide", "material"}
+    of_the_target = {"environment", "cut", "time", "surfaces", "hide", "material", "smooth"}
     assert set(VIEW_OPTIONS) == set(FrameParams.model_fields) - http_only - of_the_target
     assert set(WORK_OPTIONS) <= set(Settings.model_fields)
 

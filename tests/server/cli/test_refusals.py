@@ -70,7 +70,7 @@ LINES = [
     (f"{PAGE} --time 5", "--time"),
     (f"{PAGE} --isovalue 0.1:0.6", "isovalue"),
     (f"{PAGE} --background '#102030'", "light or dark"),
-    (f"{PAGE} --isovalue 0.4:0.6 --target-error 0.3 --megabytes 0.1", "modules alone"),
+    (f"{PAGE} --isovalue 0.4:0.6 --target-error 0.3 --megabytes 0.1", "the page alone"),
     (f"{PAGE.replace('SCENE', 'demo:orbital#material=subsurface')}", "Publish pictures"),
     *[
         (f"store prune . {words}", "isogi: ")

@@ -223,4 +223,8 @@ def test_readyz_says_what_the_sandbox_lacks(
     monkeypatch.setattr(uploads, "lacking", lambda: "Uploads are read without Landlock.")
     with opened(small_scene, tmp_path) as site:
         answer = site.client.get("/readyz").json()
-    assert answer == {"ready": True, "reasons": ["Uploads are read without Landlock."]}
+    assert answer == {
+        "ready": True,
+        "bakes": True,
+        "reasons": ["Uploads are read without Landlock."],
+    }

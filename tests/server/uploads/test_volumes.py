@@ -82,6 +82,7 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(
     free = (64 << 20) - facts["bytes"] - SCENE_BYTES
     assert listed["uploads"] == {
         "limit_bytes": 256 << 20,
+        "limit_files": 8192,
         "quota_bytes": 64 << 20,
         "free_bytes": free,
     }
