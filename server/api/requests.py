@@ -203,8 +203,12 @@ class SafeHeaders:
         async def guarded(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 headers = MutableHeaders(scope=message)
-                page = headers.get("content-type", "").startswith("text/html")
-                headers.setdefault("Content-Security-Policy", PAGE_POLICY if page else OTHER_POLICY)
+                # An answer without content keeps the policy that the client has stored with it: the
+                # headers of a 304 would take its place, and block what the page loads.
+                if message["status"] != HTTPStatus.NOT_MODIFIED:
+                    page = headers.get("content-type", "").startswith("text/html")
+                    policy = PAGE_POLICY if page else OTHER_POLICY
+                    headers.setdefault("Content-Security-Policy", policy)
                 headers.setdefault("X-Content-Type-Options", "nosniff")
                 headers.setdefault("Referrer-Policy", "no-referrer")
                 headers.setdefault("Cross-Origin-Opener-Policy", "same-origin")

@@ -201,7 +201,8 @@ def test_isovalue_slider_changes_picture_and_address(sketched: Page) -> None:
 
 def test_isovalue_can_be_typed(sketched: Page) -> None:
     least, most = (
-        float(sketched.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max")
+        float(sketched.get_attribute("#isovalue-number", limit) or "nan")
+        for limit in ("min", "max")
     )
     wanted = round(least + 0.4 * (most - least), 3)
     sketched.fill("#isovalue-number", str(wanted))

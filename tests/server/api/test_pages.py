@@ -56,6 +56,7 @@ def test_files_of_the_page_are_sent_in_gzips_form_and_once(live_server: str) -> 
     assert packed.headers["vary"] == plain.headers["vary"] == "Accept-Encoding"
     again = httpx.get(address, headers={"If-None-Match": packed.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
+    assert "content-security-policy" not in again.headers, "it would replace that of the page"
 
 
 def test_the_documentation_needs_nothing_from_elsewhere(live_server: str) -> None:

@@ -21,7 +21,7 @@ from tests.web.browsers import Driven, Size, free_port, missing, opened
 from tests.web.plain_server import shared
 from worker import pool
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.long]
 
 SIZE: Size = (520, 440)
 PHONE: Size = (390, 844)
