@@ -30,7 +30,7 @@ from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import Visitor, small_scene, view
-from benchmarks.scaling.watching import Watcher, light_in
+from benchmarks.scaling.watching import Watcher, altered, light_in, texels_of
 from tests.cluster.processes import OWN, Cluster, Started, named
 
 WORKERS = 2
@@ -303,6 +303,9 @@ def compared(folder: str, repeat: Repeat) -> Figures:
             light.get(key) != value for key, value in expected.items()
         ),
         "objects that undisturbed are none": len(light.keys() - expected.keys()),
+        "texels lost, or of other light by as many samples": altered(
+            texels_of(f"{folder}/undisturbed"), texels_of(f"{folder}/light")
+        ),
         **differ,
     }
 

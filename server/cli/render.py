@@ -87,10 +87,10 @@ def render(
         frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
         left = engine.time_left(scene.id, frame, params.max_error)
         paths = engine.baker.paths
-        if frame.final:
-            troubles = []
-        else:
-            troubles = engine.unready()
+        # Workers that are still starting when the time is over are no trouble.
+        trouble = ""
+        if not (frame.final or engine.store.read_only):
+            trouble = engine.trouble() or engine.baker.paused()
     if params.exposure is None:
         exposure = scene.default_exposure
     else:
@@ -105,7 +105,7 @@ def render(
         "paths": paths,
         "stopped": stopped_by(frame),
         "note": why_empty(scene, view) if not frame.surface else "",
-        "trouble": " ".join(troubles),
+        "trouble": trouble,
         "seconds": time.monotonic() - started,
     }
 

@@ -22,6 +22,7 @@ def test_each_route_has_its_costliest_requests(tmp_path: Path) -> None:
     assert COSTLIEST.keys() == document["paths"].keys()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
     found = figures(routes, "demo:casting", "--at-once", "12", "--seconds", "20")

@@ -115,7 +115,7 @@ def test_ticks_stand_where_the_sliders_thumb_does(
     x, y, wide, high = shown.eval_on_selector("#isovalue", box)[:4]
     ends = (x + 8, x + wide - 8)  # the middle of its thumb
     assert [left, left + across] == pytest.approx(
-        np.interp([stops[0], stops[-1]], [0.2, 0.8], ends).tolist(), abs=0.1
+        np.interp(np.log10([stops[0], stops[-1]]), np.log10([0.2, 0.8]), ends).tolist(), abs=0.1
     )
     assert 0 <= top - (y + high) <= 2
     assert (shown.get_attribute("#stops path", "d") or "").count("M") == len(stops)

@@ -71,10 +71,10 @@ def test_a_link_opens_in_its_light(page: Page, live_server: str) -> None:
 def test_intensity_stays_as_many_stops(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?environment=studio")
     slide(page, "exposure", 0.625)
-    assert exposure(page) == "+1 stops"
+    assert exposure(page) == "+1 stop"
     page.select_option("#environment", "overcast")
     expect(page.locator("#volume-facts")).to_contain_text("Overcast sky")
-    expect(page.locator("output[for=exposure]")).to_have_text("+1 stops")
+    expect(page.locator("output[for=exposure]")).to_have_text("+1 stop")
     wait_final(page)
 
 

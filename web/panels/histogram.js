@@ -31,6 +31,7 @@ export function attachHistogram(form, scene, view, say) {
   const show = (/** @type {number} */ value) =>
     axis.logarithmic ? String(inDigits(value)) : showNumber(value, niceStep(max - min));
   setLimits(slider, axis.to(min), axis.to(max));
+  if (axis.logarithmic) slider.step = "any"; // or its last step may end before the largest value
   Object.assign(number, { min, max });
   slider.disabled = number.disabled = single;
   find(form, "#isovalue-min").textContent = show(min);

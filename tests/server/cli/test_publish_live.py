@@ -153,7 +153,7 @@ def test_a_limit_takes_bits_from_the_light(
         and texels_in(tmp_path / "page") == records
     )
     page = ("publish", scene, "-o", tmp_path / "no", "--interactive", "--store", store)
-    said = told(*page, "--isovalue", "0.4:0.6", *words, "--megabytes", "0.25", status=2)
+    said = told(*page, "--isovalue", "0.4:0.6", *words, "--megabytes", "0.14", status=2)
     assert "allow --megabytes" in said and (
         "--target-error" in said or "of these isovalues" in said
     )
