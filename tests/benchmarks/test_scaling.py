@@ -39,7 +39,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.xfail(
-    strict=False, reason="open: light that rests in memory, after a kill of the server"
+    strict=False, reason="open: light at rest in memory, after a kill"
 )
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside
