@@ -38,9 +38,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(scene)
 
 
-@pytest.mark.xfail(
-    strict=False, reason="open: light at rest in memory, after a kill"
-)
+@pytest.mark.xfail(strict=False, reason="open: light at rest in memory, after a kill")
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside
     what they are about.
