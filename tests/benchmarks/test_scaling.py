@@ -55,6 +55,7 @@ def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
         "processes left after 5 s",
     )
     differ = (
+        "objects with other bytes than undisturbed",
         "texels lost, or of other light by as many samples",
         "objects that undisturbed are none",
     )
