@@ -12,7 +12,7 @@ EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install serve shell test-fast test test-all test-long kernels bytecode test-bounds test-python check lock format schemas pictures \
-  figures reports wheel-check clean
+  measurements release reports wheel-check clean
 
 install: $(BIN)/.installed
 
@@ -113,10 +113,13 @@ pictures: $(BIN)/.tools
 	$(BIN)/python docs/draw_film.py
 	$(BIN)/python -m benchmarks.service page
 
-# The figures that the README and the notes state, into docs/measurements.
-figures: $(BIN)/.tools
-	$(BIN)/python -m benchmarks.speed frames --write
-	$(BIN)/python -m benchmarks.speed first-view --write
+# The pages of docs/measurements that README and guides quote: one night on two cores. NAMES="speed-frames" writes some.
+measurements: $(BIN)/.tools
+	$(BIN)/python -m benchmarks.release measure $(NAMES)
+
+# A commit and a tag of VERSION: refused while a quoted figure is older than the code that it measures.
+release: $(BIN)/.tools
+	$(BIN)/python -m benchmarks.release tag $(VERSION)
 
 # docs/measurements/accuracy-reports.md, from reports of the shared volumes; goes on where it was stopped.
 reports: $(BIN)/.tools

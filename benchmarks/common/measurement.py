@@ -118,31 +118,16 @@ INDEX = """\
 
 Each page states its commit, date, machine and command. `python -m benchmarks.SUITE PART --write` \
 writes a page, its figures as JSON, and this list; the suites are `speed`, `accuracy`, `service` \
-and `scaling`. `--list` names the parts of a suite. Ratios compare only within one page: \
-candidates take turns in one process.
-"""
-
-EARLIER = """\
-## Measured before the suites
-
-Commit and date are those of the text that stated the figures. A part that is measured again
-replaces its page here.
+and `scaling`. `--list` names the parts of a suite. These are the pages that README and guides \
+quote: `make measurements` writes them all, and a release refuses pages that are too old for what \
+they measure. Ratios compare only within one page: candidates take turns in one process.
 """
 
 
 def index_of(folder: Path) -> str:
-    """The list of the pages in ``folder``; pages without figures as JSON are older than the suites,
-    and stand apart.
-    """
+    """Return the text that lists the pages in ``folder``."""
     pages = [path for path in sorted(folder.glob("*.md")) if path.name != "index.md"]
-    fresh = [path for path in pages if path.with_suffix(".json").exists()]
-    earlier = [path for path in pages if path not in fresh]
-    parts = [
-        INDEX,
-        *([listed(fresh)] if fresh else []),
-        *([EARLIER, listed(earlier)] if earlier else []),
-    ]
-    return "\n".join(parts)
+    return f"{INDEX}\n{listed(pages)}"
 
 
 def listed(pages: Iterable[Path]) -> str:

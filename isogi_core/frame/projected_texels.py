@@ -32,7 +32,7 @@ own.
 Texels that are nearer than the target error over this are left as they are. Under constant light at
 2 % that is a quarter of a voxel; projecting the others too changes the interpolation error from
 0.39 to 0.34 % (engine at 180), from 0.77 to 0.40 % (at 170), and takes half as many texels again
-(``docs/measurements/accuracy-interpolation.md``).
+(``python -m benchmarks.accuracy interpolation``).
 """
 
 TEXELS_A_PIECE = 16384
