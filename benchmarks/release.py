@@ -183,8 +183,8 @@ def date_changes(version: str) -> None:
         return
     if files:
         raise click.ClickException(
-            f"CHANGELOG.md has a section of {version}: write {', '.join(sorted(files))} of changes/ "
-            "into it, and remove these files."
+            f"CHANGELOG.md has a section of {version}: write {', '.join(sorted(files))} of "
+            "changes/ into it, and remove these files."
         )
     path.write_text(text.replace(heading, f"## {version} ({date.today()})"), encoding="utf-8")
 
