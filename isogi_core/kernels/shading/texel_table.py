@@ -18,6 +18,9 @@ from isogi_core.kernels._jit import (
 )
 from isogi_core.kernels.shading.lattice import BURIED_ROW, LEAST_SPREAD, UNLIT_ROW, VOID_ROW
 
+FIRST_LEVEL = 16
+"""Samples of a texel's first level; each further level doubles them."""
+
 INFINITE_HALF = 0x7C00
 """Bits of the half float that stands for no finite number, and below all others that do not."""
 
@@ -220,9 +223,11 @@ LIGHT_ROWS = types.float32[:, :, ::1]
 
 @kernel()
 def rung_of(samples):
-    """The rung of a number of samples on the ladder: 0 for none or void, k for 16 · 2^(k - 1)."""
+    """Return the rung of a number of samples on the ladder: 0 for none or void, k for FIRST_LEVEL ·
+    2^(k - 1).
+    """
     rung = 0
-    while samples >= 16:
+    while samples >= FIRST_LEVEL:
         samples >>= 1
         rung += 1
     return rung
