@@ -1,11 +1,11 @@
 """Irradiance ratios: texels' direct light over their unshadowed light, interpolated to the pixels.
 
 The direct light of a pixel is Σ w D / Σ w U times the pixel's unshadowed light, D and U being the
-direct and the unshadowed light of its texels. Light that arrives from the environment depends on
-the normal, and shadows do not: the ratio is smoother than the light. Texels that face away from the
-light have a small U, and so weigh little. Reflected light comes from surfaces and does not follow
-the environment: it is interpolated as it is. If texels keep both as one number, the excess over
-their unshadowed light counts as reflected.
+direct and the unshadowed light of its texels. The ratio changes less from texel to texel than the
+light, which follows the normal. Texels that face away from the light have a small U, and so weigh
+little. Reflected light comes from surfaces and does not follow the environment: it is interpolated
+as it is. If texels keep both as one number, the excess over their unshadowed light counts as
+reflected.
 """
 
 import math

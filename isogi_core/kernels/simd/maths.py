@@ -1,8 +1,8 @@
-"""Mathematics that run on numbers and on vectors alike, and what turns the one into the other.
+"""Mathematics that run on numbers and on vectors alike, and conversions between them.
 
-``abs``, ``min``, ``max``, ``math.sqrt`` and ``math.copysign`` take vectors too. Of the lesser and
-the greater of two that are equal, or of which one is no number, a vector has the first, as Python
-does. ``vector[i]`` is the number in lane i.
+``abs``, ``min``, ``max``, ``math.sqrt`` and ``math.copysign`` take vectors too. If two elements are
+equal, or one is NaN, ``min`` and ``max`` return the first, as Python does. ``vector[i]`` is the
+number in lane i.
 """
 
 import math
@@ -51,22 +51,22 @@ lane_numbers = stub("lane_numbers", "0, 1, 2 … in RAY_WIDTH lanes of i32×N.",
 rank = stub("rank", "How many lanes before it are set in the mask, for each lane.", __name__)
 
 
-# --- choice
-# -------------------------------------------------------------------------------------------------
+# --- choice ---
 
 
 def where(truth: Any, a: Any, b: Any) -> Any:
-    """``a`` where it is true, else ``b``: both are worked out. Of single numbers under a mask,
-    f64×N or i32×N.
+    """Return ``a`` if ``truth`` is true, else ``b``; both are computed. For a mask, choose lane
+    by lane; two single numbers become f64×N, or i32×N if both are integers.
     """
     return a if truth else b
 
 
 def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
-    """Signature of ``where``."""
+    """Return the signature of ``where``, or None if its arguments do not fit each other."""
     pair = (a, b)
     numbers = all(isinstance(each, types.Number) for each in pair)
     whole = all(isinstance(each, types.Integer) for each in pair)
+    # A single truth chooses between two numbers, or between two truths.
     if isinstance(truth, types.Boolean):
         if whole:
             kind = types.int64
@@ -77,6 +77,7 @@ def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
         else:
             kind = None
         return kind and signature(kind, truth, kind, kind)
+    # A mask chooses between vectors of its width; numbers are converted to them.
     if not (isinstance(truth, Vector) and truth.number in BOOLEAN_TYPES):
         return None
     if numbers:
@@ -104,7 +105,7 @@ def _where(
 
 
 def _chooser(sign: str) -> Any:
-    """b where ``b sign a``, else a."""
+    """Return the builder of "b if b ``sign`` a, else a", lane by lane."""
 
     def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
         return builder.select(operators.comparison(sign)(builder, kind, b, a), b, a)
@@ -117,12 +118,12 @@ elementwise(max, 2, REAL_TYPES | operators.INTEGER_TYPES)(_chooser(">"))
 
 
 def not_(truth: Any) -> Any:
-    """Whether it is not true; of a mask, in each lane."""
+    """Return the negation of ``truth``; of a mask, in each lane."""
     return not truth
 
 
 def any_of(truth: Any) -> Any:
-    """Whether it is true; of a mask, in any lane."""
+    """Return True if ``truth`` is true; for a mask, in any lane."""
     return truth
 
 
@@ -139,13 +140,13 @@ def _any_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> i
 
 
 def divide(a: Any, b: Any) -> Any:
-    """a / b as IEEE 754 has it: infinite or no number where b is 0, in Python too."""
+    """Return a / b by IEEE 754: infinite or NaN if b is 0, in Python too."""
     with np.errstate(all="ignore"):
         return np.float64(a) / b
 
 
 def _type_of_quotient(a: Any, b: Any) -> Any:
-    """Signature of ``divide``."""
+    """Return the signature of ``divide``."""
     pair = (a, b)
     kind = next((each for each in pair if isinstance(each, Vector)), types.float64)
     return signature(kind, *[each if each == kind else types.float64 for each in pair])
@@ -159,8 +160,7 @@ def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> i
     return builder.fdiv(*pair, flags=operators.FAST_FLAGS[types.float64])
 
 
-# --- functions
-# ----------------------------------------------------------------------------------------------
+# --- functions ---
 
 
 @elementwise(fma, 3, {types.float32})
@@ -184,8 +184,8 @@ def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Valu
 
 
 def floor_within(x: Any, last: Any) -> Any:
-    """The whole number at or below ``x``, within 0 … ``last``, and 0 of no number; of f64×N, reals
-    that are whole.
+    """Return the largest integer ≤ ``x``, clamped to 0 … ``last``, and 0 for NaN; for f64×N, as
+    whole f64×N.
     """
     if x >= last:
         return last
@@ -214,13 +214,12 @@ def _floor(typing: Any, x: Any) -> Any:
     return x(x), _build
 
 
-# --- conversion
-# ---------------------------------------------------------------------------------------------
+# --- conversion ---
 
 
 def _conversion(number: Any) -> Any:
-    """Typer of a conversion to vectors of ``number``: of other vectors, and of single numbers in
-    RAY_WIDTH lanes.
+    """Return the typer of a conversion to vectors of ``number``: from other vectors, and from
+    single numbers in RAY_WIDTH lanes.
     """
 
     def _typer(value: Any) -> Any:
@@ -237,7 +236,9 @@ def _conversion(number: Any) -> Any:
 
 
 def _convert(context: Any, builder: ir.IRBuilder, sig: Any, value: ir.Value) -> ir.Value:
-    """Code of a conversion."""
+    """Build a conversion to a vector, from a single number or from a vector of another element
+    type.
+    """
     kind = sig.return_type
     if not isinstance(value.type, ir.VectorType):
         return spread(builder, value, kind)
@@ -259,7 +260,7 @@ for _function, _number in ((f32, types.float32), (f64, types.float64), (i32, typ
 
 
 def u32(number: Any) -> Any:
-    """A number 0 … 2³² - 1 in PATH_WIDTH lanes of u32×N."""
+    """Return a number 0 … 2³² - 1 in PATH_WIDTH lanes of u32×N."""
     return np.uint64(number)
 
 
@@ -269,12 +270,12 @@ def _u32(context: Any, builder: ir.IRBuilder, sig: Any, number: ir.Value) -> ir.
 
 
 def fraction(word: Any) -> Any:
-    """A word 0 … 2³² - 1 as a part of 2³², in [0, 1)."""
+    """Return a word 0 … 2³² - 1 divided by 2³², in [0, 1)."""
     return word * TO_UNIT
 
 
 def _type_of_fraction(word: Any) -> Any:
-    """Signature of ``fraction``."""
+    """Return the signature of ``fraction``."""
     if isinstance(word, Vector):
         return signature(word.of(types.float64), word)
     return signature(types.float64, types.uint64)
@@ -290,8 +291,7 @@ def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> 
     return builder.fmul(builder.uitofp(word, kind), unit)
 
 
-# --- masks and lanes
-# ----------------------------------------------------------------------------------------
+# --- masks and lanes ---
 
 
 @define(mask_of, lambda truth: signature(Vector(types.boolean, RAY_WIDTH), types.boolean))
@@ -320,7 +320,7 @@ def _rank(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.V
 
 
 def _type_of_item(vector: Any, lane: Any) -> Any:
-    """Signature of ``vector[lane]``."""
+    """Return the signature of ``vector[lane]``."""
     if isinstance(vector, Vector):
         return signature(vector.number, vector, types.int64)
     return None

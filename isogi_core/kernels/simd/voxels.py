@@ -1,4 +1,4 @@
-"""Voxels of a volume side by side: the corners of cells, and fours in a row."""
+"""Loads of voxels: the eight corners of cells, and four in a row."""
 
 from typing import Any
 
@@ -25,15 +25,17 @@ FOUR = Vector(types.float64, 4)
 def open_voxels(
     context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value
 ) -> tuple[ir.Value, ...]:
-    """Pointer to the first element of a 3-D array, elements of a slab and of a row."""
+    """Return a pointer to the first element of a 3-D array, and the numbers of elements in a
+    slab and in a row.
+    """
     array = context.make_array(kind)(context, builder, voxels)
     _, ny, nx = cgutils.unpack_tuple(builder, array.shape, 3)
     return array.data, builder.mul(ny, nx), nx
 
 
 def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    """The corners of cell (k, j, i), x fastest, as float64; as f64×N those of cells at vectors of
-    whole reals.
+    """Return the corners of cell (k, j, i), x fastest, as eight float64; for vectors of whole
+    numbers, as eight f64×N.
     """
     below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
     behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
@@ -43,17 +45,19 @@ def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 
 def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
-    """Two float32 at each of the ``places``: the first ones and the second ones, as vectors of
-    float64.
+    """Load two consecutive float32 at each of the ``places``; return the first ones and the
+    second ones as vectors of float64.
     """
     count = places.type.count
     pairs = ir.Constant(ir.VectorType(DOUBLE_TYPE, count), ir.Undefined)
+    # Load each pair as one 64-bit value: half as many loads.
     for lane in range(count):
         pair = builder.bitcast(
             builder.gep(data, [builder.extract_element(places, WORD_TYPE(lane))]),
             DOUBLE_TYPE.as_pointer(),
         )
         pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD_TYPE(lane))
+    # Split even from odd elements, and widen them.
     singles = builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * count))
     halves = [consecutive(odd, 2 * count, 2) for odd in (0, 1)]
     wide = ir.VectorType(DOUBLE_TYPE, count)
@@ -92,8 +96,8 @@ def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 
 def four(voxels: Any, k: int, j: int, i: int) -> Any:
-    """Voxels i - 1 … i + 2 of row (k, j) as four float64 side by side; beyond the row's ends, the
-    end's.
+    """Return voxels i - 1 … i + 2 of row (k, j) as a vector of four float64; beyond the ends of
+    the row, the end's value.
     """
     return voxels[k, j, np.clip(np.arange(i - 1, i + 3), 0, voxels.shape[2] - 1)].astype(np.float64)
 
