@@ -206,9 +206,9 @@ def launch(field, iso, p, n, side):
     """Return the origin of a ray that leaves the surface at ``p`` along the world normal ``n`` on
     ``side``.
 
-    The origin is offset off the surface; it is ``p`` itself if the offset point lies on the other
-    side, as in a crease or in noise: such a ray is given its side and cannot hit its own start.
-    Takes vectors of points as well.
+    The origin is offset from the surface. If the offset point lies on the other side, as in a
+    crease or in noise, the origin is ``p`` itself: such a ray is given its side and cannot hit the
+    point that it starts on. Takes vectors of points as well.
     """
     # Offset along the normal by a fixed number of voxels.
     x, y, z = to_index(n, field.spacing)

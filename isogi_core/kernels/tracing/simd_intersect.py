@@ -29,7 +29,7 @@ def corners_of(flat, place, stride):
 
 @kernel()
 def within_cell(o, middle, d, cell, n):
-    """Return whether the ray's point at ``middle`` is in ``cell`` along one axis of ``n``
+    """Return the mask of rays whose point at ``middle`` is in ``cell`` along one axis of ``n``
     voxels.
     """
     return min(max(i32(o + middle * d), 0), n - 2) == cell
@@ -37,10 +37,11 @@ def within_cell(o, middle, d, cell, n):
 
 @kernel()
 def cross_cells(flat, shape, o, d, place, span, iso, solid):
-    """Intersect rays that enter the cells at ``place`` from a ``solid`` side or not.
+    """Intersect rays with the surface in the cells at ``place``, which they enter from a ``solid``
+    side or not.
 
-    ``span`` (near, far) comes from ``clip_box``. Returns (t, where the ray enters the cell, sure):
-    if sure, t equals the result of ``cross_cell``; otherwise that must be called.
+    ``span`` (near, far) comes from ``clip_box``. Returns (t, distance at which the ray enters the
+    cell, sure). If sure, t equals the result of ``cross_cell``; otherwise that must be called.
     """
     nz, ny, nx = shape
     # Recover the cell's indices from its flat address.
