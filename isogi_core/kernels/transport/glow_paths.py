@@ -102,6 +102,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     ways = columns(rays.ways, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
+    # Each region and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + k * PAIRS_PER_PURPOSE + bounce)
     aimed = 0
     for i in range(count):
@@ -111,11 +112,14 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
         u, v = point_of_words(low, high, sample, dimension)
         o, n = column(origins, i), column(normals, i)
         p = to_world(o, spacing)
+        # Sample the cone around the region's ball; points inside of it rely on cosine sampling
+        # alone.
         outside = cap_of(glows, k, p) > 0.0
         if outside:
             w = draw_towards(glows, k, p, u, v)
         else:
             w = n
+        # Rays that cannot bring light start at infinity, and hit nothing.
         lit = outside and dot(n, w) > 0.0
         aimed += lit
         put_column(ways, i, w)
@@ -136,6 +140,7 @@ def add_glow(wave, vertices, i, k, scene, glows, share):
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
     if light > 0.0:
+        # Weight against the other sampling technique; each region has three channels of the sums.
         light *= share * balance_cone(
             glows, k, p, w, dot(column(columns(vertices.normals, count), i), w)
         )
@@ -199,6 +204,7 @@ def gather_to_crossings(scene, state, vertices, k, glows, place, going):
         i = state.pending[j]
         before = state.passed[i]
         state.pending[staying] = i
+        # The ray goes on with the part that passes; the part that is stopped has reached its end.
         on = goes_on(scene.surfaces, state, i, bounce, crossing, True)
         staying += on
         if on:

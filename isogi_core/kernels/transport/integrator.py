@@ -435,6 +435,7 @@ def make_paths(n, rules, total, gathered):
     ``gathered``.
     """
     gathered[:, :total] = 0.0
+    # The first weight is the throughput before any bounce.
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
@@ -612,7 +613,7 @@ def branch(wave, vertices, room, branches, stride):
     further = columns(room.points, count)
     around = columns(room.normals, count)
     # Go backwards, so that each path is read before its place is overwritten by branches.
-    for h in range(hits - 1, -1, -1):  # each is read before others are written in its place
+    for h in range(hits - 1, -1, -1):
         owner = wave.owners[h]
         sample = wave.samples[h]
         isovalue = wave.isovalues[h]

@@ -210,9 +210,11 @@ def illuminate(lamps, k, p, n, u, v):
     place = row(lamps.places, k)
     edges = lamps.edges[k]
     colour = row(lamps.colours, k)
+    # A directional lamp is at infinity.
     if lamps.kinds[k] == DIRECTIONAL:
         w, cosine = draw_from_disc(place, edges, u, v)
         return w, math.inf, scale(colour, max(dot(n, w), 0.0) / cosine)
+    # Sample a point of an area; the edges of a point lamp are zero.
     away = sub(madd(madd(place, u, row(edges, 0)), v, row(edges, 1)), p)
     distance = length(away)
     square = distance * distance
@@ -220,6 +222,7 @@ def illuminate(lamps, k, p, n, u, v):
         return n, 0.0, NO_LIGHT
     w = scale(away, 1.0 / distance)
     share = max(dot(n, w), 0.0) / square
+    # The cross product of the edges is area times normal; the back of an area emits nothing.
     if lamps.kinds[k] == AREA:
         share *= max(-dot(w, cross(row(edges, 0), row(edges, 1))), 0.0)
     return w, distance, scale(colour, share)

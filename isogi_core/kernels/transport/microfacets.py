@@ -173,6 +173,7 @@ def mean_energy(alpha, cosine):
             l = sample_reflected(alpha, v, x, y)
             total = total + width * height
             if l[2] > 0.0:
+                # The weight of a sampled direction is G₂/G₁ F; Schlick's F = F₀ (1 - edge) + edge.
                 share = width * height * seen_and_lit(alpha, v[2], l[2]) / seen_from(alpha, v[2])
                 edge = grazing(dot(v, facet_between(v, l)))
                 a = a + share * (1.0 - edge)

@@ -124,8 +124,8 @@ def balance_area(room, k, cosine, slope, distance):
 
 @kernel()
 def lit_from(room, k, slope):
-    """Return whether a ray with this component along the normal of wall ``k`` meets a side that
-    emits.
+    """Return True if a ray with the component ``slope`` along the normal of wall ``k`` meets a
+    side that reflects and emits.
     """
     return slope < 0.0 or room.twofold[k] > 0.0
 
@@ -168,6 +168,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
+    # Each source and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low = np.uint64(rays.low[i])
@@ -178,6 +179,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
         w, shadow.reach[i], shine = sample_luminaire(
             room, k, to_world(o, spacing), column(normals, i), u, v
         )
+        # Rays that cannot bring light, and those from the luminaire itself, hit nothing.
         lit = wave.own[i] != k and max(shine[0], shine[1], shine[2]) > 0.0
         put_column(directions, i, to_index(w, spacing))
         put_column(lights, i, shine)
@@ -237,11 +239,14 @@ def gather_walls(wave, vertices, hits, room):
         i = rays.hits[h]
         k = int(wave.met[i])
         w = column(ways, i)
+        # Find the side of the wall that the ray hits.
         if k >= 0:
             slope = dot(row(room.normals, k), w)
         else:
             slope = 0.0
         rays.hits[staying] = i
+        # Keep paths on surfaces and on lit sides, and add the wall's light, balanced with shadow
+        # rays.
         if k < 0 or lit_from(room, k, slope):
             staying += 1
             if k >= 0:
@@ -271,6 +276,7 @@ def carry(wave, vertices, hits, chance, room):
         k = int(wave.met[i])
         m = rays.owners[i]
         p = madd(column(origins, i), rays.t[i], column(directions, i))
+        # Take the albedo of the wall, or of the isosurface at the hit point.
         if k >= 0:
             albedo = row(room.albedos, k)
         else:
@@ -297,6 +303,8 @@ def stand_on_walls(wave, vertices, following, room):
         k = int(wave.met[i])
         wave.own[h] = k
         if k >= 0:
+            # Turn the wall's normal towards the ray; no ray from a wall is given a side of the
+            # isosurface.
             n = row(room.normals, k)
             if dot(n, column(ways, i)) < 0.0:
                 side = 1.0
