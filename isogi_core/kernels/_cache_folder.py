@@ -179,7 +179,7 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
     """Lock the file ``path`` against all other threads and processes; yield True if the lock was
     obtained.
 
-    If ``wait`` is False and the lock is taken, yield False at once.
+    If ``wait`` is False and the lock is taken, yield False without waiting.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:

@@ -16,7 +16,7 @@ import numba
 from isogi_core.kernels._jit import Entry, entries_of, load
 
 POLL_SECONDS = 0.02
-"""Seconds between two checks whether a kernel is stored, or the compilation was stopped."""
+"""Seconds between two checks for stored kernels, and for the end of the compilation."""
 
 MIN_TIMED_SHARE = 0.1
 """Share of a compilation after which the remaining time is estimated."""
@@ -72,7 +72,7 @@ class Compilation:
         or there is one core.
         """
         for entry in with_callees(kernels):
-            # Whether a kernel is stored is read from a folder, so check one kernel at a time.
+            # A check reads a folder, so that kernels are checked one at a time.
             while self._work and self._work.is_alive() and not entry.stored:
                 self._work.join(POLL_SECONDS)
 

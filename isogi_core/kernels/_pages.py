@@ -94,9 +94,9 @@ def bound_pages(status, bounds, table, mutex):
     bytes are resident, release pages down to ``bounds[1]``.
 
     ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros for a free entry;
-    it is changed only under ``mutex``, which is the memory of a pthread mutex. Pages are released
-    whether they are in use or not: those needed again are still in the system's cache. ``status``
-    is the open file /proc/self/statm.
+    it is changed only under ``mutex``, which is the memory of a pthread mutex. Pages in use are
+    released too: those needed again are still in the system's cache. ``status`` is the open file
+    /proc/self/statm.
 
     Other files, such as libraries, do not count: the ``bounds[2]`` bytes resident at first, and up
     to LIBRARY_BYTES more.

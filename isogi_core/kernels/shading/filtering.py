@@ -306,7 +306,7 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
             own = ZERO_F32
         else:
             own = signal / max(signal + noise, MIN_LIGHT)
-        # Mix the texel's light with that expected from its neighbours.
+        # Mix the texel's light with the light expected from its neighbours.
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
             filtered[t, DIRECT_COLUMN + c] = (

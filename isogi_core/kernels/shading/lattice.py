@@ -163,8 +163,8 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
     All are in ``BakeSpec.unit``. ``rows`` (m,) are places in ``transfer`` (rows, channels, n),
     which holds τ, and in ``scatter`` (rows,), the standard error over the standard deviation of one
     path's luminance; negative rows are skipped. ``light`` (3, n) is the turned environment times
-    the albedo, ``square`` (n,) the square of its luminance. Each term, with a light of its own, has
-    a range of columns, which begins at one of ``firsts``; columns from ``straight`` on are
+    the albedo, ``square`` (n,) the square of its luminance. Each term, which has a separate light,
+    has a range of columns, which begins at one of ``firsts``; columns from ``straight`` on are
     reflected light.
 
     Radiance is τ·ℓ (S1, eq. 9), at least 0; the variance of one path is τ·q - (τ·ℓ)², see
@@ -197,7 +197,7 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
             even += max(transfer[row, green, i] * square[i], NO_LIGHT)
         mean = luminance(r, g, b)
         spread = math.sqrt(max(second - mean * mean, NO_LIGHT) + LEAST_SPREAD * even)
-        # Cut what truncated harmonics make negative.
+        # Truncated harmonics may make light negative: cut it at 0.
         lit[m, 0] = max(r, NO_LIGHT)
         lit[m, 1] = max(g, NO_LIGHT)
         lit[m, 2] = max(b, NO_LIGHT)

@@ -189,8 +189,8 @@ def see_middles(surface, picture, lamps, part, seen):
             if seen[k, m] == LOBE_UNASKED:
                 owners[count] = m
                 lobes[count] = k
-                # Aim at the middle of the part above the horizon: the centre, tilted up by half of
-                # what is below.
+                # Aim at the middle of the part above the horizon: the centre, raised by half of the
+                # part below.
                 put_column(ways, count, madd(towards, 0.5 * max(s - cosine, 0.0), n))
                 count += 1
     # Cast all of them as one stream.
@@ -317,8 +317,8 @@ def see_rims(surface, picture, lamps, pairs, sees):
     """Fill ``sees`` (pairs,) with LOBE_HIDDEN, LOBE_SEEN or LOBE_HALF_SEEN, by RIM_RAYS shadow rays
     to the rim of the lobe of each pair.
 
-    No ray is cast below the horizon of a point: it would end on the point's own surface, and counts
-    as hidden.
+    No ray is cast below the horizon of a point: it would end on the surface at the point, and
+    counts as hidden.
     """
     points = picture.points
     most = RIM_RAYS * pairs.shape[0]

@@ -195,7 +195,7 @@ def prepare_points(surface, picture, part):
         around[m, 1] = four[1]
         around[m, 2] = four[2]
         around[m, 3] = four[3]
-        # Look for half-shadows where the surface breaks off between next pixels.
+        # Look for half-shadows if the surface breaks off between this pixel and the next.
         beside = neighbours(rows, y, x, 0, 1)
         left_out = (x + y) & 1 and amid_near(points, m, beside)
         picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)

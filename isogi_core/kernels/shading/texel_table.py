@@ -163,8 +163,8 @@ VOID_SAMPLES = -1
 class Rows(NamedTuple):
     """The texel table: light as frames read it, one row per texel.
 
-    ``transfer`` (rows, channels, columns) holds coefficients; each term, which has a light of its
-    own, has a range of columns. ``scatter``, relative ``error`` and ``stamp``, float32 (rows,), are
+    ``transfer`` (rows, channels, columns) holds coefficients; each term has a range of
+    columns. ``scatter``, relative ``error`` and ``stamp``, float32 (rows,), are
     the ratio of ``bake.noise.scatter``, the standard error over the luminance, and a number that
     encodes the sample counts and the light without samples.
     """

@@ -66,6 +66,7 @@ def define(
     """
 
     def _generic(self: Any, args: Any, kws: Any) -> Any:
+        """Return the signature for these types of arguments, as Numba's typing asks for it."""
         return typer(*args)
 
     infer_global(function)(
@@ -102,6 +103,9 @@ def elementwise(
     """
 
     def _typer(*args: Any) -> Any:
+        """Return the signature if all vectors have one type, with allowed elements, and the
+        rest are numbers.
+        """
         vectors = [each for each in args if isinstance(each, Vector)]
         others = [each for each in args if not isinstance(each, Vector)]
         if (

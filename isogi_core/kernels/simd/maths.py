@@ -98,6 +98,7 @@ def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
 def _where(
     context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value, *pair: ir.Value
 ) -> ir.Value:
+    """Emit a select; single numbers are first copied to all lanes if the result is a vector."""
     kind = sig.return_type
     if isinstance(kind, Vector):
         pair = tuple(spread(builder, value, kind) for value in pair)
@@ -129,11 +130,13 @@ def any_of(truth: Any) -> Any:
 
 @define(not_, lambda truth: signature(truth, truth))
 def _not(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    """Emit the negation of a truth or mask."""
     return builder.not_(truth)
 
 
 @define(any_of, lambda truth: signature(types.boolean, truth))
 def _any_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    """Emit the test that any bit of a mask is set; a single truth is returned as it is."""
     if not isinstance(truth.type, ir.VectorType):
         return truth
     return builder.icmp_unsigned("!=", mask_bits(builder, truth), LONG_TYPE(0))
@@ -154,6 +157,7 @@ def _type_of_quotient(a: Any, b: Any) -> Any:
 
 @define(divide, _type_of_quotient)
 def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> ir.Value:
+    """Emit a division that is rounded exactly; single numbers are first copied to all lanes."""
     kind = sig.return_type
     if isinstance(kind, Vector):
         pair = tuple(spread(builder, value, kind) for value in pair)
@@ -165,21 +169,25 @@ def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> i
 
 @elementwise(fma, 3, {types.float32})
 def _fma(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
+    """Emit a fused multiply-add."""
     return call(builder, f"llvm.fma.{suffix(kind)}", vector_type(kind), *values)
 
 
 @elementwise(abs, 1, REAL_TYPES)
 def _abs(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
+    """Emit the absolute value."""
     return call(builder, f"llvm.fabs.{suffix(kind)}", a.type, a)
 
 
 @elementwise(math.sqrt, 1, REAL_TYPES)
 def _sqrt(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
+    """Emit the square root."""
     return call(builder, f"llvm.sqrt.{suffix(kind)}", a.type, a)
 
 
 @elementwise(math.copysign, 2, REAL_TYPES)
 def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Value) -> ir.Value:
+    """Emit ``size`` with the sign of ``sign``."""
     return call(builder, f"llvm.copysign.{suffix(kind)}", sign.type, size, sign)
 
 
@@ -196,7 +204,10 @@ def floor_within(x: Any, last: Any) -> Any:
 
 @overload(floor_within)
 def _overload_floor_within(x: Any, last: Any) -> Any:
+    """Choose the code of ``floor_within`` by the type of ``x``."""
+
     def _of_vectors(x: Any, last: Any) -> Any:
+        """Clamp by selects, which turn NaN into 0, as comparisons with it are false."""
         whole = _floor(x)
         whole = where(whole > 0.0, whole, 0.0)
         return where(whole < last, whole, last)
@@ -208,6 +219,8 @@ def _overload_floor_within(x: Any, last: Any) -> Any:
 
 @intrinsic
 def _floor(typing: Any, x: Any) -> Any:
+    """Emit the floor of a vector."""
+
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         return call(builder, f"llvm.floor.{suffix(x)}", values[0].type, values[0])
 
@@ -266,6 +279,7 @@ def u32(number: Any) -> Any:
 
 @define(u32, lambda number: signature(Vector(types.uint32, PATH_WIDTH), types.int64))
 def _u32(context: Any, builder: ir.IRBuilder, sig: Any, number: ir.Value) -> ir.Value:
+    """Emit a number copied to PATH_WIDTH lanes."""
     return spread(builder, number, sig.return_type)
 
 
@@ -283,6 +297,7 @@ def _type_of_fraction(word: Any) -> Any:
 
 @define(fraction, _type_of_fraction)
 def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> ir.Value:
+    """Emit the conversion of unsigned words to float64, and the product with 2⁻³²."""
     kind = DOUBLE_TYPE
     unit = DOUBLE_TYPE(TO_UNIT)
     if isinstance(sig.return_type, Vector):
@@ -296,26 +311,31 @@ def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> 
 
 @define(mask_of, lambda truth: signature(Vector(types.boolean, RAY_WIDTH), types.boolean))
 def _mask_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    """Emit a truth copied to RAY_WIDTH lanes."""
     return splat(builder, builder.trunc(truth, BIT_TYPE), RAY_WIDTH)
 
 
 @define(bits, lambda mask: signature(types.int64, mask))
 def _bits(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    """Emit the integer whose bits are the mask's."""
     return mask_bits(builder, mask)
 
 
 @define(popcount, lambda mask: signature(types.int64, mask))
 def _popcount(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    """Emit the count of the mask's bits that are set."""
     return call(builder, "llvm.ctpop.i64", LONG_TYPE, mask_bits(builder, mask))
 
 
 @define(lane_numbers, lambda: signature(Vector(types.int32, RAY_WIDTH)))
 def _lane_numbers(context: Any, builder: ir.IRBuilder, sig: Any) -> ir.Value:
+    """Emit the constant 0, 1, 2 …."""
     return consecutive(0, RAY_WIDTH)
 
 
 @define(rank, lambda mask: signature(mask.of(types.int32), mask))
 def _rank(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    """Emit the counts of set lanes before each lane."""
     return ranks(builder, builder.trunc(mask_bits(builder, mask), WORD_TYPE), mask.type.count)
 
 
@@ -330,4 +350,5 @@ def _type_of_item(vector: Any, lane: Any) -> Any:
 def _item(
     context: Any, builder: ir.IRBuilder, sig: Any, vector: ir.Value, lane: ir.Value
 ) -> ir.Value:
+    """Emit the extraction of one lane."""
     return builder.extract_element(vector, lane)

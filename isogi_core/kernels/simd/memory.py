@@ -85,6 +85,9 @@ def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Calla
     """
 
     def _flat(*args: Any) -> Any:
+        """Return the signature if the first argument is a flat array with elements of one of
+        ``numbers``.
+        """
         array = args[0]
         if isinstance(array, types.Array) and array.layout == "C" and array.dtype in numbers:
             return typer(*args)
@@ -136,6 +139,7 @@ def _type_of_load(array: Any, i: Any, width: Any) -> Any:
 def _load(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, width: Any
 ) -> ir.Value:
+    """Emit a vector load, aligned to an element; int8 is widened to int32."""
     kind = sig.return_type
     dtype = sig.args[0].dtype
     vector = builder.load(_at(builder, base, place, kind.count), align=dtype.bitwidth // 8)
@@ -158,6 +162,7 @@ def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
 def _store(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any
 ) -> ir.Value:
+    """Emit a vector store, aligned to an element; int32 is cut to int8 for an array of these."""
     dtype = sig.args[0].dtype
     count = vector.type.count
     if dtype == types.int8:
@@ -170,6 +175,7 @@ def _store(
 
 @overload(add_to)
 def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
+    """Choose the code of ``add_to``: a vector is added to consecutive elements."""
     if not isinstance(value, Vector):
         return add_to
     width = value.count
@@ -184,6 +190,7 @@ def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
 def _prefetch(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value
 ) -> ir.Value:
+    """Emit a prefetch for reading into all levels of the cache."""
     line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
     call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD_TYPE(0), WORD_TYPE(3), WORD_TYPE(1))
     return context.get_dummy_value()
@@ -200,6 +207,7 @@ def _prefetch(
 def _gather(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
 ) -> ir.Value:
+    """Emit a gather, register by register or element by element."""
     kind = sig.return_type
     # AVX-512 gathers a register in one instruction; AVX2's gather is no faster than single loads.
     if REGISTER_LANES == 16:
@@ -247,6 +255,7 @@ def _gather_pair(
 ) -> ir.Value:
     # Load both elements of a pair as one 64-bit value, a register at a time, then part even from
     # odd.
+    """Emit the loads of two consecutive elements per lane."""
     width = REGISTER_LANES // 2
     pairs = [
         _pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)
@@ -297,6 +306,9 @@ def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
 def _take(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value
 ) -> ir.Value:
+    """Emit an expanding load: set lanes get consecutive elements, in order; the other lanes are
+    arbitrary.
+    """
     kind = sig.return_type
     parts = []
     whole = kind.number == types.int32
@@ -342,6 +354,7 @@ def _scatter(
     vector: ir.Value,
     mask: ir.Value,
 ) -> ir.Value:
+    """Emit one conditional store per lane."""
     for lane in range(index.type.count):
         with builder.if_then(builder.extract_element(mask, WORD_TYPE(lane))):
             element = builder.extract_element(vector, WORD_TYPE(lane))

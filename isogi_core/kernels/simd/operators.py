@@ -30,6 +30,7 @@ def method(real: str, whole: str = "") -> Build:
     """
 
     def _build(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
+        """Emit the operation with the flags of its element type."""
         if kind.number in REAL_TYPES:
             return getattr(builder, real)(*values, flags=FAST_FLAGS[kind.number])
         return getattr(builder, whole)(*values)
@@ -71,6 +72,7 @@ def comparison(sign: str) -> Build:
     """
 
     def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
+        """Emit the comparison for the element type."""
         if kind.number in REAL_TYPES:
             return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
         if kind.number == types.int32:

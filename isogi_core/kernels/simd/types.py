@@ -78,6 +78,7 @@ class Vector(types.Type):
     """Numba's type of a vector of ``count`` elements of the type ``number``, one of ``SCALARS``."""
 
     def __init__(self, number: Any, count: int) -> None:
+        """Name the type after its element and count, by which Numba compares types."""
         self.number = number
         self.count = count
         super().__init__(f"{number}x{count}")

@@ -66,10 +66,12 @@ def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[
 
 @intrinsic
 def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Emit the loads of the corners of cells (k, j, i), vectors of whole float64."""
     result = types.UniTuple(i, 8)
 
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
+        # Convert indices to integers, and find the flat place of the first corner of each cell.
         whole = ir.VectorType(row.type, i.count)
         cell = [builder.fptosi(value, whole) for value in values[1:]]
         along = [
@@ -77,6 +79,7 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
             for c, step in zip(cell, (slab, row), strict=False)
         ]
         first = builder.add(builder.add(along[0], along[1]), cell[2])
+        # Load pairs along x from four rows: those at y, y + 1, and both in the next slab.
         corners = []
         for step in (row.type(0), row, slab, builder.add(slab, row)):
             corners += load_pairs(builder, builder.gep(data, [step]), first)
@@ -87,6 +90,8 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @overload(cube)
 def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Choose the code of ``cube``: of a vector of cells, or of one."""
+
     def _of_vectors(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         return _cube(voxels, k, j, i)
 
@@ -104,6 +109,8 @@ def four(voxels: Any, k: int, j: int, i: int) -> Any:
 
 @intrinsic
 def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Emit the load of four consecutive voxels from voxel (k, j, i) on, widened to float64."""
+
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
         place = builder.add(
@@ -119,6 +126,8 @@ def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @intrinsic
 def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Emit a vector of four float64 from four single numbers."""
+
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         vector = ir.Constant(vector_type(FOUR), ir.Undefined)
         for lane, value in enumerate(values):
@@ -132,6 +141,7 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 
 @numba.njit
 def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Return ``four`` near the ends of a row, beyond which the end's voxel is repeated."""
     last = voxels.shape[2] - 1
     a = voxels[k, j, max(i - 1, 0)]
     d = voxels[k, j, min(i + 2, last)]
@@ -140,6 +150,8 @@ def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @overload(four)
 def _overload_four(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Choose the code of ``four``: one load, except near the ends of a row."""
+
     def _compiled(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         if 1 <= i < voxels.shape[2] - 2:
             return _four_together(voxels, k, j, i - 1)

@@ -169,7 +169,7 @@ def sample_direction(wave, vertices, bounce, spacing):
     normals = columns(vertices.normals, count)
     ways = columns(wave.ways, count)
     directions = columns(wave.directions, count)
-    # Each bounce draws its pair of random numbers from a dimension of its own.
+    # Each bounce draws its pair of random numbers from a different dimension.
     dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
         low = load(wave.low, i, PATH_WIDTH)
@@ -452,7 +452,7 @@ def make_paths(n, rules, total, gathered):
 @kernel()
 def add_carried(wave, i, light):
     """Add ``light`` that arrives at the vertex of path ``i``, times the path's throughput, to
-    what it gathered.
+    the gathered light.
     """
     m = wave.rays.owners[i]
     for c in range(3):

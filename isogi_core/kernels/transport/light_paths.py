@@ -183,7 +183,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    # Each source and bounce draws from a dimension of its own.
+    # Each source and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low = np.uint64(rays.low[i])

@@ -29,8 +29,8 @@ class ShineLobe(NamedTuple):
     incidence.
 
     ``strength`` scales the lobe. Under a ``metal`` lobe diffuse light falls to 1 - strength, else
-    to what the lobe leaves of it (see ``light_below``). ``energy`` (ENERGY_STEPS + 1, 2) comes from
-    ``fill_energy``. The share ``aside`` of its rays is aimed at lights.
+    to the share that the lobe leaves (see ``light_below``). ``energy`` (ENERGY_STEPS + 1, 2) comes
+    from ``fill_energy``. The share ``aside`` of its rays is aimed at lights.
     """
 
     alpha: float

@@ -265,8 +265,8 @@ def surface_albedo(room, p):
 
 @kernel()
 def carry(wave, vertices, hits, chance, room):
-    """Multiply throughputs by the albedo of what paths hit, over the ``chance`` that they
-    continue.
+    """Multiply throughputs by the albedo of the wall or surface that paths hit, over the
+    ``chance`` that they continue.
     """
     rays = wave.rays
     count = vertices.count

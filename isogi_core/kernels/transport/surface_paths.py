@@ -430,12 +430,12 @@ def light_among_surfaces(scene, starts, samples, rules, light, sums):
     - A ray that hits a surface passes straight through with the probability ``clear``, else it
       meets a diffuse, thin shell lit from both sides.
     - Light of shadow rays is multiplied by the ``clear`` of all surfaces that they cross.
-    - Each bounce multiplies by the albedo of what it hit, or by its transmission if the path
-      continues on the other side, over the probability of that side.
+    - Each bounce multiplies by the albedo of the hit, or by its transmission if the path continues
+      on the other side, over the probability of that side.
     - All light has the first of the weights (bounces + 1, 3) of the ``rules``; the others are not
       read.
-    - If the surface of the starts has albedo a and transmission t, E is that of both sides weighted
-      by what leaves, (a E_own + t E_other) / (a + t).
+    - If the surface of the starts has albedo a and transmission t, E is the mean of both sides,
+      weighted by the light that leaves: (a E_near + t E_far) / (a + t).
     - Luminaires are combined by the balance heuristic as in ``light_in_room``.
 
     The result does not depend on which starts are traced together. Source: Kajiya 1986; clear

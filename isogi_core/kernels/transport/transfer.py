@@ -502,8 +502,8 @@ def make_albedos(scene, paths):
 
 @advance.case(Coloured)
 def advance_on_colours(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, and multiply what they carry by albedo over
-    probability.
+    """Move the paths that hit the surface there, and multiply their carried product by albedo
+    over probability.
     """
     rays = state.wave.rays
     carried = state.wave.carried
@@ -522,7 +522,7 @@ def advance_on_colours(scene, state, vertices, following, bounce, rules):
 
 @begin_branches.case(Coloured, PathEnds)
 def carry_along(scene, wave, count, ends):
-    """Mark new branches as unfinished, and give them what their parents carry."""
+    """Mark new branches as unfinished, and give them the products that their parents carry."""
     branch_ends(wave, count, ends)
     for owner in wave.rays.owners[:count]:
         put_column(wave.carried, owner, column(wave.carried, owner % wave.starting))
