@@ -138,6 +138,7 @@ def compile_beside(
     processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
     if processes < 2:
         return
+    # Each process goes through all names, and compiles those that no other has begun.
     context: Any = get_context(start)
     helpers = [
         context.Process(target=compile_named, args=[names, niceness], daemon=True)
@@ -145,6 +146,7 @@ def compile_beside(
     ]
     for helper in helpers:
         helper.start()
+    # Wait for the processes, or end them once stopped.
     for helper in helpers:
         while helper.is_alive() and not stopped.is_set():
             helper.join(POLL_SECONDS)

@@ -236,6 +236,7 @@ def let_kernels_choose(choice: Choice) -> None:
     def _key(_: Any, called: Any) -> Any:
         return _body(called.args).get_impl_key(called)
 
+    # Numba types the call, and looks its code up, as a call of the chosen body.
     template = type(
         "Chosen", (AbstractTemplate,), {"key": choice, "generic": _generic, "get_impl_key": _key}
     )
@@ -290,12 +291,14 @@ def kernel(
         fastmath = ANY_ORDER
     else:
         fastmath = FASTMATH
+    # ``nogil`` lets threads run side by side; NumPy's error model divides by zero without a test.
     options = {
         "nogil": True,
         "error_model": "numpy",
         "fastmath": fastmath,
         "pipeline_class": Compiler,
     }
+    # Without Numba, for debugging, kernels are plain Python functions.
     if numba.config.DISABLE_JIT:
         return lambda function: function
     if signature is None:

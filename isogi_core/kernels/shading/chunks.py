@@ -205,9 +205,11 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         even = even_corner(z, y, x)
+        # Number the two texels of the cell that are read.
         for n, c in enumerate((even, 7 - even)):
             r, i = row_of_corner(slots, bits, z, y, x, c)
             numbers[n] = number_in_row(read, first, r, i)
+        # Let each of them stand for the corners near it.
         for c in range(8):
             if is_nearer(c, even):
                 corners[m, c] = numbers[0]

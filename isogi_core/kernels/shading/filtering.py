@@ -186,6 +186,7 @@ def mean_of(texels, found, weights, count):
     variance = ZERO_F32
     for n in range(np.uint64(count)):
         s = np.uint64(found[n])
+        # Sum direct, unshadowed and reflected light apart; weights enter the variance as squares.
         w = weights[n] * texels[s, PATHS_COLUMN]
         direct = (
             direct[0] + w * texels[s, 0],
@@ -203,6 +204,7 @@ def mean_of(texels, found, weights, count):
         reflected = reflected[0] + w * r, reflected[1] + w * g, reflected[2] + w * b
         total = total + w
         variance = variance + w * w * texels[s, VARIANCE_COLUMN]
+    # Divide sums, and not texel by texel: texels with little unshadowed light count less.
     ratio = (
         direct[0] / max(bare[0], MIN_LIGHT),
         direct[1] / max(bare[1], MIN_LIGHT),
@@ -244,6 +246,7 @@ def differences(texels, found, weights, count, ratio, reflected):
         s = np.uint64(found[n])
         w = weights[n]
         direct, around = expected(texels, s, ratio, reflected)
+        # Compare the luminance of the neighbour with that expected from the mean.
         r = texels[s, 0] + texels[s, REFLECTED_COLUMN] - direct[0] - around[0]
         g = texels[s, 1] + texels[s, REFLECTED_COLUMN + 1] - direct[1] - around[1]
         b = texels[s, 2] + texels[s, REFLECTED_COLUMN + 2] - direct[2] - around[2]

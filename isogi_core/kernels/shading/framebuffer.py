@@ -58,6 +58,7 @@ def tally(framebuffer, counts, sums):
     """
     for i in range(framebuffer.state.shape[0]):
         counts[framebuffer.state[i]] += 1
+        # Sum in float64: pictures have millions of pixels.
         if framebuffer.state[i]:
             light = np.float64(
                 luminance(

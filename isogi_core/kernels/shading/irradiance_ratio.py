@@ -89,6 +89,7 @@ def unshadowed_light(unshadowed, x, y, z):
     zz = z * z
     xz = x * z
     across = x * x - y * y
+    # Evaluate the quadratic form for the three colours.
     q = unshadowed.quadric
     low = unshadowed.least
     r = q[0, 0] + y * q[0, 1] + z * q[0, 2] + x * q[0, 3]

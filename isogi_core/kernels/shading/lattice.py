@@ -241,6 +241,7 @@ def blend_texels(corners, m, lit, fz, fy, fx):
             * (y if c & 2 else ONE_F32 - y)
             * (x if c & 1 else ONE_F32 - x)
         )
+        # Noises of texels are independent: the variance of the sum has squared weights.
         noise = w * lit[t, 3]
         r = r + w * lit[t, 0]
         g = g + w * lit[t, 1]
@@ -264,6 +265,7 @@ def blend_some(corners, m, grade, lit, fz, fy, fx):
     for c in range(8):
         t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
+        # Void texels count nowhere.
         if PARTIAL_GRADE <= grade[t] <= FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
             variance += (w * lit[t, 3]) ** 2

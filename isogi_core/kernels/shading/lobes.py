@@ -499,6 +499,7 @@ def light_points(picture, lamps, part, smooth, seen, lit):
         for m in range(part[0], part[1]):
             if seen[k, m] == NO_LOBE or (seen[k, m] == LOBE_HIDDEN and not smooth):
                 continue
+            # Take the share of lit points around, or all of the lobe's light if this point sees it.
             if smooth:
                 share = share_around(picture, m, seen[k])
             elif seen[k, m] == LOBE_SEEN:

@@ -89,6 +89,7 @@ def find_unoccluded(surface, starts, owners, ways, reached):
     for i in range(count):
         put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
+    # Cast the rays from the outer side; those without a hit get away.
     t = np.empty(count)
     came = np.empty(count, np.int8)
     rays = Rays(

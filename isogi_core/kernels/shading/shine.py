@@ -309,6 +309,7 @@ def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
     (origins, directions, ways) = rays
     for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
+        # Start off the surface, and choose a direction by the light that it would bring.
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
         v = to_viewer(p, n, eye, field.spacing)

@@ -68,9 +68,11 @@ def sameness(points, normals, m, n):
     for c in range(3):
         a, b = np.float64(normals[m, c]), np.float64(normals[n, c])
         way = np.float64(points[n, c]) - np.float64(points[m, c])
+        # Sum the products of normals, and of each normal with the way, over the axes.
         like = like + a * b
         square = square + way * way
         from_m, from_n = from_m + a * way, from_n + b * way
+    # Square the sine of the steeper slope, relative to that of half weight.
     slope = max(from_m * from_m, from_n * from_n) / (MAX_SLOPE_SINE * MAX_SLOPE_SINE * square)
     like = max(like, 0.0) ** 2
     return like**2 * like**2 * (like**2 * like**2) * np.exp2(-slope)

@@ -50,10 +50,12 @@ def voxel_gradient(voxels, k, j, i):
     voxels beyond the border repeat the border's.
     """
     nz, ny, nx = voxels.shape
+    # Repeat the border's voxels beyond it.
     i0 = max(i - 1, 0)
     i2 = min(i + 1, nx - 1)
     j0 = max(j - 1, 0)
     j2 = min(j + 1, ny - 1)
+    # Smooth two axes of each component, and take the slope along the third.
     a = plane_of(voxels, max(k - 1, 0), j0, j, j2, i0, i, i2)
     b = plane_of(voxels, k, j0, j, j2, i0, i, i2)
     c = plane_of(voxels, min(k + 1, nz - 1), j0, j, j2, i0, i, i2)

@@ -69,6 +69,7 @@ def define(
         """Return the signature for these types of arguments, as Numba's typing asks for it."""
         return typer(*args)
 
+    # Numba asks this template for the signature of a call.
     infer_global(function)(
         type("Case", (AbstractTemplate,), {"key": function, "generic": _generic})
     )
@@ -114,6 +115,7 @@ def elementwise(
             or not all(isinstance(each, types.Number) for each in others)
         ):
             return None
+        # All vectors must have one type, with an element that the function is made for.
         kind = vectors[0]
         if any(each != kind for each in vectors) or kind.number not in elements:
             return None

@@ -255,6 +255,7 @@ def _convert(context: Any, builder: ir.IRBuilder, sig: Any, value: ir.Value) -> 
     kind = sig.return_type
     if not isinstance(value.type, ir.VectorType):
         return spread(builder, value, kind)
+    # Choose LLVM's instruction by the elements of both vectors.
     given = sig.args[0].number
     result = vector_type(kind)
     if given == kind.number:

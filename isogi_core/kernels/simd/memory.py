@@ -232,6 +232,8 @@ def _gather_part(
     part = ir.VectorType(ELEMENTS[kind.number], width)
     letters = {types.float32: "ps", types.float64: "pd", types.int32: "pi"}[kind.number]
     every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
+    # The instruction takes a register of 32-bit indices, scaled to bytes, and a mask of the lanes
+    # to load.
     places = builder.shuffle_vector(index, index, consecutive(first, first + width))
     pointer = builder.bitcast(base, BYTE_TYPE.as_pointer())
     arguments = (
@@ -276,6 +278,7 @@ def _pairs(
     register of float32.
     """
     vector = ir.VectorType(DOUBLE_TYPE, width)
+    # Gather 64-bit values with AVX-512, or load them lane by lane.
     if REGISTER_LANES == 16:
         every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
         places = builder.shuffle_vector(index, index, consecutive(first, first + width))
