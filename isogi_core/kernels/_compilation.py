@@ -64,7 +64,7 @@ class Compilation:
         names = [each.name for each in self._lacking]
         self._begun = time.monotonic()
         work = [names, stopped, niceness, start]
-        self._work = threading.Thread(target=compile_beside, args=work, name="compiling")
+        self._work = threading.Thread(target=compile_in_processes, args=work, name="compiling")
         self._work.start()
 
     def wait(self, kernels: Iterable[Any]) -> None:
@@ -129,7 +129,7 @@ def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[E
     )
 
 
-def compile_beside(
+def compile_in_processes(
     names: list[str], stopped: threading.Event, niceness: int = 0, start: str = "spawn"
 ) -> None:
     """Compile the kernels ``names`` in processes, one per core, until ``stopped``; do nothing

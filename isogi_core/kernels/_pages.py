@@ -67,7 +67,7 @@ def resident(status, line):
 
 
 @kernel()
-def let_go(status, line, enough, table, row, start):
+def release_pages(status, line, enough, table, row, start):
     """Release pages from byte ``start`` of mapping ``row`` on, until at most ``enough`` bytes are
     resident.
 
@@ -109,10 +109,12 @@ def bound_pages(status, bounds, table, mutex):
         usleep(MICROSECONDS)
         if resident(status, line) > others + bounds[0]:
             lock_mutex(mutex.ctypes.data)
-            row, start, bare = let_go(status, line, others + bounds[1], table, row, start)
+            row, start, all_released = release_pages(
+                status, line, others + bounds[1], table, row, start
+            )
             unlock_mutex(mutex.ctypes.data)
             # Bytes left after everything was released belong to other files: approach them by an
             # eighth.
-            if bare:
+            if all_released:
                 left = resident(status, line)
                 others = min(others + (left - others) // 8, bounds[2] + LIBRARY_BYTES)

@@ -188,8 +188,8 @@ def is_nearer(c, corner):
     """Return True if corner ``c`` of a cell is nearer to this ``corner`` than to the opposite
     one.
     """
-    apart = c ^ corner
-    return (apart & 1) + (apart >> 1 & 1) + (apart >> 2) < 2
+    differing = c ^ corner
+    return (differing & 1) + (differing >> 1 & 1) + (differing >> 2) < 2
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
@@ -279,20 +279,21 @@ def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, w
     """
     bits = 3 * lattice.bits
     for m in range(corners.shape[0]):
-        wrong = visible_error(framebuffer, pixels[m])
-        if wrong == 0.0:
+        error = visible_error(framebuffer, pixels[m])
+        if error == 0.0:
             continue
         y, x = divmod(np.int64(pixels[m]), width)
         # The weight of a pixel is 2 in the middle, and falls by half the squared distance on each
         # axis.
-        wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
-        # Add it once for each different chunk among the eight corners.
+        error *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        # Add it once for each different chunk of the eight corners; if the opposite corners 0 and 7
+        # lie in one chunk, all do.
         first = places[corners[m, 0]] >> bits
-        weight[first] += wrong
-        if places[corners[m, 7]] >> bits != first:  # opposite corners
+        weight[first] += error
+        if places[corners[m, 7]] >> bits != first:
             for c in range(1, 8):
                 if is_new(places, corners, m, c, bits):
-                    weight[places[corners[m, c]] >> bits] += wrong
+                    weight[places[corners[m, c]] >> bits] += error
 
 
 class Pages(NamedTuple):

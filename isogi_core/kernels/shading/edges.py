@@ -113,9 +113,9 @@ def add_pixel(shown, x, y, sample, unit, total):
     points, m = sample
     row = shown.rows[y, x]
     pixel = y * width + x
-    own = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
+    there = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
     # Weigh the pixel by the distance of its point; NEAR_CENTRE keeps the weight finite.
-    near = squared_distance(shown.spacing, points, m, own) * unit + NEAR_CENTRE
+    near = squared_distance(shown.spacing, points, m, there) * unit + NEAR_CENTRE
     weight = np.float32(1.0) / (near * near)
     r, g, b, w = total
     light = shown.radiance

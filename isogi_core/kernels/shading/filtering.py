@@ -60,7 +60,7 @@ Pixels mix eight texels with trilinear weights, the mean of whose sum of squares
 neighbours does not average out, and therefore counts 27/8 times as much.
 """
 
-LENDS = np.float32(1e-4)
+MIN_LENDING_WEIGHT = np.float32(1e-4)
 """Least total weight of the neighbours of a texel without light, for it to take their mean. One
 neighbour at distance 1 whose normal is 54° away reaches it.
 """
@@ -96,7 +96,7 @@ def row_at(numbering, bits, z, y, x):
         np.uint64(z >> bits),
         np.uint64(y >> bits),
         np.uint64(x >> bits),
-    )  # what is negative becomes huge
+    )
     if (
         k >= np.uint64(slots.shape[0])
         or j >= np.uint64(slots.shape[1])
@@ -156,11 +156,11 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
                 continue
             for i in range(-1, 2):
                 if inside:
-                    own = row
+                    texel_row = row
                 else:
-                    own = row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
-                if own >= 0:
-                    number = number_of(numbering, own, within(x + i * step, bits))
+                    texel_row = row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
+                if texel_row >= 0:
+                    number = number_of(numbering, texel_row, within(x + i * step, bits))
                 else:
                     number = -1
                 # Count texels with light whose weight is not zero.
@@ -181,7 +181,7 @@ def mean_of(texels, found, weights, count):
 
     Neighbours count by ``weights`` times their numbers of samples.
     """
-    direct = bare = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
+    direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
     total = MIN_LIGHT
     variance = ZERO_F32
     for n in range(np.uint64(count)):
@@ -193,10 +193,10 @@ def mean_of(texels, found, weights, count):
             direct[1] + w * texels[s, 1],
             direct[2] + w * texels[s, 2],
         )
-        bare = (
-            bare[0] + w * texels[s, UNSHADOWED_COLUMN],
-            bare[1] + w * texels[s, UNSHADOWED_COLUMN + 1],
-            bare[2] + w * texels[s, UNSHADOWED_COLUMN + 2],
+        unshadowed = (
+            unshadowed[0] + w * texels[s, UNSHADOWED_COLUMN],
+            unshadowed[1] + w * texels[s, UNSHADOWED_COLUMN + 1],
+            unshadowed[2] + w * texels[s, UNSHADOWED_COLUMN + 2],
         )
         r = texels[s, REFLECTED_COLUMN]
         g = texels[s, REFLECTED_COLUMN + 1]
@@ -206,9 +206,9 @@ def mean_of(texels, found, weights, count):
         variance = variance + w * w * texels[s, VARIANCE_COLUMN]
     # Divide sums, and not texel by texel: texels with little unshadowed light count less.
     ratio = (
-        direct[0] / max(bare[0], MIN_LIGHT),
-        direct[1] / max(bare[1], MIN_LIGHT),
-        direct[2] / max(bare[2], MIN_LIGHT),
+        direct[0] / max(unshadowed[0], MIN_LIGHT),
+        direct[1] / max(unshadowed[1], MIN_LIGHT),
+        direct[2] / max(unshadowed[2], MIN_LIGHT),
     )
     return (
         ratio,
@@ -239,7 +239,7 @@ def differences(texels, found, weights, count, ratio, reflected):
     is subtracted. The noise is the mean over all neighbours, as a few paths may agree by chance and
     show none.
     """
-    apart = ZERO_F32
+    scatter = ZERO_F32
     noise = ZERO_F32
     total = MIN_LIGHT
     for n in range(np.uint64(count)):
@@ -251,10 +251,10 @@ def differences(texels, found, weights, count, ratio, reflected):
         g = texels[s, 1] + texels[s, REFLECTED_COLUMN + 1] - direct[1] - around[1]
         b = texels[s, 2] + texels[s, REFLECTED_COLUMN + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
-        apart = apart + w * difference * difference
+        scatter = scatter + w * difference * difference
         noise = noise + w * texels[s, VARIANCE_COLUMN]
         total = total + w
-    return max(apart - noise, ZERO_F32), noise, total
+    return max(scatter - noise, ZERO_F32), noise, total
 
 
 @kernel()
@@ -283,7 +283,7 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     between neighbours, in texels. In the output, VARIANCE_COLUMN is the variance after filtering,
     and NOISE_COLUMN the standard error that pixels report, in which shared variance counts more
     (see SHARED_VARIANCE_FACTOR). Texels without light become CONVERGING if at least two neighbours,
-    of total weight LENDS or more, have light.
+    of total weight MIN_LENDING_WEIGHT or more, have light.
     """
     found = np.empty(27, np.uint32)
     weights = np.empty(27, np.float32)
@@ -302,33 +302,35 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
         signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
-        if unlit and total < LENDS:
+        if unlit and total < MIN_LENDING_WEIGHT:
             continue
+        # Wiener's weight of the texel's light: signal / (signal + noise).
         if unlit:
-            # Wiener's weight of the texel's light: signal / (signal + noise).
-            own = ZERO_F32
+            kept_share = ZERO_F32
         else:
-            own = signal / max(signal + noise, MIN_LIGHT)
+            kept_share = signal / max(signal + noise, MIN_LIGHT)
         # Mix the texel's light with the light expected from its neighbours.
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
             filtered[t, DIRECT_COLUMN + c] = (
-                own * texels[t, DIRECT_COLUMN + c] + (ONE_F32 - own) * direct[c]
+                kept_share * texels[t, DIRECT_COLUMN + c] + (ONE_F32 - kept_share) * direct[c]
             )
             filtered[t, REFLECTED_COLUMN + c] = (
-                own * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - own) * around[c]
+                kept_share * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - kept_share) * around[c]
             )
+        # Add the variance that is left of the texel's light to that of the neighbours' mean.
         if unlit:
-            # Add the variance left of the texel's light to that of the mean taken over.
-            kept = signal / total
+            variance_left = signal / total
         else:
-            kept = own * (noise / total)
-        taken = (ONE_F32 - own) ** 2 * variance
+            variance_left = kept_share * (noise / total)
+        variance_taken = (ONE_F32 - kept_share) ** 2 * variance
         if unlit:
             filtered[t, GRADE_COLUMN] = CONVERGING
             filtered[t, PATHS_COLUMN] = mean_paths(texels, found, weights, count)
-        filtered[t, VARIANCE_COLUMN] = kept + taken
-        filtered[t, NOISE_COLUMN] = math.sqrt(kept + SHARED_VARIANCE_FACTOR * taken)
+        filtered[t, VARIANCE_COLUMN] = variance_left + variance_taken
+        filtered[t, NOISE_COLUMN] = math.sqrt(
+            variance_left + SHARED_VARIANCE_FACTOR * variance_taken
+        )
 
 
 @kernel(

@@ -312,8 +312,8 @@ def span_of(grade, corners, m):
     least = np.uint8(VOID_GRADE)
     most = np.uint8(0)
     for c in range(8):
-        own = grade[corners[m, c]]
-        least, most = min(least, own), max(most, own)
+        each = grade[corners[m, c]]
+        least, most = min(least, each), max(most, each)
     return least, most
 
 

@@ -85,8 +85,8 @@ STRATIFIED_VARIANCE = {4: 0.5, 8: 0.35, 16: 0.25}
 are seen in part; by the number of rays.
 
 Measured behind straight edges at any distance from the lobe's middle: 0.18 for 16 rays, which leave
-an error of 4.3 % of the lobe's light. Half-shadow that rays to the rim miss, a tenth of all of it,
-at its ends, adds 0.9 %. The ratio falls as the square root of the number of rays.
+an error of 4.3 % of the lobe's light. Half-shadow that rays to the rim miss (a tenth of all of it,
+at its ends) adds 0.9 %. The ratio falls as the square root of the number of rays.
 """
 
 GRAZING_SHARE = 0.03
@@ -221,7 +221,7 @@ def may_be_half(points, lamps, k, m, seen):
 @kernel(types.void(SHADOW_POINTS, LAMPS, PART, SEEN_ROWS, SEEN_ROWS))
 def mark_edges(picture, lamps, part, seen, asked):
     """Set ``asked`` (lobes, m) to 1 for points of a ``part`` that are to cast rays to the rims of
-    lobes: those next to an edge of a shadow, and ``edgy`` ones.
+    lobes: those next to an edge of a shadow, and ``edgy`` ones; to 0 for the others.
 
     ``part`` is a range (begin, end) of point numbers.
     """
@@ -279,19 +279,21 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
         if 0 < turn <= turn_of(x, y):
             continue
         # Look at the pixels around, on the grid of this turn.
-        for above in range(step * ((y - 1) // step), y + step + 1, step):
-            for aside in range(step * ((x - 1) // step), x + step + 1, step):
-                n = number_at(picture.rows, above, aside)
-                if n < 0 or asked[k, n] or (turn != ANY_TURN and turn_of(aside, above) != turn):
+        for v in range(step * ((y - 1) // step), y + step + 1, step):
+            for u in range(step * ((x - 1) // step), x + step + 1, step):
+                n = number_at(picture.rows, v, u)
+                if n < 0 or asked[k, n] or (turn != ANY_TURN and turn_of(u, v) != turn):
                     continue
                 # Skip points with too little evidence of a half-shadow, and those that would gain
                 # nothing.
-                amid = halves_around(picture, n, seen[k])
-                if (turn > 0 and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
+                halves_near = halves_around(picture, n, seen[k])
+                if (turn > 0 and halves_near < 2) or not may_be_half(
+                    picture.points, lamps, k, n, seen
+                ):
                     continue
                 asked[k, n] = 1
                 # Adopt the state without rays if all four neighbours have it.
-                if amid == 4:
+                if halves_near == 4:
                     seen[k, n] = LOBE_HALF_SEEN
                     last -= 1
                     more[last] = k * points + n
@@ -435,19 +437,21 @@ def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
         mean = POINT_WEIGHT * own[j, 0]
         variance = POINT_WEIGHT * POINT_WEIGHT * own[j, 1]
         total = POINT_WEIGHT
-        bare = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
+        unshadowed = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
         # Add the rays of neighbours, scaled from the irradiance at their normal to that at this
         # one.
         for axis in range(len(NEIGHBOUR_AXES)):
             if not sides[j] >> axis & 1:
                 continue
             for n in opposite(picture, m, axis):
-                above = bare / irradiance(cosine_of(picture.points, lamps, k, n), radius(lamps, k))
+                rescale = unshadowed / irradiance(
+                    cosine_of(picture.points, lamps, k, n), radius(lamps, k)
+                )
                 weight = NEIGHBOUR_AXES[axis][2]
                 i = places[n]
                 total = total + weight
-                mean = mean + weight * above * own[i, 0]
-                variance += (weight * above) ** 2 * own[i, 1]
+                mean = mean + weight * rescale * own[i, 0]
+                variance += (weight * rescale) ** 2 * own[i, 1]
         shares[j, 0] = mean / total
         shares[j, 1] = variance / total**2
 

@@ -133,7 +133,7 @@ def near_between(points, m, a, b):
 
 
 @kernel()
-def amid_near(points, m, four):
+def has_close_neighbours(points, m, four):
     """Return True if point ``m`` has all ``four`` neighbours, and the nearest is at most half
     of MAX_NEIGHBOUR_VOXELS away.
     """
@@ -196,9 +196,9 @@ def prepare_points(surface, picture, part):
         around[m, 2] = four[2]
         around[m, 3] = four[3]
         # Look for half-shadows if the surface breaks off between this pixel and the next.
-        beside = neighbours(rows, y, x, 0, 1)
-        left_out = (x + y) & 1 and amid_near(points, m, beside)
-        picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
+        adjacent = neighbours(rows, y, x, 0, 1)
+        skipped = (x + y) & 1 and has_close_neighbours(points, m, adjacent)
+        picture.edgy[m] = not skipped and not on_one_surface(points, m, adjacent)
 
 
 @kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))

@@ -131,19 +131,19 @@ def draw_way(lobe, lights, p, n, v, seed, sample):
     the random numbers.
     """
     a, b = point_2d(seed, sample, SHINE_WAY)
-    aside = share_aside(lobe, lights)
+    to_lights = share_to_lights(lobe, lights)
     # The first number chooses the technique, and is rescaled to [0, 1) for use in it.
-    if a < 1.0 - aside:
-        return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - aside), b))
+    if a < 1.0 - to_lights:
+        return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - to_lights), b))
     count = count_lights(lights)
     # Choose one of the lights with equal chances.
-    place = (a - 1.0 + aside) / aside * count
+    place = (a - 1.0 + to_lights) / to_lights * count
     which = min(int(place), count - 1)
     return draw_light(lights, which, p, min(place - which, BELOW_ONE), b)
 
 
 @kernel()
-def share_aside(lobe, lights):
+def share_to_lights(lobe, lights):
     """Return the share of directions that are sampled towards lights; 0 if there are none."""
     if count_lights(lights) > 0:
         return lobe.aside
@@ -167,12 +167,12 @@ def judge_way(lobe, lights, p, v, l, w):
     if not l[2] > 0.0:
         return NO_LIGHT, NO_LIGHT, 0.0, 0.0
     share = mirrored(lobe, v, l)
-    aside = share_aside(lobe, lights)
+    to_lights = share_to_lights(lobe, lights)
     light, density = expect_along(lights, p, w)
     # A ray that ends on a surface is expected to bring the ambient light.
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
     # Density of the mixture of both techniques.
-    drawn = (1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density
+    drawn = (1.0 - to_lights) * reflected_pdf(lobe.alpha, v, l) + to_lights * density
     return share, light, hope, hope / max(drawn, SMALLEST_NORMAL)
 
 
@@ -185,8 +185,8 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
     proportion to t(x)/p(x), t being the expected product of ``judge_way``. Its weight is f cosθ/t
     times the mean of all t/p (Talbot et al. 2005).
     """
+    # Draw one candidate after the other, and keep the chosen one (reservoir sampling).
     if lights.ways > 1:
-        # Draw one candidate after the other, and keep the chosen one (reservoir sampling).
         chance = point_2d(seed, sample, SHINE_CHOICE)[0]
     else:
         chance = 0.0

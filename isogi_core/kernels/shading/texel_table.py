@@ -134,18 +134,18 @@ def unpack_texels(offsets, bounds, planes, numbers, texels):
         # Read one plane after the other, in the order in which they lie in memory.
         a = bounds[k]
         b = bounds[k + 1]
-        own = offsets[a:b]
+        places = offsets[a:b]
         light = texels.light[a:b]
-        take_codes(rungs[k], own, numbers.samples, 1, texels.samples[a:b])
+        take_codes(rungs[k], places, numbers.samples, 1, texels.samples[a:b])
         for j in range(noise.shape[1]):
-            take_codes(noise[k, j], own, numbers.noise, scale, texels.noise[a:b, j])
+            take_codes(noise[k, j], places, numbers.noise, scale, texels.noise[a:b, j])
         for c in range(light.shape[1]):
             for i in range(first):
-                take_halves(halves[k, c, i], own, scale, light[:, c, i])
+                take_halves(halves[k, c, i], places, scale, light[:, c, i])
             for i in range(first, second):
-                take_singles(singles[k, c, i - first], own, scale, light[:, c, i])
+                take_singles(singles[k, c, i - first], places, scale, light[:, c, i])
             for i in range(second, light.shape[2]):
-                take_codes(codes[k, c, i - second], own, numbers.light, scale, light[:, c, i])
+                take_codes(codes[k, c, i - second], places, numbers.light, scale, light[:, c, i])
 
 
 TEXEL_LIT = 1
@@ -255,13 +255,13 @@ def add_texel_light(light, m, role, transfer, row):
     lit = False
     n = min(light.shape[2], role.width)
     for c in range(transfer.shape[1]):
-        own = min(c, light.shape[1] - 1)
+        channel = min(c, light.shape[1] - 1)
         for i in range(n):
             if role.first:
                 former = np.float32(0.0)
             else:
                 former = transfer[row, c, role.column + i]
-            transfer[row, c, role.column + i] = light[m, own, i] + former
+            transfer[row, c, role.column + i] = light[m, channel, i] + former
         # The first part clears the columns beyond its order.
         for i in range(n, role.width if role.first else n):
             transfer[row, c, role.column + i] = 0.0
@@ -444,14 +444,14 @@ def judge_rows(rows, into, sums, judge, places):
         row = np.uint32(rows[m])
         # The variance of one path is its second moment less the square of the mean, plus
         # LEAST_SPREAD.
-        wrong = math.sqrt(sums.variance[m])
+        deviation = math.sqrt(sums.variance[m])
         second = second_moment(into.transfer, row, judge)
         spread = max(second - mean_square(into.transfer, row, judge), 0.0) + LEAST_SPREAD * max(
             second, 0.0
         )
         # Scatter stays as the light turns; error is that of the mean over all turns.
-        into.scatter[row] = wrong / max(judge.unit * math.sqrt(spread), judge.darkest)
-        into.error[row] = wrong / max(sums.luminance[m], judge.level)
+        into.scatter[row] = deviation / max(judge.unit * math.sqrt(spread), judge.darkest)
+        into.error[row] = deviation / max(sums.luminance[m], judge.level)
         into.stamp[row] = sums.rungs[m] + judge.beyond * (sums.shown[m] % judge.checksums)
         places[m] = lookup_of(sums.marks[m], rows[m])
 

@@ -144,7 +144,7 @@ def stub(name: str, does: str, module: str) -> Any:
     """
 
     def _function(*_: Any) -> Any:
-        raise NotImplementedError(f"{name} works on vectors, in compiled code")
+        raise NotImplementedError(f"{name} exists in compiled code only, and takes vectors")
 
     _function.__name__ = _function.__qualname__ = name
     _function.__doc__ = does

@@ -38,17 +38,23 @@ from isogi_core.kernels.simd.types import PATH_WIDTH, RAY_WIDTH, Vector
 
 TO_UNIT = 2.0**-32
 
-fma = stub("fma", "a · b + c of f32×N, rounded once.", __name__)
-f32 = stub("f32", "f64×N rounded, i32×N, or a number in RAY_WIDTH lanes, as f32×N.", __name__)
-f64 = stub("f64", "f32×N, i32×N, or a number in RAY_WIDTH lanes, as f64×N.", __name__)
+fma = stub("fma", "Return a · b + c of f32×N, rounded once.", __name__)
+f32 = stub("f32", "Convert f64×N, i32×N, or a number in RAY_WIDTH lanes, to f32×N.", __name__)
+f64 = stub("f64", "Convert f32×N, i32×N, or a number in RAY_WIDTH lanes, to f64×N.", __name__)
 i32 = stub(
-    "i32", "f32×N or f64×N cut to i32×N (they must fit), or a number in RAY_WIDTH lanes.", __name__
+    "i32",
+    "Truncate f32×N or f64×N to i32×N, which must hold them, or copy a number to RAY_WIDTH lanes.",
+    __name__,
 )
-mask_of = stub("mask_of", "The truth in RAY_WIDTH lanes.", __name__)
-popcount = stub("popcount", "How many lanes of the mask are set.", __name__)
-bits = stub("bits", "The mask as an integer, bit i for lane i.", __name__)
-lane_numbers = stub("lane_numbers", "0, 1, 2 … in RAY_WIDTH lanes of i32×N.", __name__)
-rank = stub("rank", "How many lanes before it are set in the mask, for each lane.", __name__)
+mask_of = stub("mask_of", "Return a mask with the given truth in RAY_WIDTH lanes.", __name__)
+popcount = stub("popcount", "Return the number of lanes that are set in the mask.", __name__)
+bits = stub("bits", "Return the mask as an integer, bit i for lane i.", __name__)
+lane_numbers = stub("lane_numbers", "Return 0, 1, 2, … in RAY_WIDTH lanes of i32×N.", __name__)
+rank = stub(
+    "rank",
+    "Return, for each lane, the number of lanes before it that are set in the mask.",
+    __name__,
+)
 
 
 # --- choice ---

@@ -39,16 +39,24 @@ ELEMENT_OF = {
 SINGLE = {types.float32, types.int32}
 """Element types of 32 bits."""
 
-gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
+gather = stub(
+    "gather",
+    "Return array[index] of a flat array; the index of every lane must be in it.",
+    __name__,
+)
 gather_pair = stub(
-    "gather_pair", "array[index] and array[index + 1] of a flat array of float32.", __name__
+    "gather_pair", "Return array[index] and array[index + 1] of a flat array of float32.", __name__
 )
 take = stub(
     "take",
-    "array[first], array[first + 1] … for the lanes that the mask has set, in turn.",
+    "Return array[first], array[first + 1], … in the lanes that are set in the mask, in order.",
     __name__,
 )
-scatter = stub("scatter", "array[index] = vector where the mask is set, lane by lane.", __name__)
+scatter = stub(
+    "scatter",
+    "Set array[index] = vector in the lanes that are set in the mask, one after the other.",
+    __name__,
+)
 
 
 def load(array: Any, i: int, width: int) -> Any:
@@ -321,8 +329,8 @@ def _take(
     for first in range(0, kind.count, REGISTER_LANES):
         # Lane i gets element (number of set lanes before it): load a register, and permute it by
         # ranks.
-        own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
-        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER_LANES)), WORD_TYPE)
+        part_mask = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
+        word = builder.zext(builder.bitcast(part_mask, ir.IntType(REGISTER_LANES)), WORD_TYPE)
         pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
         parts.append(
             call(

@@ -412,11 +412,11 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
 
     # Mark the layers of a part, and keep only the words of bricks with active cells.
     def _mark(first, last):
-        own = empty[first * layer : last * layer]
-        words = np.zeros(BRICK_CELLS * len(own), np.int32)
-        mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, own)
-        packed[first] = take(BRICK_CELLS * (len(own) - np.count_nonzero(own)), np.int32)
-        pack_bricks(words, own, packed[first])
+        part = empty[first * layer : last * layer]
+        words = np.zeros(BRICK_CELLS * len(part), np.int32)
+        mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, part)
+        packed[first] = take(BRICK_CELLS * (len(part) - np.count_nonzero(part)), np.int32)
+        pack_bricks(words, part, packed[first])
 
     # Mark all parts, join them, and number the bricks.
     run(_mark, bz) if run else _mark(0, bz)

@@ -197,7 +197,7 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
         y, x = divmod(first + i, width)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
     cast_sight(surface, sight, camera.eye, directions, t, met)
-    hits = beside = 0
+    hits = others = 0
     # Sort the hits into those on the surface and those on walls and faces.
     for i in range(count):
         if met[i] == NO_WALL:
@@ -205,15 +205,15 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
             place = hits
         else:
             kind = 1
-            place = beside
+            place = others
         if t[i] < math.inf:
             pixels[kind, place] = first + i
             put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
             if kind:
                 numbers[place] = np.int8(met[i])
             hits = hits + 1 - kind
-            beside = beside + kind
-    return hits, beside
+            others = others + kind
+    return hits, others
 
 
 @kernel(

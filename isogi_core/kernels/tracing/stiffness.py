@@ -175,13 +175,13 @@ def leave_plateau(field, p, n):
     plateau. If there is no isosurface half-way nearby, a texel at the foot of the plateau keeps its
     place, and one on top gets the normal (0, 0, 0): it has no side, as in a thin wall.
     """
-    own = np.float32(value(field.voxels, p))
+    here = np.float32(value(field.voxels, p))
     low, high, _ = value_span(field.voxels, p)
-    if not at_edge(field.voxels, p, own, low, high):
-        return p, n, own
+    if not at_edge(field.voxels, p, here, low, high):
+        return p, n, here
     # Look for the isosurface half-way between the extremes nearby, down the slope or up.
     level = np.float32(0.5 * (np.float64(low) + np.float64(high)))
-    top = own > level
+    top = here > level
     d = downhill(n, field.spacing, 1.0 if top else -1.0)
     if top and thin(field.voxels, p, d, level):
         t = math.inf
@@ -191,7 +191,7 @@ def leave_plateau(field, p, n):
     if t < math.inf:
         there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
-    return p, (0.0, 0.0, 0.0) if top else n, own
+    return p, (0.0, 0.0, 0.0) if top else n, here
 
 
 EDGE_MARK = 1

@@ -70,9 +70,9 @@ def draw_towards(glows, k, p, u, v):
     """
     down = u * cap_of(glows, k, p)
     turn = 2.0 * math.pi * v
-    aside = math.sqrt(max(down * (2.0 - down), 0.0))
+    sine = math.sqrt(max(down * (2.0 - down), 0.0))
     axis = normalize(sub(column(glows.centres, k), p))
-    return about(axis, (aside * math.cos(turn), aside * math.sin(turn), 1.0 - down))
+    return about(axis, (sine * math.cos(turn), sine * math.sin(turn), 1.0 - down))
 
 
 @kernel()

@@ -198,10 +198,11 @@ def rotate(order, matrix, coefficients, out):
     side = 2 * MAX_ORDER + 1
     before = np.zeros((side, side))
     band = np.zeros((side, side))
+    # Band 1 is the rotation matrix itself, in the order y, z, x.
     first = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            first[i, j] = matrix[(i + 1) % 3, (j + 1) % 3]  # band 1 runs y, z, x
+            first[i, j] = matrix[(i + 1) % 3, (j + 1) % 3]
             band[MAX_ORDER - 1 + i, MAX_ORDER - 1 + j] = first[i, j]
     before[MAX_ORDER, MAX_ORDER] = 1.0
     _apply_band(0, before, coefficients, out)

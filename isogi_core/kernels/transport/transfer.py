@@ -589,15 +589,15 @@ def strays(voxels, p, d, level, reach):
     """Return how far the field runs backwards from ``p`` to ``reach`` along ``d``, over its
     distance from ``level``.
     """
-    own = value(voxels, p)
-    nearest = abs(own - level)
+    here = value(voxels, p)
+    nearest = abs(here - level)
     back = 0.0
     t = STEP_VOXELS
     # Sample the way in steps; the field should come nearer to the level with each.
     while t < reach:
         away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
         nearest, back, t = min(nearest, away), max(back, away - nearest), t + STEP_VOXELS
-    return back / max(abs(own - level), 1e-300)
+    return back / max(abs(here - level), 1e-300)
 
 
 @kernel(exact=True)

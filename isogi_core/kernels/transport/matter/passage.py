@@ -167,18 +167,18 @@ def gather_rays(field, wave, passage, going):
     """
     n = whole(going)
     rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
-    own = np.full(n, NO_WALL)
+    walls = np.full(n, NO_WALL)
     for j in range(going):
         i = passage.pending[j]
         rays.isovalues[j] = wave.isovalues[i]
         rays.sides[j] = passage.sides[i]
-        own[j] = passage.own[i]
+        walls[j] = passage.own[i]
         put_column(rays.origins, j, column(passage.origins, i))
         put_column(rays.directions, j, to_index(column(passage.ways, i), field.spacing))
     # Fill up the last vector with rays that start at infinity.
     for j in range(going, n):
         rays.isovalues[j] = rays.isovalues[0]
-    return rays, own
+    return rays, walls
 
 
 @kernel(inline=True)
