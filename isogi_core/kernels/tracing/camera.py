@@ -129,7 +129,7 @@ def cast_through(surface, window, eye, directions, t, met):
     came = np.empty(count, np.int8)
     near = np.empty(count)
     far = np.empty(count)
-    # Start each ray where the window lets it in.
+    # Start each ray at the point at which the window lets it in.
     for i in range(count):
         d = column(directions, i)
         near[i], far[i] = look_through(window, eye, d)

@@ -29,8 +29,8 @@ LAST_BIT = np.uint64(WORD_BRICKS - 1)
 
 @kernel()
 def write_bits(empty, hollow, outside):
-    """Write the bits of bricks that are ``empty`` (z, y, x), and of those beyond the volume, which
-    count as empty.
+    """Write a bit for each brick: to ``hollow`` if it is ``empty`` (z, y, x) or beyond the volume,
+    to ``outside`` if it is beyond.
 
     ``hollow`` and ``outside`` (z, y, words) reach beyond the volume by one word on each side.
     """
@@ -56,7 +56,7 @@ def write_bits(empty, hollow, outside):
 
 @kernel()
 def flip(bits, others):
-    """Flip the ``bits`` that are set in ``others``; both are flat."""
+    """Flip those ``bits`` that are set in ``others``; both are flat arrays of words."""
     for q in range(bits.size):
         bits[q] ^= others[q]
 

@@ -271,7 +271,7 @@ def look_at(field, levels, k, normals, marks):
 
 @kernel()
 def count_levels(row, first, last):
-    """Count one for the isovalues ``first`` to ``last`` - 1."""
+    """Add 1 to the counts of the isovalues ``first`` to ``last`` - 1, as differences in ``row``."""
     row[first] += 1
     row[last] -= 1
 

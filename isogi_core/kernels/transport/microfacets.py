@@ -59,20 +59,26 @@ def facets_facing(alpha, cosine):
 
 @kernel()
 def hidden(alpha, cosine):
-    """Return Λ of Smith's masking of GGX: (√(1 + α² tan²θ) - 1)/2."""
+    """Return Λ of Smith's masking of GGX for a direction at ``cosine`` to the normal: (√(1 + α²
+    tan²θ) - 1)/2.
+    """
     square = cosine * cosine
     return 0.5 * (math.sqrt(1.0 + alpha * alpha * max(1.0 - square, 0.0) / square) - 1.0)
 
 
 @kernel()
 def seen_from(alpha, cosine):
-    """Return G₁: the share of facets turned towards a direction that are visible from there."""
+    """Return G₁, the share of facets turned towards a direction at ``cosine`` that are visible
+    from there.
+    """
     return 1.0 / (1.0 + hidden(alpha, cosine))
 
 
 @kernel()
 def seen_and_lit(alpha, to_viewer, to_light):
-    """Return G₂: the share of facets that are visible and lit, height-correlated."""
+    """Return G₂, the share of facets that are both visible and lit, by the cosines
+    ``to_viewer`` and ``to_light``: masking and shadowing correlated by height.
+    """
     return 1.0 / (1.0 + hidden(alpha, to_viewer) + hidden(alpha, to_light))
 
 

@@ -113,7 +113,7 @@ def balance_area(room, k, cosine, slope, distance):
     """Return the weight p_c/(p_c + p_a) of a ray to wall ``k`` that both cosine and area sampling
     may draw.
 
-    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|), where slope is
+    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|); ``slope`` is
     the cosine to the wall's normal. A ray of either technique adds this part of the radiance to
     E/π. Source: Veach and Guibas 1995, balance heuristic.
     """

@@ -317,7 +317,7 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
     ``place`` holds the input and output of ``locate_texels``: texels, points, normals and
     isovalues, which lie within the range of ``cells``. The weights (channels, bounces + 2) of the
     ``TransferRules`` hold the weight of a path that never leaves at 0, and of one that leaves after
-    k bounces at k + 1. ``sums`` are (m, 2, channels, n²), where n is the greatest of the channels'
+    k bounces at k + 1. ``sums`` are (m, 2, channels, n²); n is the greatest of the channels'
     ``orders``. Source: S1, section 4.1, "for all texels".
     """
     bake_rows(Open(field, cells), place, rows, samples, rules, orders, sums)

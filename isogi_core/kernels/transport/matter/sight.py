@@ -178,8 +178,8 @@ def part(surface, matter, sight, j, ray, shown):
 
 @kernel()
 def meet_surface(surface, sight, count):
-    """Return where the first ``count`` rays hit the surface: (index-space directions,
-    distances, sides they came from).
+    """Return the hits of the first ``count`` rays on the surface: (index-space directions,
+    distances, sides that they came from).
     """
     n = whole(count)
     directions = np.ones((3, n))
