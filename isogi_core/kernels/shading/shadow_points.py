@@ -80,8 +80,8 @@ SHADOW_POINTS = record(
 def turn_of(x, y):
     """Return the turn of pixel (x, y), 0 to 4.
 
-    Turn 0 has the pixels whose x and y 4 divides. Turns 1 and 2 halve that grid; turns 3 and 4 fill
-    in the other pixels, between neighbours at distance 1.
+    Turn 0 has the pixels whose x and y are multiples of 4. Turns 1 and 2 halve that grid; turns 3
+    and 4 fill in the other pixels, between neighbours at distance 1.
     """
     if (x | y) & 1:
         return 3 if x & y & 1 else 4

@@ -163,10 +163,10 @@ VOID_SAMPLES = -1
 class Rows(NamedTuple):
     """The texel table: light as frames read it, one row per texel.
 
-    ``transfer`` (rows, channels, columns) holds coefficients; each term has a range of
-    columns. ``scatter``, relative ``error`` and ``stamp``, float32 (rows,), are
-    the ratio of ``bake.noise.scatter``, the standard error over the luminance, and a number that
-    encodes the sample counts and the light without samples.
+    ``transfer`` (rows, channels, columns) holds coefficients; each term has a range of columns.
+    ``scatter``, relative ``error`` and ``stamp``, float32 (rows,), are the ratio of
+    ``bake.noise.scatter``, the standard error over the luminance, and a number that encodes the
+    sample counts and the light without samples.
     """
 
     transfer: np.ndarray
@@ -336,7 +336,8 @@ def add_part(samples, noise, light, bits, role, rows, into, sums):
             sums.luminance[m] += light[m, c, 0] * role.weights[c]
         sums.rungs[m] += role.rung * rung_of(samples[m])
         sums.marks[m] |= mark_of(samples[m], lit, role)
-        # Light without samples is borrowed: its bits enter the stamp, so that a change is noticed.
+        # Light without samples is that of a fallback layer: its bits enter the stamp, so that a
+        # change is noticed.
         if samples[m] == 0:
             sums.shown[m] += sum_bits(bits, m)
 
