@@ -1,3 +1,3 @@
-"""Small pure functions on scalars, tuples and arrays, compiled by Numba. They know nothing of
-scenes.
+"""Small pure functions on scalars, tuples and arrays, compiled by Numba.
+They know nothing of scenes.
 """

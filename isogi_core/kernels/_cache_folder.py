@@ -1,5 +1,5 @@
-"""The folder of compiled kernels: named after a digest of their sources; folders of old sources
-are pruned.
+"""The folder of compiled kernels: named after a digest of their sources;
+folders of old sources are pruned.
 """
 
 import fcntl
@@ -51,8 +51,8 @@ IN_USE = "in-use"
 
 
 def sources_digest() -> str:
-    """Return a digest of all kernel sources, their paths and times, the compiler and the
-    processor; hex.
+    """Return a digest of all kernel sources, their paths and times,
+    the compiler and the processor; hex.
     """
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.rglob("*.py")):

@@ -1,5 +1,5 @@
-"""Compilation of entry kernels ahead of their first call: on all cores, in separate processes,
-with progress.
+"""Compilation of entry kernels ahead of their first call:
+on all cores, in separate processes, with progress.
 """
 
 import os
@@ -28,8 +28,8 @@ already come first.
 
 
 class KernelProgress(NamedTuple):
-    """Progress of a compilation: ``done`` of ``total`` kernels, and the ``seconds`` left, None
-    while unknown.
+    """Progress of a compilation: ``done`` of ``total`` kernels,
+    and the ``seconds`` left, None while unknown.
     """
 
     done: int
@@ -45,8 +45,8 @@ class Compilation:
     """
 
     def __init__(self, *stages: Iterable[Any]) -> None:
-        """List the kernels of the ``stages``, and their callees, that are not stored; compile
-        nothing yet.
+        """List the kernels of the ``stages``, and their callees, that are not stored;
+        compile nothing yet.
         """
         listed: dict[Entry, None] = {}
         for stage in stages:
@@ -77,8 +77,8 @@ class Compilation:
                 self._work.join(POLL_SECONDS)
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
-        """Return the progress of the compilation of ``kernels``; None if this machine has them
-        all.
+        """Return the progress of the compilation of ``kernels``;
+        None if this machine has them all.
         """
         wanted = set(with_callees(kernels))
         lacking = [each for each in self._lacking if each in wanted]
@@ -111,8 +111,8 @@ def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, nicenes
 
 
 def with_callees(kernels: Iterable[Any]) -> list[Entry]:
-    """Return the entry kernels among ``kernels`` and their callees, each once and before its
-    callers.
+    """Return the entry kernels among ``kernels`` and their callees,
+    each once and before its callers.
     """
     found: dict[Entry, None] = {}
     for entry in entries_of(kernels):
@@ -155,8 +155,8 @@ def compile_in_processes(
 
 
 def compile_named(names: list[str], niceness: int) -> None:
-    """Compile those of the kernels ``names`` that are not stored yet and that no other process
-    compiles.
+    """Compile those of the kernels ``names`` that are not stored yet
+    and that no other process compiles.
     """
     # An interrupt goes to the parent, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

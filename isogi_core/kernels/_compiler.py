@@ -50,8 +50,8 @@ class ChooseLowering(FunctionPass):  # type: ignore[misc]
         """Take no arguments, as Numba's passes do."""
 
     def run_pass(self, state: Any) -> bool:
-        """Choose for the kernel in the compiler's ``state``; return False, as its code is not
-        changed.
+        """Choose for the kernel in the compiler's ``state``; return False,
+        as its code is not changed.
         """
         # A kernel that allocates nothing needs no runtime for references.
         if not makes_arrays(state):
@@ -76,8 +76,8 @@ class Compiler(CompilerBase):  # type: ignore[misc]
 
 
 def makes_arrays(state: Any) -> bool:
-    """Return True if a typed function allocates arrays, calls a function that returns some, or
-    returns any.
+    """Return True if a typed function allocates arrays, calls a function that returns some,
+    or returns any.
     """
     if holds_arrays(state, state.return_type):
         return True
@@ -101,8 +101,8 @@ def makes_arrays(state: Any) -> bool:
 
 
 def borrows(state: Any, expression: Any) -> bool:
-    """Return True if the arrays of an ``expression`` are held elsewhere: parts of others, or a
-    record of such.
+    """Return True if the arrays of an ``expression`` are held elsewhere: parts of others,
+    or a record of such.
     """
     if expression.op == "call":
         return isinstance(state.typemap[expression.func.name], types.NamedTupleClass)

@@ -46,8 +46,8 @@ COUNT_ARRAY = types.int32[::1]
 
 
 def no_blas() -> None:
-    """Tell Numba that there is no BLAS: to look for one, each process would import SciPy if it
-    is installed.
+    """Tell Numba that there is no BLAS:
+    to look for one, each process would import SciPy if it is installed.
     """
     raise ImportError("Kernels call no BLAS.")
 
@@ -64,8 +64,8 @@ class Entry:
     """
 
     def __init__(self, function: Callable[..., Any], given: Any, options: dict[str, Any]) -> None:
-        """Wrap a Python ``function`` with the Numba signature ``given``; nothing is compiled
-        yet.
+        """Wrap a Python ``function`` with the Numba signature ``given``;
+        nothing is compiled yet.
         """
         update_wrapper(self, function)
         self.name = f"{function.__module__}.{function.__qualname__}"
@@ -324,8 +324,8 @@ def helper(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Mark a function that kernels and Python share: kernels compile it, Python runs it as it
-    stands.
+    """Mark a function that kernels and Python share: kernels compile it,
+    Python runs it as it stands.
     """
     if numba.config.DISABLE_JIT:
         return function

@@ -1,5 +1,5 @@
-"""A limit on the memory that pages of mapped files take, kept by a thread that never waits for
-the interpreter.
+"""A limit on the memory that pages of mapped files take,
+kept by a thread that never waits for the interpreter.
 """
 
 import ctypes

@@ -37,8 +37,8 @@ def within(place, bits):
 
 @kernel()
 def borders(z, y, x, bits):
-    """Return the axes along which a texel is the last of its chunk: bit 0 is x, bit 1 y, bit 2
-    z.
+    """Return the axes along which a texel is the last of its chunk:
+    bit 0 is x, bit 1 y, bit 2 z.
     """
     last = (1 << bits) - 1
     return (
@@ -185,8 +185,8 @@ def find_corners(lattice, points, slots, read, first, corners):
 
 @kernel()
 def is_nearer(c, corner):
-    """Return True if corner ``c`` of a cell is nearer to this ``corner`` than to the opposite
-    one.
+    """Return True if corner ``c`` of a cell is nearer to this ``corner`` than
+    to the opposite one.
     """
     differing = c ^ corner
     return (differing & 1) + (differing >> 1 & 1) + (differing >> 2) < 2
@@ -219,8 +219,8 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
 
 @kernel(types.void(LATTICE, types.int64, types.int64, WORD_ARRAY, PLACE_ARRAY, PLACE_ARRAY))
 def find_places(lattice, begin, end, read, first, places):
-    """Write the places of the texels in rows ``begin`` to ``end`` to ``places`` (texels,), by
-    their numbers.
+    """Write the places of the texels in rows ``begin`` to ``end`` to ``places`` (texels,),
+    by their numbers.
     """
     for r in range(begin, end):
         # Visit the set bits of the row's word from its lowest on.
@@ -237,8 +237,8 @@ def find_places(lattice, begin, end, read, first, places):
 
 @kernel()
 def visible_error(framebuffer, pixel):
-    """Return (luminance · error)² of a ``pixel``, the squared error as it is seen; 0 if the
-    pixel is final.
+    """Return (luminance · error)² of a ``pixel``, the squared error as it is seen;
+    0 if the pixel is final.
     """
     if framebuffer.state[pixel] == FINAL:
         return 0.0

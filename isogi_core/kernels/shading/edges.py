@@ -89,8 +89,8 @@ SHOWN_RECORD = record(
 
 @kernel()
 def squared_distance(spacing, points, m, place):
-    """Return the squared world distance of row ``m`` of ``points`` from ``place``, both in
-    index space.
+    """Return the squared world distance of row ``m`` of ``points`` from ``place``,
+    both in index space.
     """
     x = spacing[0] * (points[m, 0] - place[0])
     y = spacing[1] * (points[m, 1] - place[1])

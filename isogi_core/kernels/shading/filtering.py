@@ -111,8 +111,8 @@ def row_at(numbering, bits, z, y, x):
 
 @kernel(inline=True)
 def number_of(numbering, row, place):
-    """Return the view's number of the texel at ``place`` in a ``row``; -1 if the view does not
-    read it.
+    """Return the view's number of the texel at ``place`` in a ``row``;
+    -1 if the view does not read it.
     """
     row = np.uint64(row)
     word = np.uint32(numbering.read[row])

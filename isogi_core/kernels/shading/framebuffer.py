@@ -1,5 +1,5 @@
-"""The framebuffer: radiance, state and error of each pixel, and the tone curve to eight bits of
-sRGB.
+"""The framebuffer: radiance, state and error of each pixel,
+and the tone curve to eight bits of sRGB.
 """
 
 import math

@@ -39,8 +39,8 @@ MIN_UNSHADOWED = 0.05
 """Least unshadowed light, as a share of the light's mean, so that ratios stay small."""
 
 LEAST_COSINE = np.float32(1e-3)
-"""Least cosine between a texel's normal and a pixel's in weights: if all texels face away, all
-count.
+"""Least cosine between a texel's normal and a pixel's in weights:
+if all texels face away, all count.
 """
 
 NORMAL_TURN_LIMIT = np.float32(0.1055)
@@ -170,8 +170,8 @@ def agree(texels, t, n):
 
 @kernel()
 def madd_colour(sums, w, texels, t, first):
-    """Return ``sums`` plus ``w`` times the colour that begins at ``first`` in the record of
-    texel ``t``.
+    """Return ``sums`` plus ``w`` times the colour that begins at ``first``
+    in the record of texel ``t``.
     """
     return (
         sums[0] + w * texels[t, first],

@@ -45,8 +45,8 @@ errors of frames use the same value.
 Shape = tuple[int, int, int]
 
 LIGHT_NUMBERS = 7
-"""Numbers of a texel's light: linear RGB, its standard error, and the reflected part, linear
-RGB.
+"""Numbers of a texel's light: linear RGB, its standard error,
+and the reflected part, linear RGB.
 """
 
 NO_LIGHT = np.float32(0.0)
@@ -78,8 +78,8 @@ class Lattice(NamedTuple):
     def of(
         cls, shape: Shape, density: tuple[float, float, float], chunk: int = DEFAULT_CHUNK_SIDE
     ) -> "Lattice":
-        """Return the lattice whose chunks have ``chunk`` texels along each side, a power of two
-        up to 32.
+        """Return the lattice whose chunks have ``chunk`` texels along each side,
+        a power of two up to 32.
         """
         return cls(shape, density, chunk.bit_length() - 1)
 

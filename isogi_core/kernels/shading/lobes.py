@@ -117,8 +117,8 @@ def radius(lamps, k):
 
 @kernel()
 def cosine_of(points, lamps, k, m):
-    """Return the cosine between the normal of point ``m`` and the direction to the middle of
-    lobe ``k``.
+    """Return the cosine between the normal of point ``m`` and the direction
+    to the middle of lobe ``k``.
     """
     return dot(point_of(points.normals, m), row(lamps.places, k))
 
@@ -202,8 +202,8 @@ def see_middles(surface, picture, lamps, part, seen):
 
 @kernel()
 def is_seen(seen, m, what):
-    """Return True if there is a point ``m`` (not -1) and ``seen`` (m,) holds the state ``what``
-    for it.
+    """Return True if there is a point ``m`` (not -1)
+    and ``seen`` (m,) holds the state ``what`` for it.
     """
     return m >= 0 and seen[m] == what
 
@@ -305,8 +305,8 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
 
 @kernel()
 def rim_way(lamps, k, turn):
-    """Return the world direction to the rim of lamp ``k`` at the angle ``turn``, in radians
-    about its axis.
+    """Return the world direction to the rim of lamp ``k`` at the angle ``turn``,
+    in radians about its axis.
     """
     across = madd(
         scale(row(lamps.edges[k], 0), math.cos(turn)), math.sin(turn), row(lamps.edges[k], 1)

@@ -126,8 +126,8 @@ def are_near(points, a, b):
 
 @kernel()
 def near_between(points, m, a, b):
-    """Return True if point ``m`` lies about halfway between ``a`` and ``b``, and these are near
-    each other.
+    """Return True if point ``m`` lies about halfway between ``a`` and ``b``,
+    and these are near each other.
     """
     return is_midway(points, m, a, b) and are_near(points, a, b)
 

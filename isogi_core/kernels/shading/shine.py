@@ -70,8 +70,8 @@ from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE
 
 MET_NOTHING = -2
 MET_ISOSURFACE = -1
-"""Values of ``ShineEnds.met`` for a ray that hit nothing, or the isosurface; numbers ≥ 0 are
-walls.
+"""Values of ``ShineEnds.met`` for a ray that hit nothing, or the isosurface;
+numbers ≥ 0 are walls.
 """
 
 
@@ -387,8 +387,8 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
 
 @kernel(types.void(SURFACE_POINTS, REAL_TRIPLE, REAL_TRIPLE, SHINE_LOBE, SINGLE_ROWS))
 def fill_below(points, eye, spacing, lobe, below):
-    """Fill ``below`` (m, 3) with ``light_below`` at ``SurfacePoints`` seen from the ``eye``, in
-    index space.
+    """Fill ``below`` (m, 3) with ``light_below`` at ``SurfacePoints`` seen from the ``eye``,
+    in index space.
     """
     for m in range(points.pixels.shape[0]):
         v = to_viewer(point_of(points.points, m), point_of(points.normals, m), eye, spacing)

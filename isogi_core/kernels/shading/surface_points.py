@@ -1,5 +1,5 @@
-"""Points on the surfaces of a picture, and means and noise over neighbouring pixels of one
-surface.
+"""Points on the surfaces of a picture,
+and means and noise over neighbouring pixels of one surface.
 """
 
 from typing import Any, NamedTuple
@@ -40,8 +40,8 @@ def point_of(vectors, m):
 
 
 MAX_SLOPE_SINE = 0.4
-"""Sine of the angle between a surface and the way to another point at which that point's weight
-is halved.
+"""Sine of the angle between a surface and the way to another point
+at which that point's weight is halved.
 """
 
 
@@ -80,8 +80,8 @@ def sameness(points, normals, m, n):
 
 @kernel(inline=True)
 def number_at(rows, y, x):
-    """Return the number of the point in pixel (x, y); -1 if there is none, or outside the
-    picture.
+    """Return the number of the point in pixel (x, y);
+    -1 if there is none, or outside the picture.
     """
     if 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1]:
         return np.int64(rows[y, x])

@@ -15,8 +15,8 @@ from isogi_core.kernels.tracing.vec import is_zero
 from isogi_core.kernels.transport.transfer import TEXEL_PLACES, way_to
 
 NEARLY = 8
-"""Number of halvings that find the place of a projected texel to 1/4000 of a voxel: enough for
-its normal.
+"""Number of halvings that find the place of a projected texel to 1/4000 of a voxel:
+enough for its normal.
 """
 
 
@@ -152,8 +152,8 @@ def look_up_normals(numbers, keys, table, normals, found):
 
 @kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
-    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room
-    for them.
+    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table``
+    that has room for them.
     """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)

@@ -23,14 +23,14 @@ from isogi_core.kernels._jit import (
 from isogi_core.kernels.shading.lattice import BURIED_ROW, LEAST_SPREAD, UNLIT_ROW, VOID_ROW
 
 INFINITE_HALF = 0x7C00
-"""Bits of an infinite half float; those of all numbers that are not finite are at least this,
-the sign aside.
+"""Bits of an infinite half float;
+those of all numbers that are not finite are at least this, the sign aside.
 """
 
 
 class Numbers(NamedTuple):
-    """Tables (256,) from coded bytes to values: ``samples`` int32, ``noise`` and ``light``
-    float32.
+    """Tables (256,) from coded bytes to values: ``samples`` int32,
+    ``noise`` and ``light`` float32.
     """
 
     samples: np.ndarray
@@ -86,8 +86,8 @@ def number_of_half(half):
 
 @kernel()
 def take_halves(plane, offsets, scale, into):
-    """Write the half floats at ``offsets`` (m,) of a ``plane``, times ``scale``, to ``into``
-    (m,).
+    """Write the half floats at ``offsets`` (m,) of a ``plane``, times ``scale``,
+    to ``into`` (m,).
     """
     for m, t in enumerate(offsets):
         into[m] = number_of_half(plane[np.uint32(t)]) * scale
@@ -95,8 +95,8 @@ def take_halves(plane, offsets, scale, into):
 
 @kernel()
 def take_singles(plane, offsets, scale, into):
-    """Write the single floats at ``offsets`` (m,) of a ``plane``, times ``scale``, to ``into``
-    (m,).
+    """Write the single floats at ``offsets`` (m,) of a ``plane``, times ``scale``,
+    to ``into`` (m,).
     """
     for m, t in enumerate(offsets):
         into[m] = plane[np.uint32(t)] * scale
@@ -235,8 +235,8 @@ LIGHT_ROWS = types.float32[:, :, ::1]
 
 @kernel()
 def rung_of(samples):
-    """Return the rung of a number of samples on the ladder: k for 16 · 2^(k - 1) samples, 0 for
-    none or void.
+    """Return the rung of a number of samples on the ladder:
+    k for 16 · 2^(k - 1) samples, 0 for none or void.
     """
     rung = 0
     while samples >= 16:

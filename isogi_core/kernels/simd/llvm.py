@@ -208,8 +208,8 @@ def mask_bits(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
 
 
 def ranks(builder: ir.IRBuilder, word: ir.Value, count: int) -> ir.Value:
-    """Return, for each of ``count`` lanes, the number of bits below it that are set in a 32-bit
-    ``word``.
+    """Return, for each of ``count`` lanes, the number of bits below it that are set
+    in a 32-bit ``word``.
     """
     before = ir.Constant(
         ir.VectorType(WORD_TYPE, count), [(1 << lane) - 1 for lane in range(count)]

@@ -198,8 +198,8 @@ def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Valu
 
 
 def floor_within(x: Any, last: Any) -> Any:
-    """Return the largest integer ≤ ``x``, clamped to 0 … ``last``, and 0 for NaN; for f64×N, as
-    whole f64×N.
+    """Return the largest integer ≤ ``x``, clamped to 0 … ``last``, and 0 for NaN;
+    for f64×N, as whole f64×N.
     """
     if x >= last:
         return last
@@ -255,8 +255,8 @@ def _conversion(number: Any) -> Any:
 
 
 def _convert(context: Any, builder: ir.IRBuilder, sig: Any, value: ir.Value) -> ir.Value:
-    """Build a conversion to a vector, from a single number or from a vector of another element
-    type.
+    """Build a conversion to a vector,
+    from a single number or from a vector of another element type.
     """
     kind = sig.return_type
     if not isinstance(value.type, ir.VectorType):

@@ -72,8 +72,8 @@ def store(array: Any, i: int, vector: Any) -> None:
 
 
 def add_to(array: Any, i: Any, value: Any) -> Any:
-    """Add a number to element ``i`` of a flat array, or a vector of N lanes to the N elements
-    from N · i on.
+    """Add a number to element ``i`` of a flat array,
+    or a vector of N lanes to the N elements from N · i on.
     """
     array[i] += value
 
@@ -93,8 +93,8 @@ def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Calla
     """
 
     def _flat(*args: Any) -> Any:
-        """Return the signature if the first argument is a flat array with elements of one of
-        ``numbers``.
+        """Return the signature if the first argument is a flat array with elements
+        of one of ``numbers``.
         """
         array = args[0]
         if isinstance(array, types.Array) and array.layout == "C" and array.dtype in numbers:
@@ -157,8 +157,8 @@ def _load(
 
 
 def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
-    """Return the signature of ``store``, or None if the vector's elements do not match the
-    array's.
+    """Return the signature of ``store``,
+    or None if the vector's elements do not match the array's.
     """
     fits = isinstance(vector, Vector) and vector.number == ELEMENT_OF[array.dtype]
     if fits:
@@ -317,8 +317,8 @@ def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
 def _take(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value
 ) -> ir.Value:
-    """Emit an expanding load: set lanes get consecutive elements, in order; the other lanes are
-    arbitrary.
+    """Emit an expanding load: set lanes get consecutive elements, in order;
+    the other lanes are arbitrary.
     """
     kind = sig.return_type
     parts = []

@@ -39,8 +39,8 @@ def method(real: str, whole: str = "") -> Build:
 
 
 def define_binary(name: str, elements: set[Any], build: Build) -> None:
-    """Define the binary operator ``name`` of module ``operator`` for vectors, and its in-place
-    form.
+    """Define the binary operator ``name`` of module ``operator`` for vectors,
+    and its in-place form.
     """
     for each in (name, "i" + name.rstrip("_")):
         elementwise(getattr(operator, each), 2, elements)(build)

@@ -1,5 +1,5 @@
-"""Vector types for SIMD: f32×N, f64×N, i32×N, u32×N and masks, and the widths that suit the
-processor.
+"""Vector types for SIMD: f32×N, f64×N, i32×N, u32×N and masks,
+and the widths that suit the processor.
 """
 
 from typing import Any

@@ -89,16 +89,16 @@ def fill_ranges(voxels, size, low, high, margins):
 
 
 GROUP = 4
-"""Bricks along x that are marked together, so that loops have a fixed length and become SIMD
-code.
+"""Bricks along x that are marked together,
+so that loops have a fixed length and become SIMD code.
 """
 
 GROUP_CELLS = GROUP * BRICK_CELLS
 """Cells along x in a group."""
 
 MAX_FINE_BRICKS = 1 << 21
-"""Number of bricks up to which each has its own ranges, 24 MB; larger volumes have ranges of
-macrocells.
+"""Number of bricks up to which each has its own ranges, 24 MB;
+larger volumes have ranges of macrocells.
 """
 
 

@@ -1,5 +1,5 @@
-"""Casting many rays: the float32 traversal finds candidate cells, the float64 intersection
-decides.
+"""Casting many rays: the float32 traversal finds candidate cells,
+the float64 intersection decides.
 """
 
 import math
@@ -38,8 +38,8 @@ RAYS_RECORD = record(Rays, REAL_ARRAY, ORIGINS, ORIGINS, SIDE_ARRAY)
 
 
 class TracedSurface(NamedTuple):
-    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``), and the
-    normalised isovalue.
+    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``),
+    and the normalised isovalue.
     """
 
     field: Any

@@ -101,8 +101,8 @@ def ends_solid(q):
 
 @kernel(exact=True)
 def beyond(f, solid, blur):
-    """Return True if the values ``f`` lie on the other side than ``solid`` by more than
-    ``blur``.
+    """Return True if the values ``f`` lie on the other side than ``solid``
+    by more than ``blur``.
     """
     return where(solid, -f, f) > blur
 

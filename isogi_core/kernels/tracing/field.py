@@ -20,8 +20,8 @@ VOXEL_ARRAY = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
 
 RAY_OFFSET_VOXELS = 0.3
-"""Default offset of illumination rays above the surface, in voxels along the normal (S1,
-section 4.1.1).
+"""Default offset of illumination rays above the surface,
+in voxels along the normal (S1, section 4.1.1).
 """
 
 
@@ -120,8 +120,8 @@ def bspline(f):
 
 @kernel(exact=True)
 def bspline_slope(f):
-    """Return the derivatives of the four cubic B-spline weights at fraction ``f``. They sum to
-    0.
+    """Return the derivatives of the four cubic B-spline weights at fraction ``f``.
+    They sum to 0.
     """
     g = 1.0 - f
     return (-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f)

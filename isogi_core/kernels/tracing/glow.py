@@ -134,8 +134,8 @@ def share_within(field, low, high, p, w, near, far):
 
 @kernel()
 def in_mask(glows, k, x, y, z):
-    """Return True if the voxel nearest to (x, y, z) in index space is in the mask of region
-    ``k``.
+    """Return True if the voxel nearest to (x, y, z) in index space is in the mask
+    of region ``k``.
     """
     nz, ny, nx = glows.bits.shape
     a = min(max(int(x + 0.5), 0), nx - 1)

@@ -1,5 +1,5 @@
-"""Macrocells: the smallest and largest voxel of each block of cells, and the cells that hold an
-isovalue.
+"""Macrocells: the smallest and largest voxel of each block of cells,
+and the cells that hold an isovalue.
 """
 
 import math
@@ -20,8 +20,8 @@ RANGES = types.float32[:, :, ::1]
 
 @plain
 def blocks_along(shape, size):
-    """Return the number of blocks of ``size``³ cells along (z, y, x) for a volume of ``shape``
-    voxels.
+    """Return the number of blocks of ``size``³ cells along (z, y, x) for a volume
+    of ``shape`` voxels.
     """
     nz, ny, nx = shape
     return (-(-(nz - 1) // size), -(-(ny - 1) // size), -(-(nx - 1) // size))

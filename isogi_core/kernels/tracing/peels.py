@@ -180,8 +180,8 @@ def cast_to_next(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def opens(shells, p):
-    """Return True if the point ``p`` lies inside of an opaque surface, which a window's face
-    then cuts open.
+    """Return True if the point ``p`` lies inside of an opaque surface,
+    which a window's face then cuts open.
     """
     for k in range(shells.clears.shape[0]):
         if shells.clears[k] <= 0.0 and is_solid(
@@ -226,8 +226,8 @@ def first_crossings(shells, sight, eye, directions, layers, left):
 
 @kernel()
 def next_surface(shells, crossings, i, opaque):
-    """Return the surface with the next crossing on ray ``i``, or -1; only opaque surfaces if
-    ``opaque``.
+    """Return the surface with the next crossing on ray ``i``, or -1;
+    only opaque surfaces if ``opaque``.
     """
     best = -1
     way = math.inf
@@ -281,8 +281,8 @@ def take_walls(crossings, layers, left):
 
 @kernel()
 def find_passing(layers, number, k, left, some):
-    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,); return
-    their number.
+    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,);
+    return their number.
     """
     count = 0
     for i in range(left.shape[0]):

@@ -16,8 +16,8 @@ from isogi_core.kernels.tracing.slabs import cut_cell, longest, reciprocals
 
 @kernel()
 def corners_of(flat, place, stride):
-    """Return the eight corner values, f64×N, x fastest, of cells whose lowest corner is at
-    ``place``.
+    """Return the eight corner values, f64×N, x fastest,
+    of cells whose lowest corner is at ``place``.
     """
     sy, sz = stride
     a, b = gather_pair(flat, place)
@@ -29,8 +29,8 @@ def corners_of(flat, place, stride):
 
 @kernel()
 def within_cell(o, middle, d, cell, n):
-    """Return the mask of rays whose point at ``middle`` is in ``cell`` along one axis of ``n``
-    voxels.
+    """Return the mask of rays whose point at ``middle`` is in ``cell``
+    along one axis of ``n`` voxels.
     """
     return min(max(i32(o + middle * d), 0), n - 2) == cell
 

@@ -31,8 +31,8 @@ def clip(o, d, n, near, far):
 
 @kernel()
 def clip_box(shape, o, d):
-    """Return the part (near, far) of the ray o + t·d, t ≥ 0, in the box of ``shape`` (nz, ny,
-    nx) voxels.
+    """Return the part (near, far) of the ray o + t·d, t ≥ 0,
+    in the box of ``shape`` (nz, ny, nx) voxels.
     """
     nz, ny, nx = shape
     near, far = clip(o[0], d[0], nx, 0.0, math.inf)

@@ -51,8 +51,8 @@ HALVINGS = 32
 
 @kernel(exact=True)
 def reach(x, n):
-    """Return the first and last of the ``n`` voxels along an axis that the smoothed gradient at
-    ``x`` uses.
+    """Return the first and last of the ``n`` voxels along an axis that the smoothed gradient
+    at ``x`` uses.
     """
     return max(int(math.floor(x)) - 1, 0), min(int(math.ceil(x)) + 1, n - 1)
 
@@ -208,15 +208,15 @@ PLATEAU_ROW = 2
 NOISY_ROW = 3
 HOLED_ROW = 4
 FACES_ROW = 5
-"""Rows of counts; those from FACES_ROW on belong to the six faces of the box, x = 0, x = 1, y =
-0, ….
+"""Rows of counts; those from FACES_ROW on belong to the six faces of the box,
+x = 0, x = 1, y = 0, ….
 """
 
 COUNTED_ROWS = FACES_ROW + 6
 
 STEEP_CORNERS = 4
-"""Number of corners at a plateau's edge, or on a plateau, that make a cell steep: half of its
-corners.
+"""Number of corners at a plateau's edge, or on a plateau, that make a cell steep:
+half of its corners.
 """
 
 MIN_MEAN_NORMAL = 0.9
@@ -347,8 +347,8 @@ def count_faces(levels, corners, place, shape, counts):
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
-    """Count a cell that the isovalues ``first`` to ``last`` - 1 pass; ``seen`` is its
-    ``corner_of``.
+    """Count a cell that the isovalues ``first`` to ``last`` - 1 pass;
+    ``seen`` is its ``corner_of``.
     """
     edges, together, coherence = seen
     count_levels(counts[CELLS_ROW], first, last)

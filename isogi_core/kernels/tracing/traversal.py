@@ -106,8 +106,8 @@ def last_cell(descends, n):
 
 @kernel()
 def first_cell(x, descends, limit, n):
-    """Return the cell of the mirrored coordinate ``x`` along an axis of ``n`` voxels that ends
-    before ``limit``.
+    """Return the cell of the mirrored coordinate ``x`` along an axis of ``n`` voxels
+    that ends before ``limit``.
     """
     lowest = where(descends != 0, filled(n) - (n - 1), 0)
     return min(max(i32(x), lowest), limit - 1)
@@ -259,8 +259,8 @@ def cell_of(word):
 
 @kernel()
 def put_cells(found, entries, owner, cell, sign, t, lanes):
-    """Write 2 · cell + (1 if solid) of the chosen lanes to ``found`` at their rays, and ``t``
-    to ``entries``.
+    """Write 2 · cell + (1 if solid) of the chosen lanes to ``found`` at their rays,
+    and ``t`` to ``entries``.
     """
     word = cell * 2 + where(sign > 0.0, 1, 0)
     chosen = bits(lanes)

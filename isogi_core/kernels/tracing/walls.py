@@ -16,8 +16,8 @@ NO_WALL = -1.0
 """Stands for no wall instead of a number."""
 
 WALL_RIM = 1e-9
-"""Share of its edges by which a wall extends beyond them, so that no ray slips between two that
-touch.
+"""Share of its edges by which a wall extends beyond them,
+so that no ray slips between two that touch.
 """
 
 

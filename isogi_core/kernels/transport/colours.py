@@ -151,8 +151,8 @@ def label_albedo(colours, p):
 
 @kernel()
 def albedo_at(colours, p):
-    """Return the linear RGB albedo of the surface at ``p`` in index space, from the table by
-    code or labels.
+    """Return the linear RGB albedo of the surface at ``p`` in index space,
+    from the table by code or labels.
     """
     table = colours.table
     step = colours.step

@@ -1,5 +1,5 @@
-"""The entry kernels of paths that gather light, in one table by the scene and the source of
-light.
+"""The entry kernels of paths that gather light,
+in one table by the scene and the source of light.
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ Texels in the Open have a kernel that takes them by their places, ``bake_irradia
 
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
-    """Return the entry kernels for paths that meet scenes of type ``meets`` and gather light of
-    type ``gathers``.
+    """Return the entry kernels for paths that meet scenes of type ``meets``
+    and gather light of type ``gathers``.
     """
     return PATH_KERNELS[meets, gathers], fill_seeds

@@ -39,8 +39,8 @@ from isogi_core.kernels.transport.surface_paths import (
 
 @kernel()
 def cap_of(glows, k, p):
-    """Return 1 - cosα of the cone from ``p`` around the bounding ball of region ``k``; 0 if p
-    is in the ball.
+    """Return 1 - cosα of the cone from ``p`` around the bounding ball of region ``k``;
+    0 if p is in the ball.
     """
     away = sub(column(glows.centres, k), p)
     square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST_NORMAL)
@@ -165,8 +165,8 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 @gather_met.case(Glows)
 def gather_met_glow(scene, state, vertices, bounce, glows):
-    """Add the light of all regions along the rays that were cast; return the number of paths
-    that continue.
+    """Add the light of all regions along the rays that were cast;
+    return the number of paths that continue.
     """
     rays = state.wave.rays
     count = vertices.count

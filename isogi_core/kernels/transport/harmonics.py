@@ -73,8 +73,8 @@ def accumulate(order, x, y, z, weight, out):
 
 @kernel()
 def evaluate(order, x, y, z, out):
-    """Write Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out is
-    float64.
+    """Write Y_i(x, y, z) to out[i] for all i < order²;
+    (x, y, z) is a unit vector, out is float64.
     """
     for i in range(order * order):
         out[i] = 0.0
@@ -97,8 +97,8 @@ def cosine_lobe_factors(order: int) -> np.ndarray:
 
 @kernel()
 def _step(first, before, l, i, m, n):
-    """Return P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1. Matrices
-    are centred.
+    """Return P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1.
+    Matrices are centred.
     """
     c = MAX_ORDER
     if n == l:
@@ -130,8 +130,8 @@ def _inner_weights(m):
 
 @kernel()
 def _element(first, before, l, m, n):
-    """Return element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg, tables 1 and 2
-    as corrected.
+    """Return element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg,
+    tables 1 and 2 as corrected.
     """
     k = abs(m)
     s = 1 if m > 0 else -1

@@ -59,8 +59,8 @@ def facets_facing(alpha, cosine):
 
 @kernel()
 def hidden(alpha, cosine):
-    """Return Λ of Smith's masking of GGX for a direction at ``cosine`` to the normal: (√(1 + α²
-    tan²θ) - 1)/2.
+    """Return Λ of Smith's masking of GGX for a direction at ``cosine`` to the normal:
+    (√(1 + α² tan²θ) - 1)/2.
     """
     square = cosine * cosine
     return 0.5 * (math.sqrt(1.0 + alpha * alpha * max(1.0 - square, 0.0) / square) - 1.0)
@@ -68,8 +68,8 @@ def hidden(alpha, cosine):
 
 @kernel()
 def seen_from(alpha, cosine):
-    """Return G₁, the share of facets turned towards a direction at ``cosine`` that are visible
-    from there.
+    """Return G₁, the share of facets turned towards a direction at ``cosine``
+    that are visible from there.
     """
     return 1.0 / (1.0 + hidden(alpha, cosine))
 
@@ -84,8 +84,8 @@ def seen_and_lit(alpha, to_viewer, to_light):
 
 @kernel()
 def grazing(cosine):
-    """Return (1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, θ between facet and
-    light.
+    """Return (1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵,
+    θ between facet and light.
     """
     rest = 1.0 - min(max(cosine, 0.0), 1.0)
     return rest * rest * rest * rest * rest
@@ -111,8 +111,8 @@ def reflected(alpha, v, l):
 
 @kernel()
 def reflected_pdf(alpha, v, l):
-    """Return the density of ``sample_reflected`` per steradian: G₁ D/(4 cosθ_v), also below the
-    surface.
+    """Return the density of ``sample_reflected`` per steradian:
+    G₁ D/(4 cosθ_v), also below the surface.
     """
     h = facet_between(v, l)
     if not (h[2] > 0.0 and dot(v, h) > 0.0):
@@ -155,8 +155,8 @@ def schlick_fresnel(facing, v, l):
 
 @kernel()
 def towards_ends(k):
-    """Return place ``k`` of GRID in [0, 1], denser towards both ends by t²(3 - 2t), and its
-    weight.
+    """Return place ``k`` of GRID in [0, 1], denser towards both ends by t²(3 - 2t),
+    and its weight.
     """
     t = (k + 0.5) / GRID
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)

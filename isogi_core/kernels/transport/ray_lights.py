@@ -103,8 +103,8 @@ def panel_met(panels, k, p, w):
 
 @kernel()
 def disc_met(discs, k, w):
-    """Return the density of direction ``w`` when sampled from disc ``k``; 0 outside of it. See
-    ``draw_from_disc``.
+    """Return the density of direction ``w`` when sampled from disc ``k``;
+    0 outside of it. See ``draw_from_disc``.
     """
     towards = row(discs.towards, k)
     cosine = dot(towards, w)

@@ -68,8 +68,8 @@ def pcg4d(a, b, c, d):
 
 @kernel()
 def mix(a, b):
-    """Hash two integers 0 ≤ a, b < 2⁶⁴ to 64 mixed bits: a seed from a texel and a replica, for
-    example.
+    """Hash two integers 0 ≤ a, b < 2⁶⁴ to 64 mixed bits:
+    a seed from a texel and a replica, for example.
     """
     a, b = np.uint64(a), np.uint64(b)
     high, low, _, _ = pcg4d(a & WORD_MASK, a >> WORD_BITS, b & WORD_MASK, b >> WORD_BITS)

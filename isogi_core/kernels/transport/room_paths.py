@@ -1,5 +1,5 @@
-"""Paths over an isosurface and walls, which gather the light of luminaires and of the
-surroundings.
+"""Paths over an isosurface and walls, which gather the light of luminaires
+and of the surroundings.
 """
 
 import math
@@ -53,8 +53,8 @@ from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 
 SHADOWED_SHARE = 1.0 - 1e-9
-"""Part of the way to a luminaire on which geometry may block it; the rest is the luminaire
-itself.
+"""Part of the way to a luminaire on which geometry may block it;
+the rest is the luminaire itself.
 """
 
 
@@ -96,8 +96,8 @@ ROOM_RECORD = record(
 
 
 class InRoom(NamedTuple):
-    """One isosurface of a ``field`` within its active ``cells``, and the walls of a ``room``
-    around it.
+    """One isosurface of a ``field`` within its active ``cells``,
+    and the walls of a ``room`` around it.
     """
 
     field: Any
@@ -132,8 +132,8 @@ def lit_from(room, k, slope):
 
 @kernel()
 def sample_luminaire(room, k, p, n, u, v):
-    """Sample luminaire ``k`` from the world point ``p`` with normal ``n``: (direction,
-    distance, E/π).
+    """Sample luminaire ``k`` from the world point ``p`` with normal ``n``:
+    (direction, distance, E/π).
     """
     # Pick a point on the wall; reject it if it is behind the surface or shows a dark side.
     away = sub(
@@ -156,8 +156,8 @@ def sample_luminaire(room, k, p, n, u, v):
 
 @kernel()
 def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
-    """Turn the rays of the wave towards luminaire ``k``, with the random numbers of a
-    ``source``.
+    """Turn the rays of the wave towards luminaire ``k``,
+    with the random numbers of a ``source``.
     """
     shadow = wave.shadow
     rays = wave.rays
@@ -188,8 +188,8 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
 
 @cast_wave.case(InRoom)
 def cast_among_walls(scene, state, points, count):
-    """Cast the rays of a wave from ``points`` to their first hits, on the isosurface or on a
-    wall.
+    """Cast the rays of a wave from ``points`` to their first hits,
+    on the isosurface or on a wall.
     """
     wave = state.wave
     rays = state.wave.rays
@@ -202,8 +202,8 @@ def cast_among_walls(scene, state, points, count):
 
 @gather_sources.case(Surroundings)
 def gather_from_all(scene, state, vertices, bounce, light):
-    """Add the light of lamps, bright parts of the environment, and luminaires at the vertices
-    of a wave.
+    """Add the light of lamps, bright parts of the environment,
+    and luminaires at the vertices of a wave.
     """
     room = scene.room
     lamps = light.lamps.kinds.shape[0]
@@ -287,8 +287,8 @@ def carry(wave, vertices, hits, chance, room):
 
 @kernel()
 def stand_on_walls(wave, vertices, following, room):
-    """Put the vertices ``following`` that lie on walls there, with the normal of the side that
-    was hit.
+    """Put the vertices ``following`` that lie on walls there,
+    with the normal of the side that was hit.
     """
     rays = wave.rays
     count = vertices.count
@@ -331,8 +331,8 @@ def advance_in_room(scene, state, vertices, following, bounce, rules):
 
 @kernel()
 def begin_on_walls(wave, starts, first, count):
-    """Set the walls of the first ``count`` vertices of a wave, whose first path has the number
-    ``first``.
+    """Set the walls of the first ``count`` vertices of a wave,
+    whose first path has the number ``first``.
     """
     g = starts.walls.shape[0]
     for m in range(count):
@@ -364,8 +364,8 @@ def light_in_room(scene, starts, samples, rules, light, sums):
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))
 def fill_seeds(words, seeds):
-    """Fill ``seeds`` (g,) with the seeds of the rows of ``words`` (g, 2 or more), by mixing the
-    words in order.
+    """Fill ``seeds`` (g,) with the seeds of the rows of ``words`` (g, 2 or more),
+    by mixing the words in order.
     """
     for i in range(words.shape[0]):
         seed = np.uint64(words[i, 0])

@@ -39,8 +39,8 @@ def polynomial(a, x):
 
 @kernel(exact=True)
 def cosine_and_sine(angle):
-    """Return (cos, sin) of an angle in [-π/4, π/4], with an error of at most one unit in the
-    last place.
+    """Return (cos, sin) of an angle in [-π/4, π/4],
+    with an error of at most one unit in the last place.
     """
     square = angle * angle
     cosine = 1.0 - (0.5 * square - square * square * polynomial(COSINE, square))
@@ -106,8 +106,8 @@ def sample_cosine_hemisphere(u, v):
 
 @kernel(exact=True)
 def about(n, d):
-    """Return the direction ``d``, given about +z, rotated so that +z becomes the unit vector
-    ``n``.
+    """Return the direction ``d``, given about +z,
+    rotated so that +z becomes the unit vector ``n``.
     """
     s, t = orthonormal_basis(n)
     return (
@@ -131,8 +131,8 @@ def invert_cosine_hemisphere(d):
 
 @kernel()
 def sample_uniform_sphere(u, v):
-    """Return a unit direction, uniform over the sphere, from (u, v) in [0, 1)²: z = 1 - 2u, φ =
-    2πv (Archimedes).
+    """Return a unit direction, uniform over the sphere, from (u, v) in [0, 1)²:
+    z = 1 - 2u, φ = 2πv (Archimedes).
     """
     radius = 2.0 * math.sqrt(max(0.0, u * (1.0 - u)))
     angle = 2.0 * math.pi * v
@@ -173,8 +173,8 @@ def direction_to_latlong(d):
 
 @kernel()
 def latlong_to_direction(row, column):
-    """Return the unit direction at fractions (row, column) of a lat-long image's height and
-    width.
+    """Return the unit direction at fractions (row, column)
+    of a lat-long image's height and width.
     """
     theta = math.pi * row
     phi = 2.0 * math.pi * column

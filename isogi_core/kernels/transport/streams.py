@@ -37,8 +37,8 @@ IN_MATTER = 0x8000 * PAIRS_PER_PURPOSE
 """The first pair on a ray's way through matter, two for each of MAX_STEPS steps and each vertex."""
 
 MAX_STEPS = 4096
-"""Largest number of interfaces and scattering events of a ray in matter; the light left after
-them is lost.
+"""Largest number of interfaces and scattering events of a ray in matter;
+the light left after them is lost.
 """
 
 PURPOSES = (

@@ -129,8 +129,8 @@ def cast_at_all(scene, state, origins, count):
 
 @kernel()
 def cast_past(scene, state, k, origins, count, going):
-    """Cast the pending rays among the first ``going`` that have just passed surface ``k`` on
-    from there.
+    """Cast the pending rays among the first ``going`` that have just passed surface ``k``
+    on from there.
     """
     # List the rays whose last crossing was on surface k.
     n = whole(going)
@@ -166,8 +166,8 @@ def cast_past(scene, state, k, origins, count, going):
 
 @kernel()
 def nearest_surface(state, i):
-    """Return the surface that ray ``i`` crosses next, the first of several at one place; 0 if
-    there is none.
+    """Return the surface that ray ``i`` crosses next, the first of several at one place;
+    0 if there is none.
     """
     best = 0
     for k in range(1, state.t.shape[0]):
@@ -263,8 +263,8 @@ def follow_rays(scene, state, room, bounce, count, aimed):
 
 @add_sent.case(Among)
 def add_sent_among(scene, state, vertices, bounce):
-    """Add the light of the shadow rays of a wave; surfaces let a share of it pass, and walls
-    nothing.
+    """Add the light of the shadow rays of a wave; surfaces let a share of it pass,
+    and walls nothing.
     """
     shadow = state.wave.shadow
     count = vertices.count
@@ -355,8 +355,8 @@ def stand_on(scene, state, following, count, bounce, chance):
 
 @kernel()
 def start_on_either_side(scene, state, vertices, starts):
-    """Let paths leave their first surface on one of its sides, each with its share of the light
-    that leaves.
+    """Let paths leave their first surface on one of its sides,
+    each with its share of the light that leaves.
     """
     surfaces = scene.surfaces
     rays = state.wave.rays
@@ -406,8 +406,8 @@ def make_among(scene, starts, wave):
 
 @begin_wave.case(Among)
 def begin_among(scene, state, vertices, starts, first):
-    """Set the surfaces and walls of the first vertices, and choose the sides that paths leave
-    on.
+    """Set the surfaces and walls of the first vertices,
+    and choose the sides that paths leave on.
     """
     wave = state.wave
     begin_on_walls(wave, starts, first, vertices.count)

@@ -137,8 +137,8 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 @Choice
 def make_carried(scene, paths):
-    """Allocate the albedos (3, n) that n ``paths`` carry; empty if the whole surface reflects
-    alike.
+    """Allocate the albedos (3, n) that n ``paths`` carry;
+    empty if the whole surface reflects alike.
     """
 
 
@@ -284,8 +284,8 @@ def bake_together(scene, place, rows, samples, rules, orders, out):
 
 @kernel()
 def bake_rows(scene, place, rows, samples, rules, orders, sums):
-    """Add a ``SampleRange`` of paths from the ``rows`` to ``sums``, some texels at a time: see
-    ``bake_texels``.
+    """Add a ``SampleRange`` of paths from the ``rows`` to ``sums``,
+    some texels at a time: see ``bake_texels``.
     """
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
@@ -325,8 +325,8 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
 
 @kernel()
 def light_together(field, cells, place, rows, samples, rules, light, sums):
-    """Bake the irradiance of a few texels whose paths fill waves together: see
-    ``bake_irradiance``.
+    """Bake the irradiance of a few texels whose paths fill waves together:
+    see ``bake_irradiance``.
     """
     some = np.empty((2 * rows.shape[0], 3))
     for i in range(some.shape[0]):
@@ -399,8 +399,8 @@ def is_within(p, box):
 
 @gather_met.case(Strays)
 def mark_strays(scene, state, vertices, bounce, strays):
-    """Mark the starts of rays that hit something outside of the box; return the number of paths
-    that continue.
+    """Mark the starts of rays that hit something outside of the box;
+    return the number of paths that continue.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -420,8 +420,8 @@ def mark_strays(scene, state, vertices, bounce, strays):
 
 @kernel()
 def trace_strays(scene, starts, samples, confines, marks):
-    """Mark the ``PathStarts`` that stray in ``marks`` (g,), by a ``SampleRange`` of the paths
-    of ``trace_ends``.
+    """Mark the ``PathStarts`` that stray in ``marks`` (g,),
+    by a ``SampleRange`` of the paths of ``trace_ends``.
     """
     tree = PathTree(confines.bounces, confines.survival, confines.branches)
     total = starts.isovalues.shape[0] * samples.count
@@ -502,8 +502,8 @@ def make_albedos(scene, paths):
 
 @advance.case(Coloured)
 def advance_on_colours(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, and multiply their carried product by albedo
-    over probability.
+    """Move the paths that hit the surface there,
+    and multiply their carried product by albedo over probability.
     """
     rays = state.wave.rays
     carried = state.wave.carried

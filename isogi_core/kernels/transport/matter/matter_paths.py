@@ -1,5 +1,5 @@
-"""Paths among walls around refracting matter: vertices lie on walls, and rays between them pass
-through matter.
+"""Paths among walls around refracting matter: vertices lie on walls,
+and rays between them pass through matter.
 """
 
 import math
@@ -64,8 +64,8 @@ THROUGH_RECORD = record(Through, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD, MATTER
 
 
 class Crossing(NamedTuple):
-    """State of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its
-    paths.
+    """State of a ``wave`` whose rays pass matter: their ``passage``,
+    and the ``starts`` of its paths.
     """
 
     wave: Any
@@ -116,8 +116,8 @@ def first_way(rays, starts, k, i):
 
 @kernel()
 def enter_passage(wave, vertices, passage, starts, bounce):
-    """Start the passage of the wave's rays; first rays of paths that start on no wall get their
-    direction here.
+    """Start the passage of the wave's rays;
+    first rays of paths that start on no wall get their direction here.
     """
     rays = wave.rays
     count = vertices.count
@@ -175,8 +175,8 @@ def gather_passed_ends(wave, vertices, passage, escaped, light):
 
 @kernel()
 def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
-    """Add the light of luminaires that paths hit; return the number of paths that hit a
-    reflecting side.
+    """Add the light of luminaires that paths hit;
+    return the number of paths that hit a reflecting side.
     """
     rays = wave.rays
     staying = 0
@@ -206,8 +206,8 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
 
 @kernel()
 def stand_at_ends(wave, passage, following, room, chance):
-    """Put the vertices ``following`` on the walls that were hit; multiply by albedo over
-    ``chance``.
+    """Put the vertices ``following`` on the walls that were hit;
+    multiply by albedo over ``chance``.
     """
     rays = wave.rays
     hits = following.count
@@ -247,8 +247,8 @@ def meet_through(scene, state, vertices, bounce):
 
 @gather_met.case(Through, Surroundings)
 def gather_met_through(scene, state, vertices, bounce, light):
-    """Add the environment's light and that of luminaires; return the number of paths that
-    continue.
+    """Add the environment's light and that of luminaires;
+    return the number of paths that continue.
     """
     wave = state.wave
     passage = state.passage

@@ -44,8 +44,8 @@ MATTER_RECORD = record(Matter, types.float64, REAL_ARRAY, types.float64, REAL_AR
 
 
 class Passable(NamedTuple):
-    """The scene for rays that pass an isosurface: the ``room`` around it, and the ``matter``
-    behind it.
+    """The scene for rays that pass an isosurface: the ``room`` around it,
+    and the ``matter`` behind it.
     """
 
     room: Any
@@ -150,8 +150,8 @@ def make_passage(n):
 
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
-    """Return pair ``second`` (0 or 1) of the random numbers of ray ``i`` at a ``step`` of its
-    way.
+    """Return pair ``second`` (0 or 1) of the random numbers of ray ``i``
+    at a ``step`` of its way.
     """
     rays = wave.rays
     dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS_PER_PURPOSE + bounce)
@@ -162,8 +162,8 @@ def draw(wave, i, bounce, step, second):
 
 @kernel()
 def gather_rays(field, wave, passage, going):
-    """Return the first ``going`` pending rays as whole vectors of ``Rays``, and the walls that
-    they start on.
+    """Return the first ``going`` pending rays as whole vectors of ``Rays``,
+    and the walls that they start on.
     """
     n = whole(going)
     rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
