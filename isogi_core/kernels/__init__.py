@@ -1,3 +1,3 @@
-"""Small pure functions on scalars, tuples and arrays, compiled by Numba. Nothing here knows what a
-scene is.
+"""Small pure functions on scalars, tuples and arrays, compiled by Numba.
+They know nothing of scenes.
 """

@@ -1,5 +1,5 @@
-"""The folder of compiled kernels: named after their sources, and pruned when sources have changed
-often.
+"""The folder of compiled kernels: named after a digest of their sources;
+folders of old sources are pruned.
 """
 
 import fcntl
@@ -18,7 +18,7 @@ import llvmlite.binding as llvm
 import numba
 
 KEPT_FOLDERS = 8
-"""Folders of other sources that are kept besides the folder in use: the ones used last."""
+"""Number of folders of other sources that are kept next to the one in use: those used last."""
 
 SETTINGS = (
     *(
@@ -41,21 +41,22 @@ SETTINGS = (
 """Settings of Numba, from the environment, that change machine code."""
 
 CACHE_VARIABLE = "ISOGI_KERNEL_CACHE"
-"""Environment variable of the folder of compiled kernels, of all sources."""
+"""Environment variable that names the parent of the folders of compiled kernels."""
 
 LOCK_SUFFIX = ".lock"
 """Suffix of the files that are locked while a kernel is compiled."""
 
 IN_USE = "in-use"
-"""File in a folder that its users hold a shared lock on."""
+"""Name of the file in a folder on which its users hold a shared lock."""
 
 
 def sources_digest() -> str:
-    """Digest of every kernel source, where and from when it is, the compiler and the processor, as
-    hex.
+    """Return a digest of all kernel sources, their paths and times,
+    the compiler and the processor; hex.
     """
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.rglob("*.py")):
+        # Numba compares times of sources with those in its index, so that these count too.
         digest.update(f"{path} {path.stat().st_mtime_ns}".encode())
         digest.update(path.read_bytes())
     cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
@@ -68,16 +69,18 @@ def sources_digest() -> str:
 
 
 def cache_folder() -> Path:
-    """Where compiled kernels are kept: ``$ISOGI_KERNEL_CACHE`` or the user's cache folder."""
+    """Return the folder for compiled kernels of these sources, in ``$ISOGI_KERNEL_CACHE`` or
+    the user's cache folder.
+    """
     root = os.environ.get(CACHE_VARIABLE)
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return (Path(root) if root else base / "isogi" / "kernels") / sources_digest()
 
 
 class OpenFolder(NamedTuple):
-    """The ``folder`` that this process keeps compiled kernels in, held open by the file ``mark``.
+    """The ``folder`` in which this process keeps compiled kernels, held by the open file ``mark``.
 
-    It stands in for ``read_only``, if any: a folder that cannot be written.
+    ``read_only``, if any, is the folder that it replaces because that cannot be written.
     """
 
     folder: Path
@@ -86,19 +89,20 @@ class OpenFolder(NamedTuple):
 
 
 def open_folder() -> OpenFolder:
-    """Hold the folder of compiled kernels. Raises OSError if there is no room for temporary files
-    either.
+    """Hold the folder of compiled kernels; raises OSError if no temporary files can be made either.
 
-    If it cannot be written, as one in a read-only image, a folder of temporary files takes its
-    place for this process and those that it starts: with links to all kernels that are there, and
-    room for those that are not.
+    If the folder cannot be written, as in a read-only image, a temporary folder takes its place for
+    this process and those that it starts: with links to all kernels that are there, and room for
+    others.
     """
     wanted = cache_folder()
+    # Use the wanted folder if it can be written.
     with suppress(OSError):
         mark = hold(wanted)
         if is_writable(wanted):
             return OpenFolder(wanted, mark)
         os.close(mark)
+    # Otherwise link its kernels into a private folder, also for the processes started from here.
     root = private_root()
     folder = root / wanted.name
     mark = hold(folder)
@@ -108,15 +112,15 @@ def open_folder() -> OpenFolder:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether files can be made in ``folder`` and in each folder in it."""
+    """Return True if files can be made in ``folder`` and in each folder directly in it."""
     return all(os.access(each, os.W_OK) for each in (folder, *folder.iterdir()) if each.is_dir())
 
 
 def private_root() -> Path:
-    """A folder of temporary files that this user alone can write, the same in each process.
+    """Return a temporary folder that only this user can write, the same for each process.
 
-    Kernels are machine code: a folder of this name that is another user's is passed over for a new
-    one.
+    Kernels are machine code that is executed: if another user owns the folder of this name, a new
+    one is made.
     """
     root = Path(tempfile.gettempdir()) / f"isogi-kernels-{os.geteuid()}"
     with suppress(FileExistsError):
@@ -129,7 +133,7 @@ def private_root() -> Path:
 
 
 def link_files(source: Path, folder: Path) -> None:
-    """Put links into ``folder`` to all files below ``source`` but locks, in folders like theirs.
+    """Link all files below ``source``, but for locks, into ``folder``, with the same subfolders.
 
     Compilers replace files whole, so that none writes through a link.
     """
@@ -142,14 +146,15 @@ def link_files(source: Path, folder: Path) -> None:
 
 
 def hold(folder: Path) -> int:
-    """Mark ``folder``, which is made where it is missing, as used now and until this process ends.
+    """Mark ``folder`` as used now and until this process ends; it is made if missing.
 
-    Returns the open file that the mark hangs on.
+    Returns the open file that holds the mark.
     """
     while True:
         folder.mkdir(parents=True, exist_ok=True)
         mark = os.open(folder / IN_USE, os.O_CREAT | os.O_RDWR, 0o666)
         fcntl.flock(mark, fcntl.LOCK_SH)
+        # Another process may have pruned the folder before the lock was taken; then try again.
         if is_at(mark, folder / IN_USE):
             os.utime(folder / IN_USE)
             return mark
@@ -157,10 +162,10 @@ def hold(folder: Path) -> int:
 
 
 def prune_folders(folder: Path) -> None:
-    """Remove the siblings of ``folder`` but the ``KEPT_FOLDERS`` used last, and but folders that a
-    process holds.
+    """Remove siblings of ``folder``, except the ``KEPT_FOLDERS`` used last and those that a process
+    holds.
 
-    What another process removes meanwhile, or another user owns, is passed over.
+    Folders that another process removes meanwhile, or that another user owns, are skipped.
     """
     others = [each for each in folder.parent.iterdir() if each != folder and each.is_dir()]
     for old in sorted(others, key=last_used)[: max(len(others) - KEPT_FOLDERS, 0)]:
@@ -171,8 +176,10 @@ def prune_folders(folder: Path) -> None:
 
 @contextmanager
 def locked(path: Path, wait: bool = True) -> Iterator[bool]:
-    """Lock the file ``path`` against all other threads and processes; yields whether the lock was
-    free.
+    """Lock the file ``path`` against all other threads and processes; yield True if the lock was
+    obtained.
+
+    If ``wait`` is False and the lock is taken, yield False without waiting.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
@@ -185,8 +192,8 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
 
 
 def last_used(folder: Path) -> float:
-    """When a process began to use ``folder``, in seconds; where none has said so, when it was made;
-    0 if it is gone.
+    """Return the time at which a process last began to use ``folder``, in seconds; when it was
+    made if none did; 0 if it is gone.
     """
     for path in (folder / IN_USE, folder):
         with suppress(OSError):
@@ -195,8 +202,8 @@ def last_used(folder: Path) -> float:
 
 
 def is_at(file: int, path: Path) -> bool:
-    """Whether the open ``file`` is the one at ``path``: it may have been removed, and made again,
-    since.
+    """Return True if the open ``file`` is the one at ``path``; it may have been removed and
+    made again since.
     """
     try:
         return os.path.samestat(os.fstat(file), path.stat())

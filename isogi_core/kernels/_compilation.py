@@ -1,5 +1,5 @@
-"""Compiling entry kernels ahead of the first call: on all cores, in processes of their own, with
-progress.
+"""Compilation of entry kernels ahead of their first call:
+on all cores, in separate processes, with progress.
 """
 
 import os
@@ -16,20 +16,20 @@ import numba
 from isogi_core.kernels._jit import Entry, entries_of, load
 
 POLL_SECONDS = 0.02
-"""Seconds between two looks at whether the wait for a compilation is given up."""
+"""Seconds between two checks for stored kernels, and for the end of the compilation."""
 
 MIN_TIMED_SHARE = 0.1
-"""Share of a compilation after which its time is estimated."""
+"""Share of a compilation after which the remaining time is estimated."""
 
 COMPILER_NICENESS = 5
-"""Niceness of processes that compile beside a server: pictures that can be drawn already come
-first.
+"""Niceness of processes that compile next to a server, so that pictures that can be drawn
+already come first.
 """
 
 
 class KernelProgress(NamedTuple):
-    """How far a compilation is: ``done`` of ``total`` kernels, and the ``seconds`` left, None
-    before that is known.
+    """Progress of a compilation: ``done`` of ``total`` kernels,
+    and the ``seconds`` left, None while unknown.
     """
 
     done: int
@@ -38,16 +38,15 @@ class KernelProgress(NamedTuple):
 
 
 class Compilation:
-    """Entry kernels that this machine lacks, stage by stage: each is compiled once for all
-    processes.
+    """Entry kernels that this machine lacks, compiled stage by stage, once for all processes.
 
-    All cores work at it, in processes of their own: within one, Numba compiles one kernel at a
-    time. Any thread may ask how far it is.
+    All cores work at it, in separate processes: within one process, Numba compiles one kernel at a
+    time. Any thread may ask for the progress.
     """
 
     def __init__(self, *stages: Iterable[Any]) -> None:
-        """Compile nothing yet: list the kernels of the ``stages``, and their callees, that are not
-        stored.
+        """List the kernels of the ``stages``, and their callees, that are not stored;
+        compile nothing yet.
         """
         listed: dict[Entry, None] = {}
         for stage in stages:
@@ -57,34 +56,36 @@ class Compilation:
         self._work: threading.Thread | None = None
 
     def begin(self, stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
-        """Have all compiled by processes whose ``niceness`` is so much higher than this one's,
-        until ``stopped``.
+        """Start to compile all listed kernels in other processes, until ``stopped`` is set.
 
-        They ``start`` by that method of multiprocessing.
+        Their niceness is higher than that of this process by ``niceness``; ``start`` is the start
+        method of multiprocessing.
         """
         names = [each.name for each in self._lacking]
         self._begun = time.monotonic()
         work = [names, stopped, niceness, start]
-        self._work = threading.Thread(target=compile_beside, args=work, name="compiling")
+        self._work = threading.Thread(target=compile_in_processes, args=work, name="compiling")
         self._work.start()
 
     def wait(self, kernels: Iterable[Any]) -> None:
-        """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or
-        there is one core.
+        """Wait until ``kernels`` are compiled, or no process compiles: because it was stopped,
+        or there is one core.
         """
         for entry in with_callees(kernels):
-            while (
-                self._work and self._work.is_alive() and not entry.stored
-            ):  # a look at a folder: one at a time
+            # A check reads a folder, so that kernels are checked one at a time.
+            while self._work and self._work.is_alive() and not entry.stored:
                 self._work.join(POLL_SECONDS)
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
-        """How far the compilation of ``kernels`` is; None where this machine has them all."""
+        """Return the progress of the compilation of ``kernels``;
+        None if this machine has them all.
+        """
         wanted = set(with_callees(kernels))
         lacking = [each for each in self._lacking if each in wanted]
         left = [each for each in lacking if not each.stored]
         if not left:
             return None
+        # Estimate the time left by size, taking kernels that are being compiled as half done.
         whole = sum(each.size for each in lacking)
         rest = sum(each.size for each in left)
         under_way = sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2
@@ -97,9 +98,9 @@ class Compilation:
 
 
 def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, niceness: int = 0) -> None:
-    """Load ``kernels``; kernels that were never compiled are compiled first, on all cores.
+    """Load ``kernels``; those that were never compiled are compiled first, on all cores.
 
-    Once ``stopped`` is set it returns as soon as it can. For the ``niceness`` see ``Compilation``.
+    Returns soon after ``stopped`` is set. For ``niceness`` see ``Compilation.begin``.
     """
     kernels = list(kernels)
     stopped = stopped or threading.Event()
@@ -110,7 +111,9 @@ def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, nicenes
 
 
 def with_callees(kernels: Iterable[Any]) -> list[Entry]:
-    """The entry kernels among ``kernels`` and their callees, each once and before its callers."""
+    """Return the entry kernels among ``kernels`` and their callees,
+    each once and before its callers.
+    """
     found: dict[Entry, None] = {}
     for entry in entries_of(kernels):
         found |= dict.fromkeys((*with_callees(entry.callees), entry))
@@ -118,23 +121,24 @@ def with_callees(kernels: Iterable[Any]) -> list[Entry]:
 
 
 def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[Entry]:
-    """Kernels first that call none but ``before``, and of these the largest: what comes last is
-    short.
+    """Sort kernels: first those that call none but ``before``, and of these the largest first,
+    so that the last ones are short.
     """
     return sorted(
         entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size)
     )
 
 
-def compile_beside(
+def compile_in_processes(
     names: list[str], stopped: threading.Event, niceness: int = 0, start: str = "spawn"
 ) -> None:
-    """Compile kernels in processes, one for each core, until ``stopped``; none where that would be
-    one process.
+    """Compile the kernels ``names`` in processes, one per core, until ``stopped``; do nothing
+    if one process would be enough.
     """
     processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
     if processes < 2:
         return
+    # Each process goes through all names, and compiles those that no other has begun.
     context: Any = get_context(start)
     helpers = [
         context.Process(target=compile_named, args=[names, niceness], daemon=True)
@@ -142,6 +146,7 @@ def compile_beside(
     ]
     for helper in helpers:
         helper.start()
+    # Wait for the processes, or end them once stopped.
     for helper in helpers:
         while helper.is_alive() and not stopped.is_set():
             helper.join(POLL_SECONDS)
@@ -150,7 +155,10 @@ def compile_beside(
 
 
 def compile_named(names: list[str], niceness: int) -> None:
-    """Compile the kernels that are not stored yet and that no other process compiles."""
+    """Compile those of the kernels ``names`` that are not stored yet
+    and that no other process compiles.
+    """
+    # An interrupt goes to the parent, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(niceness)
     for name in names:

@@ -1,5 +1,9 @@
-"""The one place that owns Numba's options, and has entry kernels compiled or loaded before they are
-called.
+"""The decorators of kernels: the one place that sets Numba's options, and compiles or loads entry
+kernels.
+
+A kernel with a signature is an ``Entry``: Python calls it, and it is compiled once per machine.
+Other kernels are helpers, compiled as parts of the entries that call them. A ``Choice`` is a helper
+with several bodies, chosen by the types of its arguments.
 """
 
 import threading
@@ -21,7 +25,8 @@ from numba.np import linalg
 from isogi_core.kernels._cache_folder import LOCK_SUFFIX, locked, open_folder
 from isogi_core.kernels._compiler import Compiler
 
-# Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
+# Sums and products may be fused, and signs of zeros ignored. Not all of fastmath is allowed: `nnan`
+# would make isnan() False, which kernels call.
 FASTMATH = {"nsz", "contract"}
 EXACT = {"nsz"}
 ANY_ORDER = FASTMATH | {"reassoc"}
@@ -41,8 +46,8 @@ COUNT_ARRAY = types.int32[::1]
 
 
 def no_blas() -> None:
-    """Tell Numba that there is no BLAS: to look for it, each process would import SciPy, where that
-    is installed.
+    """Tell Numba that there is no BLAS:
+    to look for one, each process would import SciPy if it is installed.
     """
     raise ImportError("Kernels call no BLAS.")
 
@@ -53,13 +58,15 @@ linalg.ensure_blas = no_blas
 class Entry:
     """An entry kernel, called from Python, and by other kernels through its address.
 
-    It is compiled once for all processes, or loaded, when it is first called, and only for the
-    types of its signature. Any thread may call it. Kernels that call it hold no copy of its code:
-    they compile without it.
+    When first called, it is compiled once for all processes, or loaded; it has code only for the
+    types of its signature. Any thread may call it. Kernels that call it hold no copy of its code,
+    and are compiled without it.
     """
 
     def __init__(self, function: Callable[..., Any], given: Any, options: dict[str, Any]) -> None:
-        """Take on a Python ``function`` with the signature ``given``; nothing is compiled yet."""
+        """Wrap a Python ``function`` with the Numba signature ``given``;
+        nothing is compiled yet.
+        """
         update_wrapper(self, function)
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.targetoptions = options
@@ -68,14 +75,16 @@ class Entry:
         let_kernels_call(self, *normalize_signature(given))
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the kernel; TypeError where the arguments are of other types."""
+        """Run the kernel. Raises TypeError if the arguments have other types than the signature."""
         return self.ready(*arguments)
 
     @property
     def ready(self) -> Any:
-        """Numba's compiled function. Asking for it compiles or loads it."""
+        """Numba's compiled function; the first access compiles or loads it."""
         if self._ready is None:
+            # Callees come first: their addresses must be known when this kernel is linked.
             load(self.callees)
+            # The lock lets one process compile and the others load its result.
             with locked(KERNEL_FOLDER / f"{self.name}{LOCK_SUFFIX}"):
                 if self._ready is None:
                     self._compile()
@@ -90,18 +99,18 @@ class Entry:
 
     @property
     def callees(self) -> list["Entry"]:
-        """The entry kernels that it calls, which must be loaded before it is."""
+        """The entry kernels that it calls, which must be loaded before it."""
         return entries_of(self.parts)
 
     @property
     def size(self) -> int:
-        """Bytes of Python's code that become its machine code: the time to compile it grows with
-        these.
+        """Bytes of the Python bytecode that becomes its machine code; the time to compile it
+        grows with this.
         """
         return sum(len(each.__code__.co_code) for each in self.parts if not isinstance(each, Entry))
 
     def offer(self) -> None:
-        """Compile it, unless that is done or somebody is at it."""
+        """Compile the kernel, unless it is stored already or another process compiles it."""
         if self.stored:
             return
         load(self.callees)
@@ -111,19 +120,21 @@ class Entry:
 
     @property
     def loaded(self) -> bool:
-        """Whether this process has it."""
+        """True if this process has loaded it."""
         return self._ready is not None
 
     @property
     def stored(self) -> bool:
-        """Whether the folder of compiled kernels has it."""
+        """True if the folder of compiled kernels holds it."""
         module, name = self.name.split(".")[-2:]
         return any(KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbi"))
 
     def _compile(self) -> None:
+        """Compile the kernel, or load it from the folder of compiled kernels."""
         ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(
             self.__wrapped__
         )
+        # Publish the address under the kernel's name, by which compiled callers link to it.
         (compiled,) = ready.overloads.values()
         llvm.add_symbol(
             self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
@@ -132,8 +143,9 @@ class Entry:
 
 
 def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> None:
-    """Have compiled code call an ``entry`` kernel by its name, at which its address stands once it
-    is ready.
+    """Register an ``entry`` kernel with Numba, so that compiled code calls it by its name.
+
+    The name is a symbol that ``Entry._compile`` sets to the address of the machine code.
     """
     call = signature(result or types.none, *arguments)
 
@@ -147,7 +159,8 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
 
     @lower_builtin(entry, *arguments)
     def _call(context: Any, builder: Any, sig: Any, values: Any) -> Any:
-        entry.ready  # noqa: B018 (what is not known by name when its caller is loaded would end the process)
+        entry.ready  # noqa: B018 (a caller that is loaded before the symbol is known ends the process)
+        # Call the symbol by Numba's convention, and pass errors of the callee on.
         kind = context.call_conv.get_function_type(sig.return_type, sig.args)
         function = cgutils.get_or_insert_function(builder.module, kind, entry.name)
         status, value = context.call_conv.call_function(
@@ -159,25 +172,27 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
 
 
 class Choice:
-    """A helper with one body for each kind of record that it is called with, chosen when its caller
-    is compiled.
+    """A helper with several bodies, of which one is chosen by the types of the records that it is
+    called with, when its caller is compiled.
+
+    It is multiple dispatch at compile time: ``@choice.case(RecordType)`` adds a body.
     """
 
     __name__: str
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        """Take name and meaning from a Python ``function``, whose body is never run."""
+        """Take name and docstring from a Python ``function``, whose body is never run."""
         update_wrapper(self, function)
         self._cases: dict[frozenset[type], Any] = {}
         let_kernels_choose(self)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the body for records of these types as it stands, where Numba is switched off."""
+        """Run the body for arguments of these types in Python, if Numba is switched off."""
         return self.chosen([type(each) for each in arguments])(*arguments)
 
     def case(self, *records: type) -> Callable[[Callable[..., Any]], Any]:
-        """Decorator: the body for calls that have all of these ``records`` among their arguments;
-        others may follow.
+        """Return a decorator that adds the body for calls that have all of these ``records``
+        among their arguments; other arguments are free.
         """
 
         def _add(body: Callable[..., Any]) -> Any:
@@ -195,8 +210,9 @@ class Choice:
         """Return the body of the case that names the most of the types ``given``, which are Numba's
         or Python's.
 
-        TypeError where two cases name as many.
+        Raises TypeError if two cases name as many.
         """
+        # Numba's type of a NamedTuple knows its class.
         kinds = {getattr(each, "instance_class", each) for each in given}
         *others, best = sorted((case for case in self._cases if case <= kinds), key=len)
         if others and len(others[-1]) == len(best):
@@ -207,7 +223,9 @@ class Choice:
 
 
 def let_kernels_choose(choice: Choice) -> None:
-    """Have compiled code that calls a ``choice`` call the body for the types of its arguments."""
+    """Register a ``choice`` with Numba, so that compiled code that calls it calls the body for
+    the types of the arguments.
+    """
 
     def _body(given: Any) -> Any:
         return types.Dispatcher(choice.chosen(given))
@@ -218,6 +236,7 @@ def let_kernels_choose(choice: Choice) -> None:
     def _key(_: Any, called: Any) -> Any:
         return _body(called.args).get_impl_key(called)
 
+    # Numba types the call, and looks its code up, as a call of the chosen body.
     template = type(
         "Chosen", (AbstractTemplate,), {"key": choice, "generic": _generic, "get_impl_key": _key}
     )
@@ -225,15 +244,17 @@ def let_kernels_choose(choice: Choice) -> None:
 
 
 def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
-    """Add to ``found`` a function, all helpers that it reaches by calls, and entry kernels that any
-    of them calls.
+    """Add to ``found`` a function, all helpers that it reaches by calls, and the entry kernels
+    that any of them calls.
     """
     found[function] = None
     for name in names_in(function.__code__):
         each = function.__globals__.get(name)
+        # An entry kernel is compiled by itself: its helpers are not parts of the caller.
         if isinstance(each, Entry):
             found[each] = None
             continue
+        # Any body of a choice may become a part.
         for body in each.bodies if isinstance(each, Choice) else ():
             part = getattr(body, "py_func", body)
             if part not in found:
@@ -244,7 +265,7 @@ def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
 
 
 def names_in(code: CodeType) -> Iterator[str]:
-    """The global names that code uses, and the code within it."""
+    """Yield the global names that ``code`` and the code objects within it use."""
     yield from code.co_names
     for each in code.co_consts:
         if isinstance(each, CodeType):
@@ -254,12 +275,15 @@ def names_in(code: CodeType) -> Iterator[str]:
 def kernel(
     signature: Any = None, exact: bool = False, any_order: bool = False, inline: bool = False
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compile with the house's options.
+    """Return a decorator that compiles a function by Numba with the options of this project.
 
-    Without a signature the function is a helper, compiled where it is called; with one it is an
-    ``Entry``. What is ``exact`` gives the same bits wherever it is inlined: no product is fused
-    with a sum. Sums in ``any_order`` fill vectors: their bits belong to the processor, and to
-    nothing else. What is ``inline`` becomes part of its callers however long it is.
+    Without a ``signature`` the function is a helper, compiled as a part of its callers; with one it
+    is an ``Entry``.
+
+    - ``exact``: give the same bits wherever it is inlined, by not fusing products with sums.
+    - ``any_order``: let sums be reordered to fill vectors, so that their last bits depend on the
+      processor.
+    - ``inline``: inline it into its callers, however long it is.
     """
     if exact:
         fastmath = EXACT
@@ -267,12 +291,14 @@ def kernel(
         fastmath = ANY_ORDER
     else:
         fastmath = FASTMATH
+    # ``nogil`` lets threads run side by side; NumPy's error model divides by zero without a test.
     options = {
         "nogil": True,
         "error_model": "numpy",
         "fastmath": fastmath,
         "pipeline_class": Compiler,
     }
+    # Without Numba, for debugging, kernels are plain Python functions.
     if numba.config.DISABLE_JIT:
         return lambda function: function
     if signature is None:
@@ -281,24 +307,25 @@ def kernel(
 
 
 def helper(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """Numba's dispatcher of a helper. What compiled code calls is without wrappers, which take a
-    quarter of the time.
+    """Return Numba's dispatcher of a helper, without wrappers for calls from Python, which take a
+    quarter of the time to compile.
 
-    A twin that has them is compiled where Python calls it, as tests do.
+    A twin with wrappers is compiled if Python calls the helper, as tests do.
     """
     twin = njit(**options)(function)
     dispatcher = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+    # Python jumps to the wrappers of the twin; the dispatcher serves compiled callers alone.
     twin._insert, dispatcher._insert = (
         dispatcher._insert,
         lambda *_: None,
-    )  # Python jumps to wrappers: to the twin's
+    )
     dispatcher._compile_for_args = twin._compile_for_args
     return dispatcher
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: a function for kernels and for Python alike, which runs it as it stands and
-    compiles nothing.
+    """Mark a function that kernels and Python share: kernels compile it,
+    Python runs it as it stands.
     """
     if numba.config.DISABLE_JIT:
         return function
@@ -306,13 +333,13 @@ def plain(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def record(cls: type, *members: Any) -> Any:
-    """Numba's type of the NamedTuple ``cls`` whose members have the types ``members``."""
+    """Return Numba's type of the NamedTuple ``cls`` whose members have the types ``members``."""
     return types.BaseTuple.from_types(members, cls)
 
 
 def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
-    """Have ``kernels`` in this process, which compiles those that it must. Ends between two once
-    ``stopped`` is set.
+    """Load ``kernels`` into this process, and compile those that are not stored; stop between
+    two kernels once ``stopped`` is set.
     """
     for entry in entries_of(kernels):
         if stopped is None or not stopped.is_set():
@@ -320,7 +347,7 @@ def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None
 
 
 def entries_of(kernels: Iterable[Any]) -> list[Entry]:
-    """The entry kernels among ``kernels``; none where Numba is switched off: they are plain
-    functions then.
+    """Return the entry kernels among ``kernels``; none if Numba is switched off, as all are
+    plain functions then.
     """
     return [kernel for kernel in kernels if isinstance(kernel, Entry)]

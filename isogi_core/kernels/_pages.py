@@ -1,5 +1,5 @@
-"""A bound of the pages of files in a process's memory, kept by a thread that never waits for the
-interpreter.
+"""A limit on the memory that pages of mapped files take,
+kept by a thread that never waits for the interpreter.
 """
 
 import ctypes
@@ -13,16 +13,16 @@ from numba import types
 from isogi_core.kernels._jit import INTEGER_ARRAY, kernel
 
 MICROSECONDS = 1000
-"""Between two looks at how much is resident."""
+"""Microseconds between two checks of resident memory."""
 
 RELEASE_BYTES = 1 << 24
-"""Bytes of addresses that are let go of in one step."""
+"""Bytes of addresses that are released in one step."""
 
 LIBRARY_BYTES = 1 << 25
-"""Bytes of files that a process may still load besides."""
+"""Bytes of other files, such as libraries, that a process may still load."""
 
 STATM_BYTES = 256
-"""Bytes that a line of /proc/self/statm fits into."""
+"""Size of a buffer for a line of /proc/self/statm."""
 
 NEVER_NEEDED = getattr(mmap, "MADV_DONTNEED", 4)
 SPACE_CODE = ord(" ")
@@ -34,7 +34,7 @@ C_TYPES = {types.int32: ctypes.c_int32, types.int64: ctypes.c_int64, types.uint3
 
 
 def system_function(name: str, result: Any, *arguments: Any) -> Any:
-    """A function of the C library, for kernels; addresses are int64."""
+    """Return a function of the C library for kernels; addresses are int64."""
     if not numba.config.DISABLE_JIT:
         return types.ExternalFunction(name, result(*arguments))
     found = getattr(ctypes.CDLL(None), name)
@@ -52,8 +52,8 @@ unlock_mutex = system_function("pthread_mutex_unlock", types.int32, types.int64)
 
 @kernel()
 def resident(status, line):
-    """Bytes of files in memory: the third number in the open file ``status``, read into ``line``
-    (uint8).
+    """Return the bytes of files in memory: the third number in the open file ``status``
+    (/proc/self/statm), read into ``line`` (uint8).
     """
     count = pread(status, line.ctypes.data, line.size, 0)
     field = 0
@@ -67,16 +67,17 @@ def resident(status, line):
 
 
 @kernel()
-def let_go(status, line, enough, table, row, start):
-    """Let go of pages from byte ``start`` of mapping ``row`` on, until ``enough`` bytes or fewer
-    are resident.
+def release_pages(status, line, enough, table, row, start):
+    """Release pages from byte ``start`` of mapping ``row`` on, until at most ``enough`` bytes are
+    resident.
 
-    Each mapping has its turn once at most. Returns where to go on, row and byte, and whether all
-    pages were let go of.
+    Each byte is released once at most. Returns the row and the byte to go on from, and True if all
+    pages were released.
     """
     total = table[:, 1].sum()
     done = 0
     while done < total and resident(status, line) > enough:
+        # Go on to the next mapping at the end of one.
         while start >= table[row, 1]:
             row = (row + 1) % table.shape[0]
             start = 0
@@ -89,14 +90,16 @@ def let_go(status, line, enough, table, row, start):
 
 @kernel(types.void(types.int32, INTEGER_ARRAY, types.int64[:, ::1], INTEGER_ARRAY))
 def bound_pages(status, bounds, table, mutex):
-    """Let go of mappings' pages when more than ``bounds[0]`` bytes are resident, down to
-    ``bounds[1]``, until it is 0.
+    """Keep pages of mapped files in bounds, until ``bounds[0]`` is 0: if more than ``bounds[0]``
+    bytes are resident, release pages down to ``bounds[1]``.
 
-    ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros where there is
-    none; it changes under the ``mutex`` alone, which is the memory of one of the C library. Pages
-    are let go of whether they are in use or not: what is needed again is still in the system's
-    cache. Other files do not count, such as libraries: the ``bounds[2]`` bytes resident at first,
-    and LIBRARY_BYTES more at most, by an eighth of what is left once all is let go.
+    ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros for a free entry;
+    it is changed only under ``mutex``, which is the memory of a pthread mutex. Pages in use are
+    released too: those needed again are still in the system's cache. ``status`` is the open file
+    /proc/self/statm.
+
+    Other files, such as libraries, do not count: the ``bounds[2]`` bytes resident at first, and up
+    to LIBRARY_BYTES more.
     """
     line = np.empty(STATM_BYTES, np.uint8)
     row = 0
@@ -106,8 +109,12 @@ def bound_pages(status, bounds, table, mutex):
         usleep(MICROSECONDS)
         if resident(status, line) > others + bounds[0]:
             lock_mutex(mutex.ctypes.data)
-            row, start, bare = let_go(status, line, others + bounds[1], table, row, start)
+            row, start, all_released = release_pages(
+                status, line, others + bounds[1], table, row, start
+            )
             unlock_mutex(mutex.ctypes.data)
-            if bare:
+            # Bytes left after everything was released belong to other files: approach them by an
+            # eighth.
+            if all_released:
                 left = resident(status, line)
                 others = min(others + (left - others) // 8, bounds[2] + LIBRARY_BYTES)

@@ -119,7 +119,7 @@ def test_callees_come_before_their_callers():
 def test_progress_counts_what_the_machine_lacked(monkeypatch):
     stored = {LEAF}
     monkeypatch.setattr(_jit.Entry, "stored", property(lambda entry: entry in stored))
-    monkeypatch.setattr(_compilation, "compile_beside", lambda names, *_: stored.add(BRANCH))
+    monkeypatch.setattr(_compilation, "compile_in_processes", lambda names, *_: stored.add(BRANCH))
     work = Compilation([BRANCH], [ROOT])
     stopped = threading.Event()
     assert work.progress([ROOT]) == KernelProgress(0, 2, None)

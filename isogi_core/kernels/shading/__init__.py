@@ -1,3 +1,3 @@
-"""Shading: from the light of texels to pixels: lattice, chunks, interpolation, local models,
-framebuffer.
+"""Shading: from the light of texels to pixels: lattice, chunks, interpolation,
+local models, framebuffer.
 """

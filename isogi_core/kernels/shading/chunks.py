@@ -1,5 +1,9 @@
-"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers the texels that
-it reads.
+"""The chunks that a view touches, and the numbering of the texels that it reads.
+
+A view numbers its texels 0 … m - 1, chunk by chunk and row by row, rows along x: ``touch_chunks``
+finds the chunks, ``mark_texels`` sets a bit for each texel that a point reads, and ``find_corners``
+turns the bits into numbers. A place is the slot of the texel's chunk times the texels of a chunk,
+plus the offset in the chunk.
 """
 
 from typing import Any, NamedTuple
@@ -25,15 +29,17 @@ WORD_ARRAY = types.uint32[::1]
 
 @kernel()
 def within(place, bits):
-    """The last ``bits`` of a ``place``: where in its chunk a texel is, along one axis or counted
-    through.
+    """Return the last ``bits`` of a ``place``: the position of a texel in its chunk, along one
+    axis or as an offset.
     """
     return np.int64(place) & ((1 << bits) - 1)
 
 
 @kernel()
 def borders(z, y, x, bits):
-    """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) a texel is the last of its chunk."""
+    """Return the axes along which a texel is the last of its chunk:
+    bit 0 is x, bit 1 y, bit 2 z.
+    """
     last = (1 << bits) - 1
     return (
         int(within(x, bits) == last)
@@ -44,21 +50,23 @@ def borders(z, y, x, bits):
 
 @kernel()
 def even_corner(z, y, x):
-    """The corner whose indices are all even of the cell whose lowest texel is this; that of odd
-    ones is opposite.
+    """Return the corner with all indices even, of the cell whose lowest texel is (z, y, x); the
+    corner with all indices odd is the opposite one.
     """
     return np.int64(x & 1 | (y & 1) << 1 | (z & 1) << 2)
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, types.boolean, types.boolean[:, :, ::1]))
 def touch_chunks(lattice, points, coarse, touched):
-    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or
-    ``coarse`` texels.
+    """Set ``touched`` (chunks z, y, x) for each chunk that the ``points`` (m, 3) read: all
+    eight texels of a point's cell, or the two ``coarse`` ones.
     """
     bits = lattice.bits
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         k, j, i = np.int64(z) >> bits, np.int64(y) >> bits, np.int64(x) >> bits
+        # A corner lies in the next chunk along an axis if the cell's lowest texel is its chunk's
+        # last.
         crossed = borders(z, y, x, bits)
         if coarse:
             even = even_corner(z, y, x)
@@ -74,16 +82,15 @@ def touch_chunks(lattice, points, coarse, touched):
 
 @kernel()
 def row_of(slots, bits, z, y, x):
-    """Place of a texel's row along x, among the rows of all touched chunks."""
+    """Return the number of a texel's row along x, among the rows of all touched chunks."""
     slot = np.int64(slots[z >> bits, y >> bits, x >> bits])
     return (slot << 2 * bits) + (within(z, bits) << bits) + within(y, bits)
 
 
 @kernel()
 def rows_around(slots, bits, z, y, x):
-    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are
-    in that.
-    """
+    """Return ``row_of`` the four rows of a lattice cell, y faster than z."""
+    # If all four lie in one chunk, one look-up gives them all.
     r = row_of(slots, bits, z, y, x)
     last = (1 << bits) - 1
     if within(z, bits) < last and within(y, bits) < last:
@@ -98,17 +105,19 @@ def rows_around(slots, bits, z, y, x):
 
 @kernel()
 def row_of_corner(slots, bits, z, y, x, c):
-    """``row_of`` corner ``c`` of a lattice cell, and the corner's place in that row."""
+    """Return ``row_of`` corner ``c`` of a lattice cell, and the corner's place in that row."""
     x += np.uint32(c & 1)
     return row_of(slots, bits, z + np.uint32(c >> 2), y + np.uint32(c >> 1 & 1), x), within(x, bits)
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, types.boolean, SLOTS, WORD_ARRAY))
 def mark_texels(lattice, points, coarse, slots, read):
-    """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
+    """Set in ``read`` (slots · rows,) the bit of each texel that the ``points`` read, one word per
+    row.
 
-    They are all eight of its cell, or the two ``coarse`` ones: see ``find_coarse_corners``.
-    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
+    These are all eight texels of a point's cell, or the two ``coarse`` ones: see
+    ``find_coarse_corners``. ``slots`` (z, y, x) numbers the touched chunks. Each thread needs its
+    separate ``read``.
     """
     bits = lattice.bits
     last = (1 << bits) - 1
@@ -120,6 +129,8 @@ def mark_texels(lattice, points, coarse, slots, read):
                 r, i = row_of_corner(slots, bits, z, y, x, c)
                 read[r] |= np.uint32(1) << np.uint32(i)
             continue
+        # Set the bits of two neighbours along x in each of the four rows; the second may be in the
+        # next chunk.
         i = within(x, bits)
         for r in rows_around(slots, bits, z, y, x):
             read[r] |= np.uint32((3 if i < last else 1) << i)
@@ -130,8 +141,8 @@ def mark_texels(lattice, points, coarse, slots, read):
 
 @kernel()
 def ones(word):
-    """Bits that are set in a ``word`` of 32; sums of pairs of bits, then of fours, of bytes, and of
-    all.
+    """Return the number of bits that are set in a 32-bit ``word``: sums of pairs of bits, of
+    fours, of bytes, and of all (Warren, "Hacker's Delight", section 5-1).
     """
     pairs = word - (word >> np.uint32(1) & np.uint32(0x55555555))
     fours = (pairs & np.uint32(0x33333333)) + (pairs >> np.uint32(2) & np.uint32(0x33333333))
@@ -143,27 +154,30 @@ def ones(word):
 
 @kernel()
 def number_in_row(read, first, r, i):
-    """The view's own number of the texel at place ``i`` of row ``r``, or of the next one there that
-    it reads.
+    """Return the view's number of the texel at place ``i`` of row ``r``, or of the next one
+    that it reads there.
     """
     return first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_corners(lattice, points, slots, read, first, corners):
-    """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
+    """Fill ``corners`` (points, 8), x fastest, with the view's numbers of the texels around each
+    point.
 
-    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots ·
-    rows,) is the number of each row's first.
+    ``read`` is as ``mark_texels`` left it; ``first`` (slots · rows,) is the number of each row's
+    first texel.
     """
     bits = lattice.bits
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = within(x, bits)
+        # Two neighbours along x in one row have consecutive numbers.
         for c, r in enumerate(rows_around(slots, bits, z, y, x)):
             number = number_in_row(read, first, r, i)
             corners[m, 2 * c] = number
             corners[m, 2 * c + 1] = number + 1
+        # Replace the second if it is the first texel of a row in the next chunk.
         if i == (1 << bits) - 1:
             for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):
                 corners[m, 2 * c + 1] = first[r]
@@ -171,27 +185,31 @@ def find_corners(lattice, points, slots, read, first, corners):
 
 @kernel()
 def is_nearer(c, corner):
-    """Whether corner ``c`` of a cell is nearer to this ``corner`` than to that opposite to it."""
-    apart = c ^ corner
-    return (apart & 1) + (apart >> 1 & 1) + (apart >> 2) < 2
+    """Return True if corner ``c`` of a cell is nearer to this ``corner`` than
+    to the opposite one.
+    """
+    differing = c ^ corner
+    return (differing & 1) + (differing >> 1 & 1) + (differing >> 2) < 2
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_coarse_corners(lattice, points, slots, read, first, corners):
-    """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for
-    all.
+    """Fill ``corners`` for a view that reads the lattice coarsely: two texels of each cell stand
+    for all eight.
 
-    They are the corners whose indices are all even or all odd (``view_texels.first_texels``), each
-    for the four corners that are nearer to it.
+    They are the corners whose indices are all even or all odd (``view_texels.first_texels``); each
+    stands for the four corners that are nearer to it. Arguments are as in ``find_corners``.
     """
     bits = lattice.bits
     numbers = np.empty(2, np.uint32)
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         even = even_corner(z, y, x)
+        # Number the two texels of the cell that are read.
         for n, c in enumerate((even, 7 - even)):
             r, i = row_of_corner(slots, bits, z, y, x, c)
             numbers[n] = number_in_row(read, first, r, i)
+        # Let each of them stand for the corners near it.
         for c in range(8):
             if is_nearer(c, even):
                 corners[m, c] = numbers[0]
@@ -201,11 +219,11 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
 
 @kernel(types.void(LATTICE, types.int64, types.int64, WORD_ARRAY, PLACE_ARRAY, PLACE_ARRAY))
 def find_places(lattice, begin, end, read, first, places):
-    """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are.
-
-    A place is that of its chunk among the slots times the texels of a chunk, and the offset in it.
+    """Write the places of the texels in rows ``begin`` to ``end`` to ``places`` (texels,),
+    by their numbers.
     """
     for r in range(begin, end):
+        # Visit the set bits of the row's word from its lowest on.
         word = int(read[r])
         place = r << lattice.bits
         number = first[r]
@@ -219,7 +237,9 @@ def find_places(lattice, begin, end, read, first, places):
 
 @kernel()
 def visible_error(framebuffer, pixel):
-    """(luminance · error)² of a pixel, which is how wrong it looks; 0 where it is final."""
+    """Return (luminance · error)² of a ``pixel``, the squared error as it is seen;
+    0 if the pixel is final.
+    """
     if framebuffer.state[pixel] == FINAL:
         return 0.0
     light = (
@@ -232,7 +252,7 @@ def visible_error(framebuffer, pixel):
 
 @kernel()
 def is_new(places, corners, m, c, bits):
-    """Whether the chunk of corner ``c`` of point ``m`` is not that of one before."""
+    """Return True if no corner before ``c`` of point ``m`` lies in the chunk of corner ``c``."""
     for d in range(c):
         if places[corners[m, d]] >> bits == places[corners[m, c]] >> bits:
             return False
@@ -254,26 +274,32 @@ def is_new(places, corners, m, c, bits):
 def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
     """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
 
-    It counts twice in the middle of the picture, and once in its corners.
+    The error counts twice in the middle of the picture and once in its corners, so that the middle
+    is baked first.
     """
     bits = 3 * lattice.bits
     for m in range(corners.shape[0]):
-        wrong = visible_error(framebuffer, pixels[m])
-        if wrong == 0.0:
+        error = visible_error(framebuffer, pixels[m])
+        if error == 0.0:
             continue
         y, x = divmod(np.int64(pixels[m]), width)
-        wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        # The weight of a pixel is 2 in the middle, and falls by half the squared distance on each
+        # axis.
+        error *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        # Add it once for each different chunk of the eight corners; if the opposite corners 0 and 7
+        # lie in one chunk, all do.
         first = places[corners[m, 0]] >> bits
-        weight[first] += wrong
-        if places[corners[m, 7]] >> bits != first:  # opposite corners
+        weight[first] += error
+        if places[corners[m, 7]] >> bits != first:
             for c in range(1, 8):
                 if is_new(places, corners, m, c, bits):
-                    weight[places[corners[m, c]] >> bits] += wrong
+                    weight[places[corners[m, c]] >> bits] += error
 
 
 class Pages(NamedTuple):
-    """Where a pool keeps light: the ``table`` (slots, texels of a chunk) of rows, int32, and of
-    each row its relative ``error`` and its ``stamp``, float32, which says how far it is baked.
+    """The memory in which a pool keeps light: the ``table`` (slots, texels of a chunk) int32 of
+    rows, and for each row its relative ``error`` and its ``stamp`` of how far it is baked,
+    float32.
     """
 
     table: Any
@@ -288,11 +314,12 @@ PAGES = record(Pages, types.int32[:, ::1], SINGLE_ARRAY, SINGLE_ARRAY)
     types.void(LATTICE, PLACE_ARRAY, COUNT_ARRAY, PAGES, COUNT_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY)
 )
 def find_rows(lattice, places, slots, pages, rows, error, stamp):
-    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs
-    (texels,).
+    """Fill ``rows``, ``error`` and ``stamp`` (texels,) of the texels at ``places`` from the
+    ``pages`` of a pool.
 
-    ``slots`` (chunks of the view,) leads to the pages' table, -1 where a chunk is absent; texels
-    without light get UNLIT_ROW, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
+    ``slots`` (chunks of the view,) are the slots of chunks in the pages' table, -1 if a chunk is
+    absent. Texels without light get UNLIT_ROW, VOID_ROW or BURIED_ROW as their row and their stamp,
+    and no error.
     """
     bits = 3 * lattice.bits
     for t in range(places.shape[0]):
@@ -308,12 +335,13 @@ def find_rows(lattice, places, slots, pages, rows, error, stamp):
 
 @kernel(types.void(LATTICE, POINT_ROWS, CORNER_ROWS, types.float64[::1]))
 def add_footprints(lattice, points, corners, seen):
-    """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points,
-    8), x fastest.
+    """Add to ``seen`` (texels,) the squared weights of each texel in the ``points``; ``corners``
+    (points, 8), x fastest.
 
-    Shares are those of ``carry_light`` where all texels hold light: their noises are independent,
-    and so a point's variance is the sum of w² times theirs. Where ``carry_ratios`` weighs them by
-    normals too they are near enough, as footprints say what to bake first and no more.
+    Weights are trilinear, as in ``carry_light`` if all texels hold light. Noises of texels are
+    independent, so that the variance of a point is the sum of w² times theirs. For
+    ``carry_ratios``, which weighs by normals too, this is an approximation, but footprints only
+    decide the order of bakes.
     """
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)

@@ -1,5 +1,5 @@
-"""Edges of a picture: where neighbours differ, and the light of samples between the middles of
-pixels.
+"""Edges of a picture: the contrast of neighbouring pixels, and the light of samples between the
+middles of pixels.
 """
 
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 
 NEAR_CENTRE = np.float32(0.1**2)
-"""Squared distance, in pixels, within which a sample is as good as at a pixel's middle."""
+"""Squared distance, in pixels, within which a sample counts as lying at the middle of a pixel."""
 
 HALF_F32 = np.float32(0.5)
 ZERO_F32 = np.float32(0.0)
@@ -18,16 +18,17 @@ ZERO_F32 = np.float32(0.0)
 
 @kernel(types.void(types.uint8[:, :, ::1], types.uint8[:, ::1], types.uint8[:, ::1]))
 def find_contrasts(picture, state, contrast):
-    """Fill ``contrast`` (h, w) uint8 with how much a pixel of ``picture`` (h, w, 3) differs from
-    one of its neighbours.
+    """Fill ``contrast`` (h, w) uint8 with the largest difference of each pixel of ``picture`` (h,
+    w, 3) from one of its eight neighbours.
 
-    It is 255 where the surface is seen in one of two alone, by ``state`` (h, w); 0 between two that
-    are off it.
+    It is 255 next to a silhouette, which is between pixels of which only one shows the surface by
+    ``state`` (h, w), and 0 between two that show none.
     """
     height, width = state.shape
     contrast[:] = 0
     for y in range(height):
         for x in range(width):
+            # Visit each pair of neighbours once, and raise the contrast of both.
             for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 v, u = y + down, x + right
                 if v < height and 0 <= u < width:
@@ -40,7 +41,9 @@ def find_contrasts(picture, state, contrast):
 
 @kernel()
 def difference(picture, state, one, other):
-    """How much two pixels differ, of 255 steps."""
+    """Return the largest difference of two pixels, ``one`` and ``other`` (y, x), over the
+    channels, in 255 steps.
+    """
     if (state[one] > 0) != (state[other] > 0):
         return np.uint8(255)
     most = 0
@@ -53,10 +56,16 @@ def difference(picture, state, one, other):
 
 
 class Shown(NamedTuple):
-    """A picture: ``rows`` (h, w) int32 of the surface points that pixels show, -1 off it, those
-    ``points`` (m, 3), in index space, and linear ``radiance`` (h · w, 3), all float32 else.
-    ``spacing`` makes index space the world's; the ``eye`` is in index space, and ``fine`` is the
-    inverse square of a pixel's side at distance 1.
+    """A picture whose light is read between its pixels.
+
+    - ``rows`` (h, w) int32: number of the surface point that a pixel shows, -1 if none.
+    - ``points`` (m, 3): these points in index space.
+    - ``radiance`` (h · w, 3): linear RGB.
+    - ``spacing``: world units per voxel along x, y, z.
+    - ``eye``: in index space.
+    - ``fine``: inverse square of a pixel's side at distance 1.
+
+    All but ``rows`` are float32.
     """
 
     rows: Any
@@ -80,7 +89,9 @@ SHOWN_RECORD = record(
 
 @kernel()
 def squared_distance(spacing, points, m, place):
-    """The squared distance of row ``m`` of ``points`` from ``place`` in the world."""
+    """Return the squared world distance of row ``m`` of ``points`` from ``place``,
+    both in index space.
+    """
     x = spacing[0] * (points[m, 0] - place[0])
     y = spacing[1] * (points[m, 1] - place[1])
     z = spacing[2] * (points[m, 2] - place[2])
@@ -89,10 +100,12 @@ def squared_distance(spacing, points, m, place):
 
 @kernel()
 def add_pixel(shown, x, y, sample, unit, total):
-    """Add the light of pixel (x, y), if it shows the surface, to a ``total`` of r, g, b and weight.
+    """Return ``total`` = (r, g, b, weight) plus the weighted light of pixel (x, y), if that shows
+    the surface.
 
-    ``sample`` is its points and its row there, ``unit`` the inverse squared side of a pixel at its
-    distance. Weights fall as the fourth power of the distance between the two points.
+    ``sample`` is (points, row): the point whose light is sought. ``unit`` is the inverse square of
+    a pixel's side at its distance. The weight is the inverse fourth power of the distance between
+    the pixel's point and the sample's, in pixels.
     """
     height, width = shown.rows.shape
     if x < 0 or y < 0 or x >= width or y >= height or shown.rows[y, x] < 0:
@@ -100,8 +113,9 @@ def add_pixel(shown, x, y, sample, unit, total):
     points, m = sample
     row = shown.rows[y, x]
     pixel = y * width + x
-    own = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
-    near = squared_distance(shown.spacing, points, m, own) * unit + NEAR_CENTRE
+    there = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
+    # Weigh the pixel by the distance of its point; NEAR_CENTRE keeps the weight finite.
+    near = squared_distance(shown.spacing, points, m, there) * unit + NEAR_CENTRE
     weight = np.float32(1.0) / (near * near)
     r, g, b, w = total
     light = shown.radiance
@@ -123,14 +137,15 @@ def add_pixel(shown, x, y, sample, unit, total):
     )
 )
 def borrow_light(shown, places, found, points, light):
-    """Fill rows ``found`` (k,) of ``light`` (n, 3) with that of surface ``points``, seen at
-    ``places`` (n, 2; x, y).
+    """Fill rows ``found`` (k,) of ``light`` (n, 3) with the light of surface ``points`` (k, 3),
+    seen at ``places`` (n, 2; x, y), from the pixels around.
 
-    It is that of the four pixels around, of those most that show the surface near the point; where
-    none of them shows it, of the ring around them.
+    It is the weighted mean of the four pixels around the place, or, if none of them shows the
+    surface, of the ring of twelve around these. Rows stay as they are if neither does.
     """
     for m in range(found.shape[0]):
         i = found[m]
+        # Measure distances in pixels at the depth of the point.
         unit = shown.fine / max(
             squared_distance(shown.spacing, points, m, shown.eye), np.float32(1e-30)
         )

@@ -1,12 +1,15 @@
-"""Filtering of light that converges: a texel of few paths takes over what its neighbours on the
-surface agree on.
+"""Filtering of converging light: texels of few samples are mixed with their neighbours on the
+surface.
 
-An à-trous filter (Dammertz and others 2010) over the texels of a view: each pass looks at the 3 × 3
-× 3 texels about one, the second at twice the distance. As between texels and pixels, direct light
-is filtered as a ratio to unshadowed light, Σ w D / Σ w U, and reflected light as it is. How far a
-texel follows is Wiener's (Lee 1980): where the neighbours differ by no more than their noise it
-follows them, where they differ by more it stays. A texel without light has that of its neighbours,
-with as much error as they differ by. Final light is left as it is.
+This is an à-trous filter (Dammertz et al. 2010) over the texels of a view: each pass reads the 3 ×
+3 × 3 texels around one, the second pass at twice the distance. Direct light is averaged as a ratio
+to unshadowed light, Σ w D / Σ w U, as between texels and pixels; reflected light is averaged as it
+is.
+
+The mix of a texel's light and the mean around it is Wiener's (Lee 1980): if the neighbours differ
+by no more than their noise explains, the mean replaces the light; the more they differ beyond it,
+the more of the texel's light is kept. A texel without light takes the mean, with the scatter of its
+neighbours as its error. Final light is not changed.
 """
 
 import math
@@ -39,27 +42,27 @@ from isogi_core.kernels.transport.transfer import TEXEL_PLACES
 
 PATHS_COLUMN = 14
 VARIANCE_COLUMN = 15
-"""Where a record has how many samples a texel took, and the variance of its own light's luminance,
-for filtering.
+"""Columns of a texel's record that the filter alone reads: the number of samples, and the
+variance of the luminance of the texel's light.
 """
 
 DISTANCE_WEIGHTS = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
-"""What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's
-width.
+"""Weight of a neighbour by its squared distance, 0 … 3, in steps: a Gaussian with a standard
+deviation of one step.
 """
 
 SHARED_VARIANCE_FACTOR = np.float32(27 / 8)
-"""How much more the variance that neighbours share counts in pixels than the variance of one
-texel's noise.
+"""Factor by which variance that neighbours share counts in pixels, relative to that of independent
+noise.
 
-Pixels mix eight texels with trilinear weights, whose squares sum up to (2/3)³ in the mean over a
-cell: to so little of a texel's own variance. What all of them took over from the same neighbours
-does not average out.
+Pixels mix eight texels with trilinear weights, the mean of whose sum of squares over a cell is
+(2/3)³ = 8/27: independent noise falls by this factor. Light that all eight took from the same
+neighbours does not average out, and therefore counts 27/8 times as much.
 """
 
-LENDS = np.float32(1e-4)
-"""What neighbours count together at least that lend their light: one next to it whose normal is 54°
-away does.
+MIN_LENDING_WEIGHT = np.float32(1e-4)
+"""Least total weight of the neighbours of a texel without light, for it to take their mean. One
+neighbour at distance 1 whose normal is 54° away reaches it.
 """
 
 ZERO_F32 = np.float32(0.0)
@@ -67,9 +70,11 @@ ONE_F32 = np.float32(1.0)
 
 
 class Numbering(NamedTuple):
-    """How a view numbers its texels: ``slots`` (chunks z, y, x) of the chunks it touches, -1
-    elsewhere, and of each row along x which of its texels are ``read``, a bit for each, and the
-    number of the ``first``; (slots · rows,).
+    """Numbers of the texels that a view reads: they are counted row by row, rows run along x.
+
+    ``slots`` (chunks z, y, x) numbers the chunks that the view touches, -1 elsewhere. ``read`` and
+    ``first`` (slots · rows,) hold, for each row of these chunks, a bit for each texel that the view
+    reads, and the number of the first of them.
     """
 
     slots: Any
@@ -82,15 +87,16 @@ NUMBERING = record(Numbering, SLOTS, WORD_ARRAY, WORD_ARRAY)
 
 @kernel()
 def row_at(numbering, bits, z, y, x):
-    """The row of the texel at (z, y, x); -1 in chunks that the view does not touch, and outside the
-    lattice.
+    """Return the row of the texel at (z, y, x); -1 in chunks that the view does not touch, and
+    outside the lattice.
     """
     slots = numbering.slots
+    # Negative indices wrap around to huge unsigned ones, so that one comparison tests both bounds.
     k, j, i = (
         np.uint64(z >> bits),
         np.uint64(y >> bits),
         np.uint64(x >> bits),
-    )  # what is negative becomes huge
+    )
     if (
         k >= np.uint64(slots.shape[0])
         or j >= np.uint64(slots.shape[1])
@@ -105,19 +111,22 @@ def row_at(numbering, bits, z, y, x):
 
 @kernel(inline=True)
 def number_of(numbering, row, place):
-    """The view's own number of the texel at a ``place`` in a row; -1 where it reads none there."""
+    """Return the view's number of the texel at ``place`` in a ``row``;
+    -1 if the view does not read it.
+    """
     row = np.uint64(row)
     word = np.uint32(numbering.read[row])
     if not word >> np.uint32(place) & np.uint32(1):
         return -1
+    # Its number is that of the row's first texel plus the number of set bits below its place.
     before = word & ((np.uint32(1) << np.uint32(place)) - np.uint32(1))
     return np.int64(numbering.first[row]) + np.int64(ones(before))
 
 
 @kernel(inline=True)
 def likeness(texels, t, s):
-    """What texel ``s`` counts for ``t`` by the cosine between their normals: its 16th power, half
-    at 17°.
+    """Return the weight of texel ``s`` for texel ``t`` by the cosine c between their normals:
+    c¹⁶, which is a half at 17°.
     """
     cosine = texels[t, NORMAL_COLUMN] * texels[s, NORMAL_COLUMN]
     cosine += (
@@ -130,13 +139,15 @@ def likeness(texels, t, s):
 
 @kernel()
 def neighbours_of(numbering, bits, texels, at, step, found, weights):
-    """Fill ``found`` (27,) with the lit texels about the one ``at`` (t, z, y, x), and what they
-    count in ``weights``.
+    """List in ``found`` (27,) the lit texels among the 3 × 3 × 3 around the one at ``at`` = (t, z,
+    y, x), a ``step`` apart, and their weights in ``weights``.
 
-    They are those of 3 × 3 × 3, a ``step`` apart. Returns how many there are, itself among them.
+    Weights are DISTANCE_WEIGHTS times ``likeness``. Returns the number of texels found, texel t
+    included if it is lit.
     """
     t, z, y, x = at
     count = 0
+    # If all three texels along x lie in one chunk, their row is looked up once.
     inside = step <= within(x, bits) < (1 << bits) - step
     for k in range(-1, 2):
         for j in range(-1, 2):
@@ -145,13 +156,14 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
                 continue
             for i in range(-1, 2):
                 if inside:
-                    own = row
+                    texel_row = row
                 else:
-                    own = row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
-                if own >= 0:
-                    number = number_of(numbering, own, within(x + i * step, bits))
+                    texel_row = row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
+                if texel_row >= 0:
+                    number = number_of(numbering, texel_row, within(x + i * step, bits))
                 else:
                     number = -1
+                # Count texels with light whose weight is not zero.
                 s = np.uint64(max(number, 0))
                 if number >= 0 and CONVERGING <= texels[s, GRADE_COLUMN] <= FINAL:
                     weight = DISTANCE_WEIGHTS[k * k + j * j + i * i] * likeness(texels, t, s)
@@ -164,26 +176,27 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
 
 @kernel()
 def mean_of(texels, found, weights, count):
-    """Neighbours' direct light over unshadowed light, their reflected light, and the variance of
-    both's luminance.
+    """Return the mean light of ``count`` neighbours: the ratio of direct to unshadowed light,
+    reflected light, and the variance of the luminance of both.
 
-    They count by their samples too.
+    Neighbours count by ``weights`` times their numbers of samples.
     """
-    direct = bare = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
+    direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
     total = MIN_LIGHT
     variance = ZERO_F32
     for n in range(np.uint64(count)):
         s = np.uint64(found[n])
+        # Sum direct, unshadowed and reflected light apart; weights enter the variance as squares.
         w = weights[n] * texels[s, PATHS_COLUMN]
         direct = (
             direct[0] + w * texels[s, 0],
             direct[1] + w * texels[s, 1],
             direct[2] + w * texels[s, 2],
         )
-        bare = (
-            bare[0] + w * texels[s, UNSHADOWED_COLUMN],
-            bare[1] + w * texels[s, UNSHADOWED_COLUMN + 1],
-            bare[2] + w * texels[s, UNSHADOWED_COLUMN + 2],
+        unshadowed = (
+            unshadowed[0] + w * texels[s, UNSHADOWED_COLUMN],
+            unshadowed[1] + w * texels[s, UNSHADOWED_COLUMN + 1],
+            unshadowed[2] + w * texels[s, UNSHADOWED_COLUMN + 2],
         )
         r = texels[s, REFLECTED_COLUMN]
         g = texels[s, REFLECTED_COLUMN + 1]
@@ -191,10 +204,11 @@ def mean_of(texels, found, weights, count):
         reflected = reflected[0] + w * r, reflected[1] + w * g, reflected[2] + w * b
         total = total + w
         variance = variance + w * w * texels[s, VARIANCE_COLUMN]
+    # Divide sums, and not texel by texel: texels with little unshadowed light count less.
     ratio = (
-        direct[0] / max(bare[0], MIN_LIGHT),
-        direct[1] / max(bare[1], MIN_LIGHT),
-        direct[2] / max(bare[2], MIN_LIGHT),
+        direct[0] / max(unshadowed[0], MIN_LIGHT),
+        direct[1] / max(unshadowed[1], MIN_LIGHT),
+        direct[2] / max(unshadowed[2], MIN_LIGHT),
     )
     return (
         ratio,
@@ -205,8 +219,8 @@ def mean_of(texels, found, weights, count):
 
 @kernel(inline=True)
 def expected(texels, s, ratio, reflected):
-    """The light of texel ``s`` by the ``ratio`` and the ``reflected`` light of its neighbours;
-    linear RGB, twice.
+    """Return direct and reflected light, linear RGB, of texel ``s`` if it had the mean
+    ``ratio`` and ``reflected`` light of its neighbours.
     """
     direct = (
         ratio[0] * texels[s, UNSHADOWED_COLUMN],
@@ -218,31 +232,34 @@ def expected(texels, s, ratio, reflected):
 
 @kernel()
 def differences(texels, found, weights, count, ratio, reflected):
-    """Sums over a texel's neighbours: of noise-free variance, of noise, and of what they count.
+    """Return weighted sums over a texel's neighbours: of the variance of their light beyond noise,
+    of their noise, and of the weights.
 
-    Variance is that of the luminance about what is ``expected``; what noise explains of it is taken
-    off. The noise is that of all of them, as a few paths may agree by chance and show none.
+    The variance is that of the luminance about the ``expected`` light; the part that noise explains
+    is subtracted. The noise is the mean over all neighbours, as a few paths may agree by chance and
+    show none.
     """
-    apart = ZERO_F32
+    scatter = ZERO_F32
     noise = ZERO_F32
     total = MIN_LIGHT
     for n in range(np.uint64(count)):
         s = np.uint64(found[n])
         w = weights[n]
         direct, around = expected(texels, s, ratio, reflected)
+        # Compare the luminance of the neighbour with that expected from the mean.
         r = texels[s, 0] + texels[s, REFLECTED_COLUMN] - direct[0] - around[0]
         g = texels[s, 1] + texels[s, REFLECTED_COLUMN + 1] - direct[1] - around[1]
         b = texels[s, 2] + texels[s, REFLECTED_COLUMN + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
-        apart = apart + w * difference * difference
+        scatter = scatter + w * difference * difference
         noise = noise + w * texels[s, VARIANCE_COLUMN]
         total = total + w
-    return max(apart - noise, ZERO_F32), noise, total
+    return max(scatter - noise, ZERO_F32), noise, total
 
 
 @kernel()
 def mean_paths(texels, found, weights, count):
-    """How many samples a texel's neighbours took, in the mean."""
+    """Return the weighted mean of the numbers of samples of a texel's neighbours."""
     paths = ZERO_F32
     total = MIN_LIGHT
     for n in range(np.uint64(count)):
@@ -259,13 +276,14 @@ def mean_paths(texels, found, weights, count):
     )
 )
 def filter_texels(numbering, bits, positions, first, step, texels, filtered):
-    """Write to ``filtered`` (texels, RECORD_LENGTH) the records ``texels``, from the ``first`` on
-    one for each position.
+    """Filter the records ``texels`` from number ``first`` on, one for each position, into
+    ``filtered`` (texels, RECORD_LENGTH).
 
-    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between
-    neighbours. Their VARIANCE_COLUMN is what is left of it, and NOISE_COLUMN the part of it that
-    pixels report. Those without light are CONVERGING once they have that of two neighbours, which
-    count LENDS at least.
+    ``positions`` (m, 3; z, y, x) are the lattice indices of those texels; ``step`` is the distance
+    between neighbours, in texels. In the output, VARIANCE_COLUMN is the variance after filtering,
+    and NOISE_COLUMN the standard error that pixels report, in which shared variance counts more
+    (see SHARED_VARIANCE_FACTOR). Texels without light become CONVERGING if at least two neighbours,
+    of total weight MIN_LENDING_WEIGHT or more, have light.
     """
     found = np.empty(27, np.uint32)
     weights = np.empty(27, np.float32)
@@ -273,39 +291,46 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         t = np.uint64(first + m)
         for c in range(RECORD_LENGTH):
             filtered[t, c] = texels[t, c]
+        # Leave final, void and buried texels as they are.
         unlit = texels[t, GRADE_COLUMN] == UNBAKED_GRADE
         if texels[t, GRADE_COLUMN] != CONVERGING and not unlit:
             continue
+        # Find the neighbours, their mean light, and how much they differ beyond their noise.
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
         count = neighbours_of(numbering, bits, texels, at, step, found, weights)
         if count < 2:
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
         signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
-        if unlit and total < LENDS:
+        if unlit and total < MIN_LENDING_WEIGHT:
             continue
+        # Wiener's weight of the texel's light: signal / (signal + noise).
         if unlit:
-            own = ZERO_F32
+            kept_share = ZERO_F32
         else:
-            own = signal / max(signal + noise, MIN_LIGHT)
+            kept_share = signal / max(signal + noise, MIN_LIGHT)
+        # Mix the texel's light with the light expected from its neighbours.
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
             filtered[t, DIRECT_COLUMN + c] = (
-                own * texels[t, DIRECT_COLUMN + c] + (ONE_F32 - own) * direct[c]
+                kept_share * texels[t, DIRECT_COLUMN + c] + (ONE_F32 - kept_share) * direct[c]
             )
             filtered[t, REFLECTED_COLUMN + c] = (
-                own * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - own) * around[c]
+                kept_share * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - kept_share) * around[c]
             )
+        # Add the variance that is left of the texel's light to that of the neighbours' mean.
         if unlit:
-            kept = signal / total
+            variance_left = signal / total
         else:
-            kept = own * (noise / total)
-        taken = (ONE_F32 - own) ** 2 * variance
+            variance_left = kept_share * (noise / total)
+        variance_taken = (ONE_F32 - kept_share) ** 2 * variance
         if unlit:
             filtered[t, GRADE_COLUMN] = CONVERGING
             filtered[t, PATHS_COLUMN] = mean_paths(texels, found, weights, count)
-        filtered[t, VARIANCE_COLUMN] = kept + taken
-        filtered[t, NOISE_COLUMN] = math.sqrt(kept + SHARED_VARIANCE_FACTOR * taken)
+        filtered[t, VARIANCE_COLUMN] = variance_left + variance_taken
+        filtered[t, NOISE_COLUMN] = math.sqrt(
+            variance_left + SHARED_VARIANCE_FACTOR * variance_taken
+        )
 
 
 @kernel(
@@ -314,9 +339,11 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     )
 )
 def take_filtered(records, noisy, grade, lit, graded, filtered):
-    """Fill ``filtered`` (texels, LIGHT_NUMBERS) with the light of the ``records`` where it is
-    ``noisy`` (texels,), or where there was none and now is; with ``lit`` elsewhere. ``graded``
-    (texels,) is ``grade``, in which the latter are CONVERGING.
+    """Fill ``filtered`` (texels, LIGHT_NUMBERS) with the light of the filtered ``records`` for
+    texels that are ``noisy`` (texels,) or newly lit, and with ``lit`` for the others.
+
+    ``graded`` (texels,) becomes ``grade``, but CONVERGING for texels that had no light and got some
+    from the filter.
     """
     for t in range(lit.shape[0]):
         new = grade[t] == UNBAKED_GRADE and records[t, GRADE_COLUMN] == CONVERGING
@@ -332,15 +359,16 @@ def take_filtered(records, noisy, grade, lit, graded, filtered):
 
 @kernel(types.void(CORNER_ROWS, GRADE_ARRAY, TEXEL_RECORDS, GRADE_ARRAY, TEXEL_RECORDS))
 def lend_texels(corners, grade, lit, graded, lent):
-    """Write to ``lent`` the light of texels without any: the mean of the others in a cell of
-    theirs, the last such.
+    """Give each texel without light the mean light of the lit texels in a cell around it; the last
+    such cell counts.
 
-    ``corners`` (cells, 8) number the texels of each cell, which have ``grade`` (texels,) and
-    ``lit`` (texels, values). ``graded`` and ``lent`` are copies of these; texels that are lent
-    light are CONVERGING there.
+    ``corners`` (cells, 8) number the texels of each cell; ``grade`` (texels,) and ``lit`` (texels,
+    values) are read. ``graded`` and ``lent`` start as copies of these; texels that get light become
+    CONVERGING there.
     """
     mean = np.empty(lit.shape[1], np.float32)
     for cell in corners:
+        # Average the lit corners of the cell.
         lenders = ZERO_F32
         unlit = False
         mean[:] = ZERO_F32
@@ -350,6 +378,7 @@ def lend_texels(corners, grade, lit, graded, lent):
                 lenders += ONE_F32
                 for c in range(mean.shape[0]):
                     mean[c] += lit[t, c]
+        # Write the mean to the corners without light.
         if unlit and lenders > ZERO_F32:
             for t in cell:
                 if grade[t] == UNBAKED_GRADE:

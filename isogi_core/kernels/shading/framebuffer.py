@@ -1,5 +1,5 @@
-"""The framebuffer: radiance, state and error of each pixel, and its way to the eight bits of a
-screen.
+"""The framebuffer: radiance, state and error of each pixel,
+and the tone curve to eight bits of sRGB.
 """
 
 import math
@@ -13,7 +13,7 @@ from isogi_core.kernels._jit import kernel, record
 PROVISIONAL = 1
 CONVERGING = 2
 FINAL = 3
-"""States of a pixel that shows the surface; 0 where none is seen."""
+"""States of a pixel that shows the surface; 0 if it shows none."""
 
 RED_LUMINANCE = np.float32(0.2126)
 GREEN_LUMINANCE = np.float32(0.7152)
@@ -21,8 +21,8 @@ BLUE_LUMINANCE = np.float32(0.0722)
 
 
 class Framebuffer(NamedTuple):
-    """``radiance`` float32 (pixels, 3) linear RGB, ``state`` uint8 (pixels,), relative ``error``
-    float32 (pixels,).
+    """The light of a picture: ``radiance`` float32 (pixels, 3) linear RGB, ``state`` uint8
+    (pixels,), relative ``error`` float32 (pixels,).
     """
 
     radiance: Any
@@ -35,13 +35,13 @@ FRAMEBUFFER = record(Framebuffer, types.float32[:, ::1], types.uint8[::1], types
 
 @kernel()
 def luminance(r, g, b):
-    """Relative luminance of linear RGB (ITU-R BT.709)."""
+    """Return the relative luminance of linear RGB (ITU-R BT.709)."""
     return RED_LUMINANCE * r + GREEN_LUMINANCE * g + BLUE_LUMINANCE * b
 
 
 @kernel()
 def put_pixel(framebuffer, pixel, light, state, error):
-    """Write one pixel; ``light`` is linear RGB."""
+    """Write ``light`` (linear RGB), ``state`` and ``error`` to one ``pixel``."""
     (
         framebuffer.radiance[pixel, 0],
         framebuffer.radiance[pixel, 1],
@@ -58,6 +58,7 @@ def tally(framebuffer, counts, sums):
     """
     for i in range(framebuffer.state.shape[0]):
         counts[framebuffer.state[i]] += 1
+        # Sum in float64: pictures have millions of pixels.
         if framebuffer.state[i]:
             light = np.float64(
                 luminance(
@@ -73,8 +74,8 @@ def tally(framebuffer, counts, sums):
 TONE_GAIN = 1.7
 TONE_TOE = 0.16
 TONE_SHOULDER = 0.6
-"""The tone curve: light below TONE_TOE is deepened, the rest has TONE_GAIN, and from TONE_SHOULDER
-on it is bent towards 1.
+"""The tone curve: light below TONE_TOE is darkened, the rest is multiplied by TONE_GAIN, and from
+TONE_SHOULDER on it is bent towards 1.
 
 Chosen by eye on ten volumes under sky, probes and studio: daylight leaves their shade near 0.15 and
 their sunlit sides near 0.65, which are shown as 0.12 and 0.81.
@@ -83,11 +84,12 @@ their sunlit sides near 0.65, which are shown as 0.12 and 0.81.
 
 @kernel()
 def tone(x):
-    """The tone curve: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER, then s + (1 - s)(1 -
-    exp(-(y - s)/(1 - s))).
+    """Return the tone curve at ``x`` ≥ 0: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER,
+    then s + (1 - s)(1 - exp(-(y - s)/(1 - s))).
 
-    It is 0 at 0, rises everywhere, has a continuous slope, and is never above 1.
+    It is 0 at 0, increases everywhere, has a continuous slope, and is never above 1.
     """
+    # Far above the toe the factor x/(x + TONE_TOE) is 1; without it, infinite light stays infinite.
     if x < 1e3:
         y = TONE_GAIN * x * (x / (x + TONE_TOE))
     else:
@@ -99,7 +101,7 @@ def tone(x):
 
 @kernel()
 def srgb(x):
-    """The sRGB transfer function (IEC 61966-2-1) of linear ``x`` in [0, 1]."""
+    """Return the sRGB transfer function (IEC 61966-2-1) of linear ``x`` in [0, 1]."""
     if x <= 0.0031308:
         return 12.92 * x
     return 1.055 * x ** (1.0 / 2.4) - 0.055
@@ -107,14 +109,14 @@ def srgb(x):
 
 @kernel()
 def stripe(x, y, period):
-    """Whether pixel (x, y) is on a diagonal stripe; half of each ``period`` is."""
+    """Return True if pixel (x, y) is on a diagonal stripe; half of each ``period`` is."""
     return (x + y) % period < period // 2
 
 
 @kernel()
 def mark(state, x, y):
-    """Opacity of the mark that the overlay draws over pixel (x, y): broad hatching provisional,
-    fine converging.
+    """Return the opacity of the overlay over pixel (x, y): broad hatching if it is provisional,
+    fine hatching if it converges.
     """
     if state == PROVISIONAL:
         return 0.55 if stripe(x, y, 12) else 0.15
@@ -125,8 +127,8 @@ def mark(state, x, y):
 
 @kernel()
 def place_on(top, light):
-    """The place of linear ``light`` on a curve from 0 to 1 that ends at ``top``; 0 for what is no
-    number.
+    """Return the index of linear ``light`` in a table over [0, 1] whose last index is ``top``;
+    0 if the light is not a number.
     """
     if not light > 0.0:
         return 0
@@ -149,13 +151,15 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
     """Fill ``picture`` (rows, w, 3) uint8 from linear ``radiance`` (rows, w, 3) and ``state``
     (rows, w).
 
-    Light times ``exposure`` goes through the tone curve on its largest channel, so that hues stay;
-    ``colours`` (2, 3) linear: the background and the overlay's mark; ``curve`` is sRGB as a table.
+    ``first`` is the number of the first row in the whole picture. ``colours`` (2, 3), linear, are
+    the background and the overlay's mark; ``curve`` is sRGB as a table of uint8.
     """
     rows, width = state.shape
     top = curve.shape[0] - 1
     for y in range(rows):
         for x in range(width):
+            # Apply the tone curve to the largest channel, and scale all by the same gain: hues
+            # stay.
             peak = exposure * np.float64(
                 max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2])
             )
@@ -172,6 +176,7 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
                     light = gain * radiance[y, x, c]
                 else:
                     light = colours[0, c]
+                # Blend the overlay over the light, and look the code up.
                 light = (1.0 - veil) * light + veil * colours[1, c]
                 picture[y, x, c] = curve[place_on(top, light)]
 

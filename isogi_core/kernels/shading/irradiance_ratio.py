@@ -1,9 +1,11 @@
-"""Irradiance ratios: texels' direct light over their unshadowed light, carried to the pixels.
+"""Irradiance ratios: texels' direct light over their unshadowed light, interpolated to the pixels.
 
-A pixel's direct light is Σ w D / Σ w U of its texels times its own unshadowed light, where D and U
-are a texel's direct and unshadowed light: what sees little of the light says little of shadows.
-Reflected light comes from surfaces and does not follow the light around: it is interpolated as it
-is. Where texels keep both as one, what they have beyond their unshadowed light is reflected.
+The direct light of a pixel is Σ w D / Σ w U times the pixel's unshadowed light, D and U being the
+direct and the unshadowed light of its texels. The ratio changes less from texel to texel than the
+light, which follows the normal. Texels that face away from the light have a small U, and so weigh
+little. Reflected light comes from surfaces and does not follow the environment: it is interpolated
+as it is. If texels keep both as one number, the excess over their unshadowed light counts as
+reflected.
 """
 
 import math
@@ -34,17 +36,15 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.kernels.shading.surface_points import POINT_ROWS, SURFACE_POINTS
 
 MIN_UNSHADOWED = 0.05
-"""Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay
-small.
-"""
+"""Least unshadowed light, as a share of the light's mean, so that ratios stay small."""
 
 LEAST_COSINE = np.float32(1e-3)
-"""Cosine between a texel's normal and a pixel's that weights count with at least: where all face
-away, all count.
+"""Least cosine between a texel's normal and a pixel's in weights:
+if all texels face away, all count.
 """
 
 NORMAL_TURN_LIMIT = np.float32(0.1055)
-"""1 - cosine, of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
+"""1 - cosine of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
 
 ZERO_F32 = np.float32(0.0)
 ONE_F32 = np.float32(1.0)
@@ -56,17 +56,18 @@ GRADE_COLUMN = 7
 REFLECTED_COLUMN = 8
 NORMAL_COLUMN = 11
 RECORD_LENGTH = 16
-"""Where numbers of a texel begin in its record, and how many there are, a cache line: its direct
-light, linear RGB, the standard error of all its light, unshadowed light about its normal, its
-grade, reflected light, and the normal.
+"""First places of the numbers in a texel's record, and its length in single floats: one cache line.
+
+In order: direct light, linear RGB; the standard error of all light; unshadowed light about the
+normal; the grade; reflected light; the normal. The last two numbers belong to ``filtering``.
 """
 
 
 class Unshadowed(NamedTuple):
-    """Unshadowed light by the normal.
+    """Unshadowed light as a function of the normal, a quadratic form.
 
-    ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y², and
-    ``least`` (3,) of each colour.
+    ``quadric`` (3, 9) float32 holds the factors of 1, y, z, x, xy, yz, z², xz, x² - y² for linear
+    RGB; ``least`` (3,) is the lower bound of each colour.
     """
 
     quadric: Any
@@ -78,15 +79,17 @@ UNSHADOWED = record(Unshadowed, types.float32[:, ::1], types.float32[::1])
 
 @kernel()
 def unshadowed_light(unshadowed, x, y, z):
-    """Irradiance over π, linear RGB, of what nothing shadows about the unit normal (x, y, z).
+    """Return the irradiance over π, linear RGB, that arrives about the unit normal (x, y, z)
+    without shadows; at least ``unshadowed.least``.
 
-    ``least`` at least. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
+    Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
     """
     xy = x * y
     yz = y * z
     zz = z * z
     xz = x * z
     across = x * x - y * y
+    # Evaluate the quadratic form for the three colours.
     q = unshadowed.quadric
     low = unshadowed.least
     r = q[0, 0] + y * q[0, 1] + z * q[0, 2] + x * q[0, 3]
@@ -112,17 +115,18 @@ TEXEL_RECORDS = types.float32[:, ::1]
     )
 )
 def fill_records(grade, lit, normals, unshadowed, whole, texels):
-    """Fill the records ``texels`` (m, RECORD_LENGTH) by the ``grade`` (m,) and the light ``lit``
-    (m, LIGHT_NUMBERS) of ``light_texels``.
+    """Fill the records ``texels`` (m, RECORD_LENGTH) from the ``grade`` (m,), the light ``lit`` (m,
+    LIGHT_NUMBERS) of ``light_texels``, and the ``normals`` (m, 3) that it arrives about.
 
-    ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light
-    stands in; void and buried texels have none. Of light that is kept as a ``whole`` no more is
-    direct than the unshadowed light: were all of it, texels that face away from a lamp would have
-    reflected light alone, and pixels that face it many times that.
+    Unshadowed light stands in for texels that are not baked; void and buried texels have none. If
+    light is kept as a ``whole``, direct and reflected together, at most the unshadowed light counts
+    as direct. Otherwise texels that face away from a lamp would pass their reflected light on as a
+    ratio, and pixels that face the lamp would show many times of it.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
         under = unshadowed_light(unshadowed, x, y, z)
+        # Split the light into direct and reflected light.
         there = PARTIAL_GRADE <= grade[t] <= FINAL
         unbaked = grade[t] == UNBAKED_GRADE
         for c in range(3):
@@ -138,6 +142,7 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
                 texels[t, DIRECT_COLUMN + c] = ZERO_F32
             texels[t, UNSHADOWED_COLUMN + c] = under[c]
             texels[t, REFLECTED_COLUMN + c] = reflected
+        # Copy error, normal and grade.
         texels[t, NOISE_COLUMN] = lit[t, 3] if there else ZERO_F32
         texels[t, NORMAL_COLUMN] = x
         texels[t, NORMAL_COLUMN + 1] = y
@@ -147,12 +152,12 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
 
 @kernel()
 def agree(texels, t, n):
-    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) /
-    NORMAL_TURN_LIMIT))².
+    """Return the weight of texel ``t`` by the cosine c between its normal and ``n``: (c / (1 + (1 -
+    c) / NORMAL_TURN_LIMIT))².
 
-    It falls off slowly, so that where all texels are turned away from a pixel no single one
-    decides: with the 16th power of the cosine the error at rims of thin walls is a sixth higher, at
-    its 99th percentile. What faces away hardly counts.
+    The weight falls slowly, so that no single texel decides if all are turned away from a pixel:
+    with c¹⁶ the 99th percentile of the error at rims of thin walls is a sixth higher. Texels that
+    face away hardly count.
     """
     cosine = (
         n[0] * texels[t, NORMAL_COLUMN]
@@ -165,7 +170,9 @@ def agree(texels, t, n):
 
 @kernel()
 def madd_colour(sums, w, texels, t, first):
-    """``sums`` and ``w`` times the colour that begins at ``first`` in the record of texel ``t``."""
+    """Return ``sums`` plus ``w`` times the colour that begins at ``first``
+    in the record of texel ``t``.
+    """
     return (
         sums[0] + w * texels[t, first],
         sums[1] + w * texels[t, first + 1],
@@ -175,11 +182,11 @@ def madd_colour(sums, w, texels, t, first):
 
 @kernel(inline=True)
 def blend_records(corners, m, texels, n, f):
-    """Sums over the texels of point ``m`` that are not void or buried, float32, and the least grade
-    of all eight.
+    """Return weighted sums over the eight texels of point ``m``: direct, unshadowed and reflected
+    light, variance, and the weights; last the least grade.
 
-    They are of direct, unshadowed and reflected light, of variance, and of the weights: trilinear
-    ones, for fractions ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
+    Weights are trilinear at the fractions ``f`` (z, y, x), times ``agree`` with the point's normal
+    ``n``; void and buried texels have weight 0. All are float32.
     """
     direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
     variance = ZERO_F32
@@ -194,6 +201,7 @@ def blend_records(corners, m, texels, n, f):
             * (fy if c & 2 else ONE_F32 - fy)
             * (fx if c & 1 else ONE_F32 - fx)
         )
+        # Multiply by 0 instead of skipping: the loop stays free of branches.
         if grade <= FINAL:
             w *= agree(texels, t, n)
         else:
@@ -210,8 +218,8 @@ def blend_records(corners, m, texels, n, f):
 
 @kernel()
 def stand_in(corners, m, texels, under, f):
-    """Light at point ``m`` where no texel counts: none if any is buried, that which is not
-    shadowed, ``under``, if not.
+    """Return the light of point ``m`` if none of its texels counts: zero if any texel is buried,
+    else the unshadowed light ``under``.
 
     ``f`` are the point's fractions (z, y, x).
     """
@@ -226,13 +234,14 @@ def stand_in(corners, m, texels, under, f):
 
 @kernel()
 def shade_ratio(blended, under):
-    """Light under ``under`` by what ``blend_records`` found, linear RGB, and the standard error of
-    its luminance.
+    """Return the light of a point, linear RGB, and the standard error of its luminance, from
+    the sums ``blended`` of ``blend_records`` and the point's unshadowed light ``under``.
     """
     direct, over, reflected, variance, weight, _ = blended
     r = direct[0] / max(over[0], MIN_LIGHT) * under[0] + reflected[0] / weight
     g = direct[1] / max(over[1], MIN_LIGHT) * under[1] + reflected[1] / weight
     b = direct[2] / max(over[2], MIN_LIGHT) * under[2] + reflected[2] / weight
+    # The error grows with the ratio of the point's unshadowed light to that of its texels.
     brighter = luminance(under[0], under[1], under[2]) / max(
         luminance(over[0], over[1], over[2]), MIN_LIGHT
     )
@@ -245,19 +254,19 @@ def shade_ratio(blended, under):
     )
 )
 def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
-    """Carry the light of records ``texels`` (m, RECORD_LENGTH) to the ``framebuffer`` at the pixels
-    of ``SurfacePoints``.
+    """Interpolate the light of the records ``texels`` (texels, RECORD_LENGTH) to the
+    ``framebuffer`` at the pixels of ``SurfacePoints``, as irradiance ratios.
 
-    Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the
-    point's; ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are
-    left out, and of what is not baked yet unshadowed light stands in. Light is counted in ``unit``,
-    the radiance of 1; a point is as good as the least of its texels.
+    ``corners`` (m, 8) are the numbers of each point's texels; for their weights see
+    ``blend_records``. Light is counted in ``unit``, the radiance of 1. The state of a point is the
+    least of its texels', and its error is 1 while that is provisional.
     """
     normals = points.normals
     for m in range(points.pixels.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
         f = (np.float32(fz), np.float32(fy), np.float32(fx))
         n = (normals[m, 0], normals[m, 1], normals[m, 2])
+        # Multiply the ratio of the texels by the unshadowed light about the pixel's normal.
         under = unshadowed_light(unshadowed, n[0], n[1], n[2])
         blended = blend_records(corners, m, texels, n, f)
         least = blended[5]

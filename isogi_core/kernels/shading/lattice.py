@@ -1,5 +1,5 @@
-"""The illumination lattice under a view: the texels around a point, and their light carried to the
-pixels.
+"""The illumination lattice under a view: the texels around a point, and their light interpolated to
+the pixels.
 
 A pixel reads the eight texels around its surface point (S1, section 4.2). Light is computed once
 per texel that a view reads, see ``chunks``, and not once per pixel.
@@ -23,30 +23,30 @@ from isogi_core.kernels.shading.surface_points import SURFACE_POINTS, point_of
 from isogi_core.kernels.transport.lights import unshadowed
 
 DEFAULT_CHUNK_SIDE = 16
-"""Texels along each side of a chunk, where a scene does not say."""
+"""Texels along each side of a chunk, if a scene does not say."""
 
 UNLIT_ROW = -1
 """Row of a texel that is not baked yet."""
 
 VOID_ROW = -2
-"""Row of a texel that can hold no light (see bake.precision.VOID)."""
+"""Row of a texel that can hold no light (``bake.texel_light.VOID``)."""
 
 BURIED_ROW = -3
 """Row of a texel that no light ever reaches, inside a solid or a closed hollow."""
 
 LEAST_SPREAD = np.float32(0.2)
-"""Share of their second moment that paths differ by at least, wherever a light stands.
+"""Least variance of a path over its second moment, whatever the light.
 
-It stands for reflected light, whose noise hardly follows the light. Without most of it (0.02) 90.0
-% of the pixels lie within 1.96 times their standard error, with it 92.5 %; frames' errors are
-estimated alike.
+It stands for reflected light, whose noise hardly depends on the light's direction. With it, 92.5 %
+of the pixels lie within 1.96 times their standard error; with a tenth of it (0.02), 90.0 %. The
+errors of frames use the same value.
 """
 
 Shape = tuple[int, int, int]
 
 LIGHT_NUMBERS = 7
-"""Numbers of a texel's light: linear RGB, its standard error, and what of it is reflected light,
-linear RGB.
+"""Numbers of a texel's light: linear RGB, its standard error,
+and the reflected part, linear RGB.
 """
 
 NO_LIGHT = np.float32(0.0)
@@ -59,13 +59,15 @@ BURIED_GRADE = FINAL + 1
 VOID_GRADE = FINAL + 2
 """Grades of texels besides CONVERGING and FINAL: nothing baked, not all layers baked, buried, void.
 
-The latter two take nothing from a point's state.
+Buried and void texels do not lower the state of a point.
 """
 
 
 class Lattice(NamedTuple):
-    """Texels along z, y, x, and texels per voxel along x, y, z; chunks have 1 << ``bits`` texels
-    along each side.
+    """The grid of texels over a volume: ``shape`` is texels along z, y, x, ``density`` texels per
+    voxel along x, y, z.
+
+    Chunks have 1 << ``bits`` texels along each side.
     """
 
     shape: Shape
@@ -76,8 +78,8 @@ class Lattice(NamedTuple):
     def of(
         cls, shape: Shape, density: tuple[float, float, float], chunk: int = DEFAULT_CHUNK_SIDE
     ) -> "Lattice":
-        """The lattice whose ``chunk`` has this number of texels along each side, a power of two up
-        to 32.
+        """Return the lattice whose chunks have ``chunk`` texels along each side,
+        a power of two up to 32.
         """
         return cls(shape, density, chunk.bit_length() - 1)
 
@@ -88,7 +90,7 @@ class Lattice(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Rows of texels along x of a chunk."""
+        """Rows of texels along x in a chunk."""
         return 1 << 2 * self.bits
 
     @property
@@ -103,8 +105,8 @@ class Lattice(NamedTuple):
         return z, y, x
 
     def positions(self, index: Shape, offsets: np.ndarray) -> np.ndarray:
-        """Lattice indices (z, y, x) of the texels at ``offsets`` of the chunk ``index`` (z, y, x);
-        (m, 3) int32.
+        """Return the lattice indices (m, 3; z, y, x) int32 of the texels at ``offsets`` (m,) in
+        the chunk ``index`` (z, y, x).
         """
         inside = np.stack(np.unravel_index(offsets, (self.chunk,) * 3), axis=-1)
         return (inside + np.array(index) * self.chunk).astype(np.int32)
@@ -119,11 +121,11 @@ GRADE_ARRAY = types.uint8[::1]
 
 @kernel()
 def axis_texel(p, density, n):
-    """The lower of the two texels along one axis around coordinate ``p`` (voxels), and the fraction
-    beyond it.
+    """Return the lower of the two texels around coordinate ``p`` (voxels) along one axis of ``n``
+    texels, and the fraction beyond it, 0 to 1.
 
-    Texels are unsigned: places that are made of them are then known not to count from an array's
-    end.
+    Texels are unsigned, so that the compiler knows that indices made of them do not count from an
+    array's end.
     """
     q = p * density
     t = min(max(int(math.floor(q)), 0), n - 2)
@@ -132,8 +134,8 @@ def axis_texel(p, density, n):
 
 @kernel()
 def base_texel(lattice, points, m):
-    """Lowest corner (z, y, x) of the lattice cell around point ``m``, and the fractions (z, y, x)
-    inside it.
+    """Return the lowest corner (z, y, x) of the lattice cell around point ``m``, and the
+    fractions (z, y, x) inside the cell.
     """
     z, fz = axis_texel(np.float64(points[m, 2]), lattice.density[2], lattice.shape[0])
     y, fy = axis_texel(np.float64(points[m, 1]), lattice.density[1], lattice.shape[1])
@@ -155,16 +157,18 @@ def base_texel(lattice, points, m):
     any_order=True,
 )
 def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
-    """Fill ``lit`` (m, LIGHT_NUMBERS): linear RGB radiance, standard error of its luminance, and
-    what of it is reflected light.
+    """Fill ``lit`` (m, LIGHT_NUMBERS) with the light of texels: linear RGB radiance, the standard
+    error of its luminance, and the reflected part.
 
-    All are in ``BakeSpec.unit``. ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the
-    standard error over the standard deviation of one path's luminance; ``light`` (3, n) is the
-    turned environment times the albedo over ``BakeSpec.unit``, ``square`` (n,) the square of its
-    luminance. The columns are those of terms that meet lights of their own, side by side; their
-    first ones are ``firsts``, and those from ``straight`` on are of reflected light. Radiance is
-    τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance is τ·q - (τ·ℓ)², see
-    ``bake.noise``. The sums are written out here, so that they run in vectors.
+    All are in ``BakeSpec.unit``. ``rows`` (m,) are places in ``transfer`` (rows, channels, n),
+    which holds τ, and in ``scatter`` (rows,), the standard error over the standard deviation of one
+    path's luminance; negative rows are skipped. ``light`` (3, n) is the turned environment times
+    the albedo, ``square`` (n,) the square of its luminance. Each term, which has a separate light,
+    has a range of columns, which begins at one of ``firsts``; columns from ``straight`` on are
+    reflected light.
+
+    Radiance is τ·ℓ (S1, eq. 9), at least 0; the variance of one path is τ·q - (τ·ℓ)², see
+    ``bake.noise``.
     """
     blue = transfer.shape[1] - 1
     green = min(blue, 1)
@@ -174,6 +178,7 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
         row = np.uint32(rows[m])
         if rows[m] < 0:
             continue
+        # Sum reflected light first, so that it is known apart. The loops are written out for SIMD.
         r = g = b = second = NO_LIGHT
         for i in range(first, columns):
             r += transfer[row, 0, i] * light[0, i]
@@ -186,11 +191,13 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
             second += transfer[row, green, i] * square[i]
+        # The second moment over all turns of the light is band 0 of each term.
         even = NO_LIGHT
         for i in firsts:
             even += max(transfer[row, green, i] * square[i], NO_LIGHT)
         mean = luminance(r, g, b)
         spread = math.sqrt(max(second - mean * mean, NO_LIGHT) + LEAST_SPREAD * even)
+        # Truncated harmonics may make light negative: cut it at 0.
         lit[m, 0] = max(r, NO_LIGHT)
         lit[m, 1] = max(g, NO_LIGHT)
         lit[m, 2] = max(b, NO_LIGHT)
@@ -200,8 +207,8 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
 
 
 class Sky(NamedTuple):
-    """What stands in for light that is not baked: ``lobe`` (n²) = A_l/π per coefficient, ``light``
-    (3, n²) × albedo.
+    """Unshadowed light that stands in for texels that are not baked: ``lobe`` (n²) holds A_l/π
+    per coefficient, ``light`` (3, n²) the environment times the albedo.
     """
 
     order: int
@@ -214,16 +221,16 @@ SKY = record(Sky, types.int64, types.float64[::1], types.float64[:, ::1])
 
 @kernel()
 def trilinear(c, fz, fy, fx):
-    """Weight of corner ``c`` (bit 0 is x, bit 1 is y, bit 2 is z) of a cell at the fractions (z, y,
-    x).
+    """Return the weight of corner ``c`` (bit 0 is x, bit 1 y, bit 2 z) of a cell at the
+    fractions (z, y, x).
     """
     return (fz if c & 4 else 1.0 - fz) * (fy if c & 2 else 1.0 - fy) * (fx if c & 1 else 1.0 - fx)
 
 
 @kernel(inline=True)
 def blend_texels(corners, m, lit, fz, fy, fx):
-    """Weighted sums over the eight texels of point ``m``, all of which are lit: (r, g, b,
-    variance), float32.
+    """Return the weighted sums over the eight texels of point ``m``, all of which are lit: (r,
+    g, b, variance), float32.
     """
     z, y, x = np.float32(fz), np.float32(fy), np.float32(fx)
     r = g = b = variance = np.float32(0.0)
@@ -234,6 +241,7 @@ def blend_texels(corners, m, lit, fz, fy, fx):
             * (y if c & 2 else ONE_F32 - y)
             * (x if c & 1 else ONE_F32 - x)
         )
+        # Noises of texels are independent: the variance of the sum has squared weights.
         noise = w * lit[t, 3]
         r = r + w * lit[t, 0]
         g = g + w * lit[t, 1]
@@ -244,8 +252,8 @@ def blend_texels(corners, m, lit, fz, fy, fx):
 
 @kernel()
 def blend_some(corners, m, grade, lit, fz, fy, fx):
-    """``blend_texels`` where texels may be missing: (r, g, b, variance, weights of lit, unbaked and
-    buried ones).
+    """Return the weighted sums over the lit ones of the eight texels of point ``m``: (r, g, b,
+    variance), and the total weights of lit, unbaked and buried ones.
     """
     r = 0.0
     g = 0.0
@@ -257,6 +265,7 @@ def blend_some(corners, m, grade, lit, fz, fy, fx):
     for c in range(8):
         t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
+        # Void texels count nowhere.
         if PARTIAL_GRADE <= grade[t] <= FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
             variance += (w * lit[t, 3]) ** 2
@@ -270,12 +279,14 @@ def blend_some(corners, m, grade, lit, fz, fy, fx):
 
 @kernel()
 def fill_in(some, n, sky, basis):
-    """What ``blend_some`` found, made whole by unshadowed light about the normal ``n``: (r, g, b,
-    variance).
+    """Complete the sums of ``blend_some`` by unshadowed light about the normal ``n``; return (r, g,
+    b, variance).
 
-    Buried texels count, as dark ones, where there are no others.
+    Unbaked texels count as unshadowed. Buried texels count as dark, but only if no other texel
+    counts.
     """
     r, g, b, variance, weight, unbaked, buried = some
+    # If all texels are buried or void: dark if any is buried, else unshadowed.
     if not weight + unbaked > 0.0:
         weight = buried
         unbaked = 0.0 if buried > 0.0 else 1.0
@@ -285,6 +296,7 @@ def fill_in(some, n, sky, basis):
         g = g + unbaked * open_[1]
         b = b + unbaked * open_[2]
         weight = weight + unbaked
+    # Divide by the weight of the texels that count.
     whole = 1.0 / weight
     return (
         np.float32(r * whole),
@@ -296,12 +308,12 @@ def fill_in(some, n, sky, basis):
 
 @kernel()
 def span_of(grade, corners, m):
-    """Least and greatest grade of the eight texels of point ``m``."""
+    """Return the least and the greatest grade of the eight texels of point ``m``."""
     least = np.uint8(VOID_GRADE)
     most = np.uint8(0)
     for c in range(8):
-        own = grade[corners[m, c]]
-        least, most = min(least, own), max(most, own)
+        each = grade[corners[m, c]]
+        least, most = min(least, each), max(most, each)
     return least, most
 
 
@@ -318,24 +330,27 @@ def span_of(grade, corners, m):
     )
 )
 def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
-    """Carry the texels' light ``lit`` (texels, LIGHT_NUMBERS) to the ``framebuffer`` at the pixels
-    of ``SurfacePoints``.
+    """Interpolate the texels' light ``lit`` (texels, LIGHT_NUMBERS) to the ``framebuffer`` at the
+    pixels of ``SurfacePoints``.
 
-    Trilinear (S1, section 4.2) over the texels that hold light, whose numbers are ``corners`` (m,
-    8); void and buried ones are left out, and what is not baked yet stands in as unshadowed light
-    about the point's normal (read only where a texel is missing). Both are counted in ``unit``, the
-    radiance of 1. ``grade`` (texels,) is UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL,
-    BURIED_GRADE or VOID_GRADE; a point is as good as the least of its texels.
+    Interpolation is trilinear (S1, section 4.2) over the texels ``corners`` (m, 8) of each point
+    that hold light. Void and buried texels are left out; unshadowed light about the point's normal
+    stands in for those that are not baked. Light is counted in ``unit``, the radiance of 1.
+    ``grade`` (texels,) is UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE or
+    VOID_GRADE; the state of a point is the least of its texels', and its error is 1 while that is
+    provisional.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.pixels.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
         least, most = span_of(grade, corners, m)
+        # Most points have light in all texels, and take the fast way.
         if PARTIAL_GRADE <= least and most <= FINAL:
             r, g, b, variance = blend_texels(corners, m, lit, fz, fy, fx)
         else:
             some = blend_some(corners, m, grade, lit, fz, fy, fx)
             r, g, b, variance = fill_in(some, point_of(points.normals, m), sky, basis)
+        # Convert the variance to an error relative to the luminance.
         noise = min(math.sqrt(variance) / max(luminance(r, g, b), MIN_LIGHT), ONE_F32)
         if least <= PARTIAL_GRADE:
             error = ONE_F32

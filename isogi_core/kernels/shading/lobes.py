@@ -1,18 +1,26 @@
-"""Light that comes straight from lobes: small far lights, each seen along shadow rays from a
-picture's own points.
+"""Light that comes straight from lobes (small lights at infinity), found by shadow rays from the
+points of a picture.
 
-A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle
-from every fourth pixel of every fourth row, and from the others where those around disagree. Where
-the answers change from pixel to pixel, rays to the lobe's rim find points that see all of it, or
-nothing, and whose light is known. Pixels whose rays disagree are in the half-shadow: from these it
-is followed by every fourth pixel, as far as it goes, then filled between pixels that are in it, and
-its ends are sought pixel by pixel. In the half-shadow more rays are drawn, fewer the more
-neighbours share theirs (interleaved sampling: Keller and Heidrich 2001): those opposite each other,
-whose mean is right for all that changes evenly. A point that a lobe only grazes gets so little of
-it that the ray to its middle is enough.
+A lobe is a directional lamp with the angular radius of a bright part of a probe. A ray to each lobe
+from each pixel would cost too much, so that rays are cast only near the edges of shadows, in these
+steps (``frame.rays.lobe_light`` calls them in this order):
 
-Where shadow rays start, who is asked when, and whom a point believes, no light changes:
-``ShadowPoints`` have it.
+1. ``see_middles``: one ray to the middle of the lobe from every fourth pixel of every fourth row.
+   Other pixels adopt the answer of the pixels around them if these agree, and cast a ray if not.
+2. ``mark_edges`` and ``see_rims``: if the answer changes from one pixel to the next, rays to the
+   rim of the lobe tell points that see all of it, or nothing, from points in the half-shadow, which
+   see a part.
+3. ``spread_edges``: a half-shadow is followed from such points, by every fourth pixel first; the
+   pixels between are then filled, and the ends of the half-shadow are sought pixel by pixel.
+4. ``see_discs``: points in the half-shadow cast more rays, spread over the disc of the lobe: fewer,
+   the more of their neighbours share rays with them.
+5. ``share_rays``: each point takes the mean of its rays and those of neighbours (interleaved
+   sampling: Keller and Heidrich 2001). Neighbours count in opposite pairs only, so that the mean is
+   unbiased for light that changes linearly.
+
+A lobe that a point only grazes lights it so little that the ray to its middle is enough. The parts
+that do not depend on the light, such as ray origins and the order of the pixels, are in
+``ShadowPoints``.
 """
 
 import math
@@ -50,79 +58,84 @@ from isogi_core.kernels.transport.rng import mix, point_2d
 from isogi_core.kernels.transport.streams import LOBES_STREAM
 
 RIM_RAYS = 4
-"""Rays to the rim of a lobe: at ends of diameters that cross, turned by another angle for each
-pixel.
+"""Rays from a point to the rim of a lobe: to the ends of two perpendicular diameters, rotated
+by an angle that is random for each pixel.
 """
 
 PENUMBRA_RAYS = (16, 8, 8, 4, 4)
-"""Rays to a lobe from a point in its half-shadow, by how many pairs of neighbours share theirs with
-it; powers of two.
+"""Rays to a lobe from a point in its half-shadow, by the number of neighbour pairs that share
+rays with it; powers of two.
 """
 
 NEIGHBOUR_AXES = ((0, 1, 2.0), (1, 0, 2.0), (1, 1, 1.0), (1, -1, 1.0))
-"""Steps along y and x to the two neighbours of a pair, on either side, and what each counts beside
-OWN.
+"""Steps along y and x to the two neighbours of a pair, on either side, and the weight of their
+rays next to POINT_WEIGHT.
 """
 
 POINT_WEIGHT = 4.0
-"""What a point's own rays count: with all four pairs the mean is binomial along x and y."""
+"""Weight of a point's rays in the mean with its neighbours': with all four pairs the weights
+are binomial (1, 2, 1) along x and y.
+"""
 
 SHARP_SINE = math.sin(math.radians(0.25))
-"""Lobes whose half angle has at most this sine are seen along one ray."""
+"""Lobes whose half angle has at most this sine (0.25°) are tested by one ray."""
 
 STRATIFIED_VARIANCE = {4: 0.5, 8: 0.35, 16: 0.25}
-"""Variance of the mean of stratified rays over the variance of as many random rays, where they see
-a part of a lobe.
+"""Variance of the mean of stratified rays over the variance of as many random rays, for lobes that
+are seen in part; by the number of rays.
 
-0.18 behind straight edges at any distance from its middle, by 16 rays, which leave an error of 4.3
-% of its light; what rays to the rim miss of them, a tenth of all half-shadow at its ends, is
-another 0.9 %. It falls as the root of rays.
+Measured behind straight edges at any distance from the lobe's middle: 0.18 for 16 rays, which leave
+an error of 4.3 % of the lobe's light. Half-shadow that rays to the rim miss (a tenth of all of it,
+at its ends) adds 0.9 %. The ratio falls as the square root of the number of rays.
 """
 
 GRAZING_SHARE = 0.03
-"""What a lobe brings at most, over what it would from straight above, where its half-shadows are
-not looked for.
-"""
+"""Share of a lobe's light at normal incidence up to which its half-shadows are not looked for."""
 
 NO_LOBE, LOBE_HIDDEN, LOBE_SEEN, LOBE_HALF_SEEN, LOBE_UNASKED = range(5)
-"""What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part;
-not known yet.
+"""States of a point and a lobe: the lobe is below the point's horizon; hidden; seen whole; seen
+in part; not known yet.
 """
 
 SEEN_ROWS = types.uint8[:, ::1]
 PAIR_ARRAY = types.int64[::1]
 SIDE_CODES = types.uint8[::1]
 SHARE_ROWS = types.float64[:, ::1]
-"""Lobes and points that go together: number of the lobe times the points, plus that of the point.
-Of which NEIGHBOUR_AXES neighbours share their rays with each, a bit for each; and how much of the
-lobe the point sees, with its variance.
+"""Types of arrays over points and lobes. A pair is one int64, the number of the lobe times the
+number of points plus the number of the point. Side codes have a bit for each of NEIGHBOUR_AXES
+whose neighbours share their rays with the pair. Share rows hold the share of the lobe's light
+that arrives at the point, and its variance.
 """
 
 
 @kernel()
 def radius(lamps, k):
-    """The sine of the half angle of lobe ``k``; 0 for one that is seen along one ray."""
+    """Return the sine of the half angle of lobe ``k``; 0 for lobes that are tested by one ray."""
     sine = length(row(lamps.edges[k], 0))
     return sine if sine > SHARP_SINE else 0.0
 
 
 @kernel()
 def cosine_of(points, lamps, k, m):
-    """The cosine at point ``m`` of the direction to the middle of lobe ``k``."""
+    """Return the cosine between the normal of point ``m`` and the direction
+    to the middle of lobe ``k``.
+    """
     return dot(point_of(points.normals, m), row(lamps.places, k))
 
 
 @kernel()
 def irradiance(cosine, s):
-    """E of a lobe whose half angle has the sine ``s`` over that from straight above, where only the
-    horizon hides it.
+    """Return the irradiance of a lobe over that at normal incidence, if nothing but the horizon
+    hides it.
 
-    The mean cosine over a flat disc of radius s whose middle has the ``cosine`` x s, what is below
-    the horizon being 0: s/π (x (π/2 + x √(1 - x²) + asin x) + 2/3 (1 - x²)^1.5), and x s for a disc
-    that is all above.
+    ``s`` is the sine of the lobe's half angle, ``cosine`` that of the normal to the lobe's middle.
+    The result is the mean of the clamped cosine over a flat disc of radius s whose middle is at
+    ``cosine`` = x s: s/π (x (π/2 + x √(1 - x²) + asin x) + 2/3 (1 - x²)^1.5), or ``cosine`` if the
+    whole disc is above the horizon.
     """
     if cosine >= s:
         return cosine
+    # The horizon cuts the disc, or hides all of it (x = -1).
     x = max(cosine / s, -1.0)
     root = math.sqrt(1.0 - x * x)
     return s / math.pi * (x * (0.5 * math.pi + x * root + math.asin(x)) + 2.0 / 3.0 * root**3)
@@ -130,8 +143,11 @@ def irradiance(cosine, s):
 
 @kernel()
 def agreed(around, m, seen):
-    """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, LOBE_HIDDEN or
-    LOBE_SEEN; else UNKNOWN.
+    """Return the state that all four neighbours ``around`` point ``m`` have ``seen`` (m,) of a
+    lobe.
+
+    The result is LOBE_HIDDEN or LOBE_SEEN; LOBE_UNASKED if they disagree, or if the point has no
+    such neighbours on its surface.
     """
     if around[m, 0] < 0:
         return LOBE_UNASKED
@@ -146,11 +162,12 @@ def agreed(around, m, seen):
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN_ROWS))
 def see_middles(surface, picture, lamps, part, seen):
-    """Fill what points have ``seen`` (lobes, m) of lobes' middles: NO_LOBE by their normals,
-    LOBE_HIDDEN or LOBE_SEEN.
+    """Fill ``seen`` (lobes, m) with NO_LOBE, LOBE_HIDDEN or LOBE_SEEN for the points of a ``part``,
+    by one shadow ray to the middle of each lobe at most.
 
-    The points are a ``part`` of the ``order``, all of one turn. They see what all ``around`` them
-    do; from the others rays go to the middle of what is above their horizon.
+    The part (begin, end) is a range of ``picture.order`` of points of one turn, so that their
+    neighbours of earlier turns are known already. Points adopt the answer of their neighbours if
+    these agree.
     """
     most = (part[1] - part[0]) * seen.shape[0]
     owners = np.empty(most, np.int64)
@@ -158,6 +175,7 @@ def see_middles(surface, picture, lamps, part, seen):
     ways = np.empty((3, most))
     count = 0
     for k in range(seen.shape[0]):
+        # List the rays that must be cast: origin, lobe and direction of each.
         towards = row(lamps.places, k)
         s = radius(lamps, k)
         for i in range(part[0], part[1]):
@@ -171,8 +189,11 @@ def see_middles(surface, picture, lamps, part, seen):
             if seen[k, m] == LOBE_UNASKED:
                 owners[count] = m
                 lobes[count] = k
+                # Aim at the middle of the part above the horizon: the centre, raised by half of the
+                # part below.
                 put_column(ways, count, madd(towards, 0.5 * max(s - cosine, 0.0), n))
                 count += 1
+    # Cast all of them as one stream.
     reached = np.empty(count, np.bool_)
     find_unoccluded(surface, picture.starts, owners[:count], ways[:, :count], reached)
     for i in range(count):
@@ -181,13 +202,17 @@ def see_middles(surface, picture, lamps, part, seen):
 
 @kernel()
 def is_seen(seen, m, what):
-    """Whether there is a point ``m``, and it has ``seen`` (m,) that."""
+    """Return True if there is a point ``m`` (not -1)
+    and ``seen`` (m,) holds the state ``what`` for it.
+    """
     return m >= 0 and seen[m] == what
 
 
 @kernel()
 def may_be_half(points, lamps, k, m, seen):
-    """Whether point ``m`` may see a part of lobe ``k`` that is worth more rays."""
+    """Return True if point ``m`` may be in the half-shadow of lobe ``k``, and the lobe is
+    bright enough there to deserve more rays.
+    """
     known = seen[k, m] == LOBE_HIDDEN or seen[k, m] == LOBE_SEEN
     s = radius(lamps, k)
     return known and s > 0.0 and irradiance(cosine_of(points, lamps, k, m), s) > GRAZING_SHARE
@@ -195,14 +220,17 @@ def may_be_half(points, lamps, k, m, seen):
 
 @kernel(types.void(SHADOW_POINTS, LAMPS, PART, SEEN_ROWS, SEEN_ROWS))
 def mark_edges(picture, lamps, part, seen, asked):
-    """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast: those at
-    edges of shadows, and ``edgy`` ones.
+    """Set ``asked`` (lobes, m) to 1 for points of a ``part`` that are to cast rays to the rims of
+    lobes: those next to an edge of a shadow, and ``edgy`` ones; to 0 for the others.
+
+    ``part`` is a range (begin, end) of point numbers.
     """
     width = picture.rows.shape[1]
     for m in range(part[0], part[1]):
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
         a, b, c, d = neighbours(picture.rows, y, x, 0, 1)
         for k in range(seen.shape[0]):
+            # A point is at an edge if one of its four neighbours gave the opposite answer.
             other = LOBE_SEEN + LOBE_HIDDEN - seen[k, m]
             sees = seen[k]
             edge = picture.edgy[m] or is_seen(sees, a, other) or is_seen(sees, b, other)
@@ -212,8 +240,8 @@ def mark_edges(picture, lamps, part, seen, asked):
 
 @kernel()
 def halves_around(picture, m, seen):
-    """How many of the four neighbours that point ``m`` believes have ``seen`` (m,) a lobe in
-    part.
+    """Return the number of neighbours ``around`` point ``m`` that are in a lobe's half-shadow,
+    by its ``seen`` (m,); 0 to 4.
     """
     count = 0
     for i in range(4):
@@ -227,13 +255,17 @@ def halves_around(picture, m, seen):
     )
 )
 def spread_edges(picture, lamps, halves, turn, seen, asked, more):
-    """Find pairs about those in the half-shadow, ``halves``, that are not ``asked`` yet, and mark
-    them.
+    """Find pairs next to those in the half-shadow, ``halves``, that were not ``asked`` yet, and
+    mark them.
 
-    They are of a ``turn``, or of ANY_TURN, and nearest to a pixel at its step; after the first turn
-    amid two in the half-shadow at least. Those amid four are in it, too, and need no rays: they are
-    written to the end of ``more``, the others to its beginning. It has room for 8 times the
-    ``halves``. Returns how many are to be asked, and where the others begin.
+    With a ``turn`` ≥ 0 only points of that turn are found; they are the nearest ones on that turn's
+    grid. After turn 0, at least two of a point's four neighbours must be in the half-shadow. If all
+    four are, the point is in it too, and needs no rays. ANY_TURN finds all of the eight pixels
+    around.
+
+    Writes pairs that need rays to the beginning of ``more``, and pairs that are known without rays
+    to its end; it has room for 8 pairs per half. Returns the number of the former, and the place
+    where the latter begin.
     """
     points = seen.shape[1]
     width = picture.rows.shape[1]
@@ -243,18 +275,25 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
     for pair in halves:
         k, m = divmod(pair, points)
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        # Points of this turn are judged by neighbours of earlier turns, of which this pair is none.
         if 0 < turn <= turn_of(x, y):
-            continue  # none of that turn believes it
-        for above in range(step * ((y - 1) // step), y + step + 1, step):
-            for aside in range(step * ((x - 1) // step), x + step + 1, step):
-                n = number_at(picture.rows, above, aside)
-                if n < 0 or asked[k, n] or (turn != ANY_TURN and turn_of(aside, above) != turn):
+            continue
+        # Look at the pixels around, on the grid of this turn.
+        for v in range(step * ((y - 1) // step), y + step + 1, step):
+            for u in range(step * ((x - 1) // step), x + step + 1, step):
+                n = number_at(picture.rows, v, u)
+                if n < 0 or asked[k, n] or (turn != ANY_TURN and turn_of(u, v) != turn):
                     continue
-                amid = halves_around(picture, n, seen[k])
-                if (turn > 0 and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
+                # Skip points with too little evidence of a half-shadow, and those that would gain
+                # nothing.
+                halves_near = halves_around(picture, n, seen[k])
+                if (turn > 0 and halves_near < 2) or not may_be_half(
+                    picture.points, lamps, k, n, seen
+                ):
                     continue
                 asked[k, n] = 1
-                if amid == 4:
+                # Adopt the state without rays if all four neighbours have it.
+                if halves_near == 4:
                     seen[k, n] = LOBE_HALF_SEEN
                     last -= 1
                     more[last] = k * points + n
@@ -266,7 +305,9 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
 
 @kernel()
 def rim_way(lamps, k, turn):
-    """World direction to the rim of lamp ``k``, ``turn`` radians about its axis."""
+    """Return the world direction to the rim of lamp ``k`` at the angle ``turn``,
+    in radians about its axis.
+    """
     across = madd(
         scale(row(lamps.edges[k], 0), math.cos(turn)), math.sin(turn), row(lamps.edges[k], 1)
     )
@@ -275,10 +316,11 @@ def rim_way(lamps, k, turn):
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIR_ARRAY, SIDE_CODES))
 def see_rims(surface, picture, lamps, pairs, sees):
-    """Fill what points and lobes of ``pairs`` see of each other by their rims, ``sees`` (pairs,):
-    LOBE_HIDDEN, LOBE_SEEN or LOBE_HALF_SEEN.
+    """Fill ``sees`` (pairs,) with LOBE_HIDDEN, LOBE_SEEN or LOBE_HALF_SEEN, by RIM_RAYS shadow rays
+    to the rim of the lobe of each pair.
 
-    Of RIM_RAYS rays none is cast from below a point's own surface: it would end there.
+    No ray is cast below the horizon of a point: it would end on the surface at the point, and
+    counts as hidden.
     """
     points = picture.points
     most = RIM_RAYS * pairs.shape[0]
@@ -288,6 +330,7 @@ def see_rims(surface, picture, lamps, pairs, sees):
     ways = np.empty((3, most))
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], points.pixels.shape[0])
+        # Rotate the four rays by a random angle that belongs to pixel and lobe.
         first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), 0, k)[0]
         for i in range(RIM_RAYS):
             w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS)
@@ -298,6 +341,7 @@ def see_rims(surface, picture, lamps, pairs, sees):
                 count += 1
     reached = np.empty(count, np.bool_)
     find_unoccluded(surface, picture.starts, owners[:count], ways[:, :count], reached)
+    # Count the rays that reach the lobe: none, all or some.
     sees[:] = 0
     for i in range(count):
         sees[asking[i]] += reached[i]
@@ -312,7 +356,9 @@ def see_rims(surface, picture, lamps, pairs, sees):
 
 @kernel()
 def opposite(picture, m, axis):
-    """The numbers of the two points beside point ``m`` along one of the NEIGHBOUR_AXES."""
+    """Return the numbers of the two points on either side of point ``m`` along one of the
+    NEIGHBOUR_AXES; -1 for a pixel that shows none.
+    """
     y, x = divmod(np.int64(picture.points.pixels[m]), picture.rows.shape[1])
     dy, dx, _ = NEIGHBOUR_AXES[axis]
     return number_at(picture.rows, y - dy, x - dx), number_at(picture.rows, y + dy, x + dx)
@@ -320,14 +366,16 @@ def opposite(picture, m, axis):
 
 @kernel(types.void(SHADOW_POINTS, PAIR_ARRAY, SEEN_ROWS, SIDE_CODES))
 def find_sides(picture, pairs, seen, sides):
-    """Fill ``sides`` (pairs,): along which axes both neighbours are in the half-shadow, too, on one
-    smooth surface.
+    """Fill ``sides`` (pairs,): bit i is set if both neighbours along NEIGHBOUR_AXES[i] are in
+    the half-shadow too, on one smooth surface with the pair's point.
     """
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], seen.shape[1])
         sides[j] = 0
         for axis in range(len(NEIGHBOUR_AXES)):
             a, b = opposite(picture, m, axis)
+            # Only whole pairs share: the errors of opposite neighbours cancel if light changes
+            # linearly.
             both = is_seen(seen[k], a, LOBE_HALF_SEEN) and is_seen(seen[k], b, LOBE_HALF_SEEN)
             if both and near_between(picture.points.points, m, a, b):
                 sides[j] |= 1 << axis
@@ -337,11 +385,11 @@ def find_sides(picture, pairs, seen, sides):
     types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIR_ARRAY, types.int64, types.float64, SHARE_ROWS)
 )
 def see_discs(surface, picture, lamps, pairs, rays, even, shares):
-    """Fill ``shares`` (pairs, 2): E/π from lobes by a number of ``rays`` of each of the ``pairs``,
-    and its variance.
+    """Fill ``shares`` (pairs, 2) with the irradiance from the lobe of each pair, by ``rays`` shadow
+    rays each, and its variance.
 
-    It is that over E/π of the lobe from straight above, were all of it there; the rays are spread
-    as EVEN says.
+    Shares are relative to the irradiance of the whole lobe at normal incidence. ``even`` is the
+    factor of STRATIFIED_VARIANCE for this number of rays.
     """
     points = picture.points
     count = rays * pairs.shape[0]
@@ -350,6 +398,7 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
     brought = np.empty(count)
     for i in range(count):
         k, m = divmod(pairs[i // rays], points.pixels.shape[0])
+        # Sample the disc uniformly; the ray brings its cosine at the point, over that to the axis.
         u, v = point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), i % rays, k)
         w, cosine = draw_from_disc(row(lamps.places, k), lamps.edges[k], u, v)
         owners[i] = m
@@ -357,6 +406,7 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
         put_column(ways, i, w)
     reached = np.empty(count, np.bool_)
     find_unoccluded(surface, picture.starts, owners, ways, reached)
+    # Average the rays of each pair; their scatter gives the variance of the mean.
     for j in range(pairs.shape[0]):
         mean = 0.0
         squares = 0.0
@@ -374,36 +424,43 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
     )
 )
 def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
-    """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` by their rays and by rays that
-    neighbours share.
+    """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` with the weighted mean of each
+    pair's rays and those that its neighbours share, and the variance of that mean.
 
-    The part is of one lobe, whose points have their ``places`` (m,) among the pairs. ``own``
-    (pairs, 2) are the shares by each pair's own rays. What is shared is how much of what is above a
-    point's horizon it sees.
+    The part (begin, end) belongs to one lobe; ``places`` (m,) are the places of that lobe's points
+    among the pairs. ``own`` (pairs, 2) are the shares by each pair's rays alone, see ``see_discs``;
+    ``sides`` comes from ``find_sides``. Points share the visible fraction of the lobe above the
+    horizon, and not its irradiance, as their normals differ.
     """
     for j in range(part[0], part[1]):
         k, m = divmod(pairs[j], places.shape[0])
         mean = POINT_WEIGHT * own[j, 0]
         variance = POINT_WEIGHT * POINT_WEIGHT * own[j, 1]
         total = POINT_WEIGHT
-        bare = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
+        unshadowed = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
+        # Add the rays of neighbours, scaled from the irradiance at their normal to that at this
+        # one.
         for axis in range(len(NEIGHBOUR_AXES)):
             if not sides[j] >> axis & 1:
                 continue
             for n in opposite(picture, m, axis):
-                above = bare / irradiance(cosine_of(picture.points, lamps, k, n), radius(lamps, k))
+                rescale = unshadowed / irradiance(
+                    cosine_of(picture.points, lamps, k, n), radius(lamps, k)
+                )
                 weight = NEIGHBOUR_AXES[axis][2]
                 i = places[n]
                 total = total + weight
-                mean = mean + weight * above * own[i, 0]
-                variance += (weight * above) ** 2 * own[i, 1]
+                mean = mean + weight * rescale * own[i, 0]
+                variance += (weight * rescale) ** 2 * own[i, 1]
         shares[j, 0] = mean / total
         shares[j, 1] = variance / total**2
 
 
 @kernel()
 def add_lobe_light(lit, m, colour, share, variance):
-    """Add a ``share`` of the light ``colour``, whose ``variance`` is known, to point ``m``."""
+    """Add a ``share`` of the light ``colour`` to row ``m`` of ``lit``, and the ``variance`` of
+    the share times the squared luminance of the colour.
+    """
     for c in range(3):
         lit[m, c] += share * colour[c]
     lit[m, 3] += (
@@ -415,8 +472,8 @@ def add_lobe_light(lit, m, colour, share, variance):
 
 @kernel()
 def share_around(picture, m, seen):
-    """The share of points in the nine pixels about point ``m`` that have ``seen`` (m,) a lobe, of
-    those facing it.
+    """Return the share of points in the 3 × 3 pixels about point ``m`` that see a lobe, among
+    those that face it; ``seen`` (m,) holds their states.
     """
     width = picture.rows.shape[1]
     lit = 0.0
@@ -432,12 +489,12 @@ def share_around(picture, m, seen):
 
 @kernel(types.void(SHADOW_POINTS, LAMPS, PART, types.boolean, SEEN_ROWS, types.float32[:, ::1]))
 def light_points(picture, lamps, part, smooth, seen, lit):
-    """Fill ``lit`` (m, 4): E/π, linear RGB, straight from directional ``lamps``, and the variance
-    of its luminance.
+    """Fill ``lit`` (m, 4) of a ``part`` of the points: E/π straight from directional ``lamps``,
+    linear RGB, and the variance of its luminance.
 
-    It is of points of a ``part``, of lobes that these have ``seen`` (lobes, m) whole; with edges of
-    shadows that are made ``smooth``, where no rays to rims tell more. The variance is of
-    half-shadows, see ``add_halves``.
+    Counts the lobes that points have ``seen`` (lobes, m) whole; ``add_halves`` adds those seen in
+    part, and all of the variance. If ``smooth``, edges of shadows are blurred over 3 × 3 pixels,
+    for views that move, which cast no rays to rims.
     """
     lit[part[0] : part[1]] = 0.0
     for k in range(seen.shape[0]):
@@ -446,6 +503,7 @@ def light_points(picture, lamps, part, smooth, seen, lit):
         for m in range(part[0], part[1]):
             if seen[k, m] == NO_LOBE or (seen[k, m] == LOBE_HIDDEN and not smooth):
                 continue
+            # Take the share of lit points around, or all of the lobe's light if this point sees it.
             if smooth:
                 share = share_around(picture, m, seen[k])
             elif seen[k, m] == LOBE_SEEN:
@@ -464,8 +522,8 @@ def light_points(picture, lamps, part, smooth, seen, lit):
 
 @kernel(types.void(LAMPS, PAIR_ARRAY, SHARE_ROWS, types.float32[:, ::1]))
 def add_halves(lamps, pairs, shares, lit):
-    """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see
-    ``frame.rays.lobe_light``.
+    """Add the light of lobes that points see in part to ``lit`` (m, 4), by the ``shares``
+    (pairs, 2) of ``share_rays``.
     """
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], lit.shape[0])
@@ -474,15 +532,17 @@ def add_halves(lamps, pairs, shares, lit):
 
 @kernel(types.void(PIXEL_ARRAY, types.float32[:, ::1], types.float64, FRAMEBUFFER))
 def add_lobes(pixels, lit, unit, framebuffer):
-    """Add light of lobes, as ``light_points`` has it and in ``unit``, to the ``framebuffer`` at the
+    """Add the light ``lit`` (m, 4) of lobes, which is in ``unit``, to the ``framebuffer`` at the
     ``pixels`` (m,).
 
-    Errors are then of both, but where nothing is known of the one.
+    The relative error of a pixel becomes that of both lights together; a provisional pixel keeps an
+    error of 1.
     """
     radiance = framebuffer.radiance
     for m in range(pixels.shape[0]):
         p = pixels[m]
         r, g, b = radiance[p, 0] / unit, radiance[p, 1] / unit, radiance[p, 2] / unit
+        # Convert the relative error to a standard error, add the variances, and convert back.
         noise = framebuffer.error[p] * luminance(r, g, b)
         r, g, b = r + lit[m, 0], g + lit[m, 1], b + lit[m, 2]
         error = min(math.sqrt(noise * noise + lit[m, 3]) / max(luminance(r, g, b), MIN_LIGHT), 1.0)

@@ -1,6 +1,4 @@
-"""The local models that S1 compares with, hard shadows, and the per-pixel path tracer that is the
-reference.
-"""
+"""Local illumination models that S1 compares with, and shadow rays."""
 
 import math
 from typing import NamedTuple
@@ -30,11 +28,13 @@ from isogi_core.kernels.transport.lights import fog, row
 
 
 class LocalModel(NamedTuple):
-    """A local model's constants.
+    """The constants of a local model.
 
-    ``key`` unit world direction towards the key light; ``sun`` and ``ambient`` linear RGB of it and
-    of the rest, times the albedo; ``shine`` Phong's highlight (0 for Lambert) and ``exponent``;
-    ``shadow`` whether a shadow ray is cast; ``fog_near``, ``fog_far`` world depths (equal: no fog).
+    - ``key``: unit world direction towards the key light.
+    - ``sun``, ``ambient``: linear RGB of the key light and of all other light, times the albedo.
+    - ``shine``, ``exponent``: strength (0 for Lambert) and exponent of Phong's highlight.
+    - ``shadow``: True if shadow rays are cast.
+    - ``fog_near``, ``fog_far``: world depths at which fog begins and is thick; no fog if equal.
     """
 
     key: tuple[float, float, float]
@@ -63,8 +63,8 @@ LOCAL_MODEL = record(
 
 @kernel(types.void(FIELD_RECORD, POINT_ROWS, REAL_TRIPLE, POINT_ROWS))
 def find_normals(field, points, eye, normals):
-    """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye``
-    where flat.
+    """Fill ``normals`` (m, 3), outward unit world ones, of the ``points`` in index space; they
+    point to the ``eye`` if the field is flat.
     """
     for m in range(points.shape[0]):
         p = point_of(points, m)
@@ -76,10 +76,11 @@ def find_normals(field, points, eye, normals):
 
 @kernel()
 def find_unoccluded(surface, starts, owners, ways, reached):
-    """Fill ``reached`` (n,): whether rays get away that start outside, in the rows ``owners`` (n,)
-    of ``starts``.
+    """Fill ``reached`` (n,) with True for rays that leave the volume without hitting the
+    isosurface.
 
-    These are in index space, (m, 3), and the ``ways`` (3, n) in the world.
+    Ray i starts at row ``owners[i]`` of ``starts`` (m, 3), outside in index space, in the world
+    direction ``ways[:, i]``.
     """
     count = owners.shape[0]
     field = surface.field
@@ -88,6 +89,7 @@ def find_unoccluded(surface, starts, owners, ways, reached):
     for i in range(count):
         put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
+    # Cast the rays from the outer side; those without a hit get away.
     t = np.empty(count)
     came = np.empty(count, np.int8)
     rays = Rays(
@@ -100,15 +102,16 @@ def find_unoccluded(surface, starts, owners, ways, reached):
 
 @kernel(types.void(SURFACE, SURFACE_POINTS, REAL_TRIPLE, types.boolean[::1]))
 def find_shadows(surface, points, key, seen):
-    """Fill ``seen`` (m,): whether the key light reaches each of ``SurfacePoints`` past the
-    isosurface, by a shadow ray.
+    """Fill ``seen`` (m,) with True for ``SurfacePoints`` that the key light in direction ``key``
+    reaches, by one shadow ray each.
 
-    Points that are turned away from the light count as unseen.
+    Points that face away from the light count as unseen.
     """
     owners = np.empty(seen.shape[0], np.int64)
     starts = np.empty((seen.shape[0], 3))
     count = 0
     for m in range(seen.shape[0]):
+        # List the points that face the light, with ray origins offset from the surface.
         p, n = point_of(points.points, m), point_of(points.normals, m)
         seen[m] = dot(n, key) > 0.0
         if seen[m]:
@@ -117,6 +120,7 @@ def find_shadows(surface, points, key, seen):
             )
             owners[count] = m
             count += 1
+    # Cast all rays towards the light as one stream.
     ways = np.empty((3, count))
     reached = np.empty(count, np.bool_)
     for i in range(count):
@@ -128,15 +132,17 @@ def find_shadows(surface, points, key, seen):
 
 @kernel()
 def highlight(n, key, view, exponent):
-    """Phong's (r·v)^e: the mirror direction of the key light against the direction to the eye."""
+    """Return Phong's (r·v)^e: the key light mirrored at the normal ``n``, against the direction
+    ``view`` to the eye.
+    """
     r = madd(scale(key, -1.0), 2.0 * dot(n, key), n)
     return max(dot(r, view), 0.0) ** exponent
 
 
 @kernel()
 def shade_point(p, n, eye, spacing, model, seen):
-    """Linear RGB of one point by a local ``model``; ``seen`` is 1 where the key light reaches it,
-    else 0.
+    """Return linear RGB of the point ``p`` with normal ``n`` by a local ``model``; ``seen`` is
+    1 if the key light reaches it, else 0.
     """
     cosine = max(dot(n, model.key), 0.0)
     v = to_world(sub(eye, p), spacing)
@@ -155,11 +161,11 @@ def shade_point(p, n, eye, spacing, model, seen):
     )
 )
 def shade_local(points, seen, eye, spacing, model, framebuffer):
-    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``SurfacePoints``
-    (S1, table 2).
+    """Shade the pixels of ``SurfacePoints`` by Lambert or Phong, with or without hard shadow and
+    fog (S1, table 2).
 
-    ``seen`` (m,) is what ``find_shadows`` says; it may hold no rows for a model without shadow. A
-    surface seen from its solid side shows its outer side's light, as the cache does.
+    ``seen`` (m,) comes from ``find_shadows``; it may be empty for a model without shadow. A surface
+    seen from its solid side shows the light of its outer side, as the cache does.
     """
     for m in range(points.pixels.shape[0]):
         if not model.shadow or seen[m]:

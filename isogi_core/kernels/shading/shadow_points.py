@@ -1,8 +1,8 @@
-"""Shadow rays from a picture's points, whatever the light: where they start, and which point asks
-in which turn.
+"""Origins of shadow rays from the points of a picture, and the order in which the points cast them.
 
-Pixels are asked in turns, so that a point may believe those around it that were asked before, where
-these are of one smooth surface with it.
+Pixels cast rays in turns, from a coarse grid to a fine one. A point may adopt the answer of the
+neighbours of earlier turns if all of them lie on one smooth surface with it, which saves its ray.
+All of this depends on the view alone, and not on the light.
 """
 
 import math
@@ -23,35 +23,38 @@ from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub
 
 MAX_BEND = 0.25
-"""How far a point may be from the middle of two neighbours, over their distance, for what these see
-to hold for it.
+"""Largest distance of a point from the middle of two neighbours, relative to the neighbours'
+distance, at which the three count as lying on one smooth surface.
 """
 
 MAX_NEIGHBOUR_VOXELS = 4.0
-"""Voxels between two neighbours, at most, of which a point amid them believes something: surfaces
-hide nothing smaller.
+"""Largest distance in voxels between two neighbours whose answer a point between them may
+adopt: surfaces cast no shadow smaller than that.
 """
 
 FIRST_TURN_STRIDE = 4
-"""Pixels asked in the first turn are so far apart along x and y."""
+"""Distance along x and y between the pixels of the first turn."""
 
 SAMPLING_TURNS = 5
-"""Turns in which pixels are asked, each of them amid four of the turns before."""
+"""Number of turns; each pixel of a later turn lies between four pixels of turns before."""
 
 ANY_TURN = -1
-"""In place of a turn: all of them."""
+"""Stands for all turns."""
 
 PART = types.UniTuple(types.int64, 2)
 ORDER_ARRAY = types.int32[::1]
 
 
 class ShadowPoints(NamedTuple):
-    """All surface points of a picture, as shadow rays to any light start from them.
+    """All surface points of a picture, as the origins of shadow rays to any light.
 
-    ``points`` are ``SurfacePoints``, ``rows`` (h, w) their numbers, -1 where none; ``starts`` (m,
-    3) float64 in index space; ``around`` (m, 4) the neighbours that are asked before a point, first
-    -1 where they say nothing of it; ``edgy`` (m,) whether half-shadows are looked for there even
-    where all neighbours agree; ``order`` (m,) the points turn by turn, those of one turn ascending.
+    - ``points``: ``SurfacePoints``.
+    - ``rows`` (h, w) int32: number of the point in each pixel, -1 if there is none.
+    - ``starts`` (m, 3) float64: ray origins in index space.
+    - ``around`` (m, 4) int32: numbers of the neighbours of earlier turns whose answer a point may
+      adopt; the first is -1 if it may not.
+    - ``edgy`` (m,): True if half-shadows are looked for even if all neighbours agree.
+    - ``order`` (m,) int32: the points turn by turn, ascending within each.
     """
 
     points: Any
@@ -75,8 +78,10 @@ SHADOW_POINTS = record(
 
 @kernel()
 def turn_of(x, y):
-    """When a pixel is asked: 0 where 4 divides x and y; the last two turns amid next neighbours,
-    others two apart.
+    """Return the turn of pixel (x, y), 0 to 4.
+
+    Turn 0 has the pixels whose x and y are multiples of 4. Turns 1 and 2 halve that grid; turns 3
+    and 4 fill in the other pixels, between neighbours at distance 1.
     """
     if (x | y) & 1:
         return 3 if x & y & 1 else 4
@@ -85,8 +90,8 @@ def turn_of(x, y):
 
 @kernel()
 def step_of(turn):
-    """How far apart the pixels of a turn and of those before it are, along x and y; 1 of
-    ANY_TURN.
+    """Return the distance along x and y between the pixels of a ``turn`` and all turns before;
+    1 for ANY_TURN.
     """
     if turn == 0:
         return FIRST_TURN_STRIDE
@@ -97,8 +102,8 @@ def step_of(turn):
 
 @kernel()
 def is_midway(points, m, a, b):
-    """Whether point ``m`` is in the middle of its neighbours ``a`` and ``b``, as on one smooth
-    surface.
+    """Return True if point ``m`` lies about halfway between its neighbours ``a`` and ``b``, as
+    on one smooth surface; False if one of them is -1.
     """
     if a < 0 or b < 0:
         return False
@@ -109,28 +114,28 @@ def is_midway(points, m, a, b):
 
 @kernel()
 def apart(points, a, b):
-    """How far points ``a`` and ``b`` are from each other, in index space."""
+    """Return the distance between points ``a`` and ``b``, in index space."""
     return length(sub(point_of(points, a), point_of(points, b)))
 
 
 @kernel()
 def are_near(points, a, b):
-    """Whether a point amid points ``a`` and ``b`` may believe what they see."""
+    """Return True if points ``a`` and ``b`` are at most MAX_NEIGHBOUR_VOXELS apart."""
     return apart(points, a, b) <= MAX_NEIGHBOUR_VOXELS
 
 
 @kernel()
 def near_between(points, m, a, b):
-    """Whether point ``m`` is in the middle of ``a`` and ``b``, as on one smooth surface, and these
-    are near.
+    """Return True if point ``m`` lies about halfway between ``a`` and ``b``,
+    and these are near each other.
     """
     return is_midway(points, m, a, b) and are_near(points, a, b)
 
 
 @kernel()
-def amid_near(points, m, four):
-    """Whether point ``m`` has all ``four`` neighbours, and the nearest is no farther than that of
-    two that are near.
+def has_close_neighbours(points, m, four):
+    """Return True if point ``m`` has all ``four`` neighbours, and the nearest is at most half
+    of MAX_NEIGHBOUR_VOXELS away.
     """
     nearest = math.inf
     for n in four:
@@ -142,8 +147,8 @@ def amid_near(points, m, four):
 
 @kernel()
 def neighbours(rows, y, x, aside, step):
-    """Numbers of the four points at a distance of ``step`` about a pixel: diagonal where ``aside``
-    is that, too.
+    """Return the numbers of four points around pixel (x, y): along the axes at a distance of
+    ``step`` if ``aside`` is 0, diagonal if it equals ``step``.
     """
     a = number_at(rows, y - aside, x - step)
     b = number_at(rows, y + aside, x + step)
@@ -152,20 +157,20 @@ def neighbours(rows, y, x, aside, step):
 
 @kernel()
 def on_one_surface(points, m, four):
-    """Whether point ``m`` is amid ``four`` neighbours, two and two of them opposite, as on one
-    smooth surface.
+    """Return True if point ``m`` lies about halfway between each of the two opposite pairs of
+    its ``four`` neighbours, as on one smooth surface.
     """
     return is_midway(points, m, four[0], four[1]) and is_midway(points, m, four[2], four[3])
 
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, PART))
 def prepare_points(surface, picture, part):
-    """Fill ``starts``, ``around`` and ``edgy`` of the points of a ``part``.
+    """Fill ``starts``, ``around`` and ``edgy`` of the points of a ``part``, a range (begin, end).
 
-    Neighbours ``around`` are the diagonal ones of a point of an odd turn, and those beside, above
-    and below it of an even one. Points are ``edgy`` at edges of the surface, behind which
-    half-shadows may begin; where one surface hides another every other one, as such edges are two
-    pixels wide, and those found have their neighbours asked.
+    Neighbours are diagonal in odd turns, and next to the point along the axes in even ones. Points
+    are ``edgy`` at silhouettes and creases, behind which half-shadows may begin. If one surface
+    hides another there, only every other point is: such edges are two pixels wide, and half-shadows
+    that are found spread to their neighbours.
     """
     rows = picture.rows
     points = picture.points.points
@@ -174,9 +179,12 @@ def prepare_points(surface, picture, part):
     for m in range(part[0], part[1]):
         p = point_of(points, m)
         n = point_of(picture.points.normals, m)
+        # Offset the origin of shadow rays from the surface.
         start = launch(surface.field, surface.isovalue, p, n, OUTSIDE_SIGN)
         picture.starts[m, 0], picture.starts[m, 1], picture.starts[m, 2] = start
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        # A point adopts answers only between neighbours on one smooth surface; neighbours two or
+        # more pixels apart must also be near each other.
         turn = turn_of(x, y)
         step = step_of(turn)
         four = neighbours(rows, y, x, step * (turn & 1), step)
@@ -187,24 +195,27 @@ def prepare_points(surface, picture, part):
         around[m, 1] = four[1]
         around[m, 2] = four[2]
         around[m, 3] = four[3]
-        beside = neighbours(rows, y, x, 0, 1)
-        left_out = (x + y) & 1 and amid_near(points, m, beside)
-        picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
+        # Look for half-shadows if the surface breaks off between this pixel and the next.
+        adjacent = neighbours(rows, y, x, 0, 1)
+        skipped = (x + y) & 1 and has_close_neighbours(points, m, adjacent)
+        picture.edgy[m] = not skipped and not on_one_surface(points, m, adjacent)
 
 
 @kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))
 def sort_by_turn(pixels, width, order, ends):
-    """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends``
-    (SAMPLING_TURNS + 1,) of turns.
+    """Fill the ``order`` (m,) of the points at ``pixels`` of a picture of this ``width``, and the
+    ``ends`` (SAMPLING_TURNS + 1,) of the turns.
 
-    Points of turn t are those from ``ends[t]`` to ``ends[t + 1]``.
+    Points of turn t are ``order[ends[t]]`` to ``order[ends[t + 1] - 1]``. This is a counting sort.
     """
+    # Count the points of each turn, and sum the counts up to the turns' begins.
     ends[:] = 0
     for m in range(pixels.shape[0]):
         y, x = divmod(np.int64(pixels[m]), width)
         ends[turn_of(x, y) + 1] += 1
     for turn in range(SAMPLING_TURNS):
         ends[turn + 1] += ends[turn]
+    # Put each point at the next free place of its turn.
     places = ends.copy()
     for m in range(pixels.shape[0]):
         y, x = divmod(np.int64(pixels[m]), width)

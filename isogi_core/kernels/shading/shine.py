@@ -1,11 +1,12 @@
-"""Shine: rays that a microfacet lobe sends from the points of a picture, and what they bring or
-meet.
+"""Shine: rays of a microfacet lobe from the points of a picture, the light that they bring, and the
+points that they end on.
 
-Ways are drawn either by the lobe or towards a light: the bright parts of a sharp environment, a
-lamp with an extent, or a luminaire; their density is that of all these together (Veach and Guibas
-1995, balance heuristic for one sample). Of several ways one has a ray, by what it would bring were
-nothing before the lights (Talbot et al. 2005, resampled importance sampling). So its light is right
-on the average, whatever it meets. Lamps without an extent have shadow rays of their own.
+Directions are sampled by the lobe or towards a light: the bright parts of a sharp environment, a
+lamp with an extent, or a luminaire. Their density is the mixture of all these techniques (Veach and
+Guibas 1995, balance heuristic for one sample). One of several candidate directions gets a ray,
+chosen by the light that it would bring without occlusion (Talbot et al. 2005, resampled importance
+sampling). The estimate is unbiased, whatever the ray hits. Lamps without an extent have shadow rays
+of their own.
 """
 
 import math
@@ -69,12 +70,14 @@ from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE
 
 MET_NOTHING = -2
 MET_ISOSURFACE = -1
-"""What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
+"""Values of ``ShineEnds.met`` for a ray that hit nothing, or the isosurface;
+numbers ≥ 0 are walls.
+"""
 
 
 class ShineDraws(NamedTuple):
-    """n rays: the points that they start from, ``owners`` int64, and sample numbers of sequences
-    ``seeds`` uint64.
+    """The random numbers of n rays: the numbers of the points that they start from, ``owners``
+    int64, the ``seeds`` uint64 of their sequences, and the sample numbers ``samples`` int64.
     """
 
     owners: Any
@@ -83,9 +86,12 @@ class ShineDraws(NamedTuple):
 
 
 class ShineEnds(NamedTuple):
-    """What n rays bring and meet: light ``brought``, and what light that leaves where they end
-    counts, ``weights``, both float32 (n, 3); the ``points`` there, whose ``pixels`` are the rays'
-    numbers; ``met`` int8 (n,) is a wall, MET_ISOSURFACE or MET_NOTHING.
+    """The results of n rays.
+
+    - ``brought``, float32 (n, 3): light that the ray brings, linear RGB.
+    - ``weights``, float32 (n, 3): factors of the light that leaves the point where the ray ends.
+    - ``points``: the ends; their ``pixels`` are the numbers of the rays.
+    - ``met``, int8 (n,): number of the wall, MET_ISOSURFACE or MET_NOTHING.
     """
 
     brought: Any
@@ -100,17 +106,17 @@ SHINE_ENDS = record(ShineEnds, SINGLE_ROWS, SINGLE_ROWS, SURFACE_POINTS, types.i
 
 @kernel()
 def to_local(n, w):
-    """The world direction ``w`` about the normal ``n``: z is along that."""
+    """Return the world direction ``w`` in a frame whose z axis is the normal ``n``."""
     s, t = orthonormal_basis(n)
     return dot(s, w), dot(t, w), dot(n, w)
 
 
 @kernel()
 def to_viewer(p, n, eye, spacing):
-    """The unit direction from ``p`` to the ``eye``, both in index space, about the normal ``n``: z
-    is along that.
+    """Return the unit direction from ``p`` to the ``eye``, both in index space, in a frame whose z
+    axis is the normal ``n``.
 
-    A normal that is turned away from the viewer counts as seen from its other side.
+    A normal that is turned away from the viewer is taken as seen from its other side.
     """
     v = normalize(to_world(sub(eye, p), spacing))
     x, y, z = to_local(n, v)
@@ -119,20 +125,26 @@ def to_viewer(p, n, eye, spacing):
 
 @kernel(inline=True)
 def draw_way(lobe, lights, p, n, v, seed, sample):
-    """A world direction from the world point ``p``, by the lobe or towards a light."""
+    """Sample a world direction from the world point ``p``, by the lobe or towards a light.
+
+    ``n`` is the normal there, ``v`` the local direction to the viewer; ``seed`` and ``sample`` give
+    the random numbers.
+    """
     a, b = point_2d(seed, sample, SHINE_WAY)
-    aside = share_aside(lobe, lights)
-    if a < 1.0 - aside:
-        return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - aside), b))
+    to_lights = share_to_lights(lobe, lights)
+    # The first number chooses the technique, and is rescaled to [0, 1) for use in it.
+    if a < 1.0 - to_lights:
+        return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - to_lights), b))
     count = count_lights(lights)
-    place = (a - 1.0 + aside) / aside * count
+    # Choose one of the lights with equal chances.
+    place = (a - 1.0 + to_lights) / to_lights * count
     which = min(int(place), count - 1)
     return draw_light(lights, which, p, min(place - which, BELOW_ONE), b)
 
 
 @kernel()
-def share_aside(lobe, lights):
-    """The share of ways that are drawn towards lights."""
+def share_to_lights(lobe, lights):
+    """Return the share of directions that are sampled towards lights; 0 if there are none."""
     if count_lights(lights) > 0:
         return lobe.aside
     return 0.0
@@ -140,33 +152,40 @@ def share_aside(lobe, lights):
 
 @kernel()
 def mirrored(lobe, v, l):
-    """What the lobe mirrors from ``l`` to ``v``, times cosθ and its strength; linear RGB."""
+    """Return the lobe's BRDF from ``l`` to ``v`` times cosθ and its strength; linear RGB."""
     return scale(schlick_fresnel(lobe.facing, v, l), lobe.strength * reflected(lobe.alpha, v, l))
 
 
 @kernel(inline=True)
 def judge_way(lobe, lights, p, v, l, w):
-    """What light along the way ``w``, locally ``l``, counts, and the light were nothing before it,
-    linear RGB; what is expected of both, and that over the density of ``draw_way``.
+    """Return the weight f cosθ of light along the world direction ``w`` (locally ``l``), that light
+    without occlusion, the expected product of both, and the product over the density of
+    ``draw_way``.
+
+    Weight and light are linear RGB, the others numbers; all are zero below the surface.
     """
     if not l[2] > 0.0:
         return NO_LIGHT, NO_LIGHT, 0.0, 0.0
     share = mirrored(lobe, v, l)
-    aside = share_aside(lobe, lights)
+    to_lights = share_to_lights(lobe, lights)
     light, density = expect_along(lights, p, w)
+    # A ray that ends on a surface is expected to bring the ambient light.
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
-    drawn = (1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density
+    # Density of the mixture of both techniques.
+    drawn = (1.0 - to_lights) * reflected_pdf(lobe.alpha, v, l) + to_lights * density
     return share, light, hope, hope / max(drawn, SMALLEST_NORMAL)
 
 
 @kernel(inline=True)
 def choose_way(lobe, lights, p, n, v, seed, sample):
-    """The way of a ray from the world point ``p``; what light from there counts, and that light
-    were nothing before it.
+    """Choose the direction of a ray from the world point ``p``; return it with the weight of light
+    from there, and that light without occlusion.
 
-    Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is
-    expected; it counts f cosθ/t times the mean of all t/p.
+    Of ``lights.ways`` candidates x with densities p(x), one is chosen with a probability in
+    proportion to t(x)/p(x), t being the expected product of ``judge_way``. Its weight is f cosθ/t
+    times the mean of all t/p (Talbot et al. 2005).
     """
+    # Draw one candidate after the other, and keep the chosen one (reservoir sampling).
     if lights.ways > 1:
         chance = point_2d(seed, sample, SHINE_CHOICE)[0]
     else:
@@ -180,6 +199,7 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
         share, light, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
         total += part
+        # Replace the choice with probability part / total; rescale the random number for reuse.
         taken = part / total if total > 0.0 else 0.0
         if chance < taken:
             chosen = w
@@ -207,8 +227,8 @@ def add_row(rows, m, weight, light):
 
 @kernel()
 def cast_from(surface, origins, directions, t):
-    """Fill ``t`` (n,) with how far rays (3, n), which start off the surface, come to it: inf where
-    they never do.
+    """Fill ``t`` (n,) with the distances at which rays (3, n) from outside hit the isosurface;
+    infinite if they miss it.
     """
     count = t.shape[0]
     came = np.empty(count, np.int8)
@@ -220,14 +240,15 @@ def cast_from(surface, origins, directions, t):
 
 @kernel()
 def end_ray(surface, room, ray, t, k, ends, i):
-    """Write where ray number ``i``, (origin, direction, way), ends: on wall ``k``, on the surface,
-    or nowhere.
+    """Write the end of ray number ``i`` = (origin, direction, way), at distance ``t`` on wall
+    ``k``, or on the isosurface if ``k`` < 0.
 
-    The back of a wall that is lit from its front alone is black.
+    A wall that is lit on its front alone is black from behind: such a ray met nothing.
     """
     o, d, w = ray
     p = madd(o, t, d)
     if k >= 0:
+        # Turn the normal of the wall towards the side that the ray comes from.
         slope = dot(row(room.normals, k), w)
         if lit_from(room, k, slope):
             ends.met[i] = k
@@ -236,6 +257,7 @@ def end_ray(surface, room, ray, t, k, ends, i):
         n = scale(row(room.normals, k), -1.0 if slope > 0.0 else 1.0)
     else:
         ends.met[i] = MET_ISOSURFACE
+        # If the field is flat there, the direction against the ray stands for the normal.
         n = normal(surface.field, p)
         n = scale(w, -1.0) if is_zero(n) else n
     put_row(ends.points.points, i, p)
@@ -255,8 +277,8 @@ def end_ray(surface, room, ray, t, k, ends, i):
     ),
 )
 def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
-    """Cast the rays of a ``lobe`` from ``SurfacePoints``, as ``draws`` has them, and fill their
-    ``ends``.
+    """Cast the rays of a ``lobe`` from ``SurfacePoints``, by the random numbers of ``draws``, and
+    fill their ``ends``.
 
     The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may
     have none.
@@ -266,22 +288,28 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
     directions = np.ones((3, count))
     ways = np.empty((3, count))
     t = np.empty(count)
+    # Choose directions and cast the rays.
     aim_rays(surface, points, eye, lobe, lights, draws, (origins, directions, ways), ends)
     cast_from(surface, origins, directions, t)
     end_rays(surface, room, lights, (origins, directions, ways), t, ends)
+    # Add lamps without an extent, which no sampled direction hits.
     for k in range(lights.around.lamps.kinds.shape[0]):
         add_lamp(surface, room, points, eye, lobe, (lights.around.lamps, k), draws, ends)
 
 
 @kernel()
 def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
-    """Choose the way of each of ``rays``, (origins, directions, ways); its weight, and what it
-    brings where it meets nothing, go to ``ends``.
+    """Choose the direction of each ray; fill ``rays`` = (origins, directions, ways), (3, n) each,
+    and the weights and unoccluded light of ``ends``.
+
+    Directions are in index space, ways in the world. A ray that cannot bring light starts at
+    infinity, so that it hits nothing.
     """
     field = surface.field
     (origins, directions, ways) = rays
     for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
+        # Start off the surface, and choose a direction by the light that it would bring.
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
         v = to_viewer(p, n, eye, field.spacing)
@@ -299,8 +327,11 @@ def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
 
 @kernel()
 def end_rays(surface, room, lights, rays, t, ends):
-    """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,)
-    on the surface.
+    """Fill the ``ends`` of ``rays`` = (origins, directions, ways), which hit the isosurface at
+    distances ``t`` (n,), infinite if they miss it.
+
+    The light of a ray that ends on a surface is that of lamps before its end; a ray that meets
+    nothing keeps its unoccluded light.
     """
     origins, directions, ways = rays
     for i in range(t.shape[0]):
@@ -308,6 +339,7 @@ def end_rays(surface, room, lights, rays, t, ends):
         if not origins[0, i] < math.inf:
             continue
         o, d, w = column(origins, i), column(directions, i), column(ways, i)
+        # A wall before the isosurface ends the ray.
         reach, wall = nearest_wall(room.walls, o, d, NO_WALL, t[i])
         if reach < math.inf:
             end_ray(surface, room, (o, d, w), reach, int(wall), ends, i)
@@ -317,8 +349,8 @@ def end_rays(surface, room, lights, rays, t, ends):
 
 @kernel()
 def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
-    """Add what a ``lamp``, (lamps, its number), without an extent brings where nothing is before
-    it; a ray each.
+    """Add the light of one ``lamp`` = (lamps, its number) without an extent to ``ends``, by a
+    shadow ray from each point.
     """
     lamps, k = lamp
     count = draws.owners.shape[0]
@@ -329,6 +361,7 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
     t = np.empty(count)
     reach = np.empty(count)
     for i in range(count):
+        # Find direction, distance and light of the lamp at each point, times the lobe's BRDF.
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
@@ -338,10 +371,12 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
         put_column(origins, i, NO_START)
         put_column(lights, i, NO_LIGHT)
         if l[2] > 0.0:
+            # ``illuminate`` has included cosθ/π, which the BRDF times cosine replaces.
             share = scale(mirrored(lobe, v, l), math.pi / l[2])
             put_column(origins, i, o)
             put_column(directions, i, to_index(w, field.spacing))
             put_column(lights, i, times(share, light))
+    # Add the light of those rays that reach the lamp before surface and walls.
     cast_from(surface, origins, directions, t)
     for i in range(count):
         if origins[0, i] < math.inf:
@@ -352,8 +387,8 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
 
 @kernel(types.void(SURFACE_POINTS, REAL_TRIPLE, REAL_TRIPLE, SHINE_LOBE, SINGLE_ROWS))
 def fill_below(points, eye, spacing, lobe, below):
-    """Fill ``below`` (m, 3) with ``light_below`` of ``SurfacePoints`` seen from the ``eye``, in
-    index space.
+    """Fill ``below`` (m, 3) with ``light_below`` at ``SurfacePoints`` seen from the ``eye``,
+    in index space.
     """
     for m in range(points.pixels.shape[0]):
         v = to_viewer(point_of(points.points, m), point_of(points.normals, m), eye, spacing)
@@ -365,8 +400,8 @@ def light_ends(surface, points, lamps, seeds, lit):
     """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at
     ``SurfacePoints``.
 
-    One shadow ray from each point to each lamp, drawn from the disc of that by the sequences
-    ``seeds``.
+    One shadow ray goes from each point to each lamp, sampled from the lamp's disc by the sequences
+    ``seeds`` (m,).
     """
     count = points.pixels.shape[0]
     field = surface.field
@@ -377,6 +412,7 @@ def light_ends(surface, points, lamps, seeds, lit):
     t = np.empty(count)
     for k in range(lamps.kinds.shape[0]):
         for i in range(count):
+            # Sample the direction to the lamp; points that face away from it cast no ray.
             p, n = point_of(points.points, i), point_of(points.normals, i)
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
@@ -388,6 +424,7 @@ def light_ends(surface, points, lamps, seeds, lit):
             )
             put_column(directions, i, to_index(w, field.spacing))
             put_column(lights, i, light)
+        # Rays that hit nothing bring the light of the lamp.
         cast_from(surface, origins, directions, t)
         for i in range(count):
             if origins[0, i] < math.inf and t[i] == math.inf:
@@ -400,8 +437,8 @@ ONE_F32 = np.float32(1.0)
 
 @kernel(inline=True)
 def biweight(normals, n, normal, narrow):
-    """What the normal of point ``n`` counts for a ``normal``: Tukey's biweight of the length
-    between both, by the inverse of its squared width.
+    """Return the weight of the normal of point ``n`` for a ``normal``: Tukey's biweight of the
+    distance between both, ``narrow`` being the inverse square of its width.
     """
     x = normals[n, 0] - normal[0]
     y = normals[n, 1] - normal[1]
@@ -423,13 +460,13 @@ def biweight(normals, n, normal, narrow):
     )
 )
 def filter_shine(rows, pixels, normals, first, light, step, width, found):
-    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from
-    number ``first`` on.
+    """Fill ``found`` (k, 4) with the filtered ``light`` (m, 4) of the points from number ``first``
+    on.
 
-    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels,
-    a ``step`` apart, which count binomially, and by how like their ``normals`` (m, 3) are within a
-    ``width``. ``rows`` and ``pixels`` are as of ``pool_noise``. Source: Dammertz and others 2010;
-    Schied and others 2017 on variance.
+    Light is linear RGB and the variance of its luminance. It is averaged over 5 × 5 pixels, a
+    ``step`` apart, by binomial weights times the ``biweight`` of the ``normals`` (m, 3), whose
+    width is ``width``. ``rows`` and ``pixels`` are as in ``pool_noise``. Source: Dammertz et al.
+    2010; Schied et al. 2017 for the variance.
     """
     (height, across) = rows.shape
     narrow = ONE_F32 / (width * width)
@@ -438,6 +475,7 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
         y, x = divmod(np.int64(pixels[m]), across)
         normal = normals[m, 0], normals[m, 1], normals[m, 2]
         red = green = blue = variance = total = ZERO_F32
+        # Sum the weighted light of the points in the window; variance has squared weights.
         for dy in range(-RADIUS, RADIUS + 1):
             v = y + dy * step
             for dx in range(-RADIUS if 0 <= v < height else RADIUS + 1, RADIUS + 1):

@@ -1,5 +1,5 @@
-"""Normals that texels are lit about. They are computed for the texels of each view, as no store
-keeps them.
+"""Normals of texels, about which their light arrives. They are computed for the texels of each
+view, as no store keeps them.
 """
 
 import math
@@ -15,15 +15,15 @@ from isogi_core.kernels.tracing.vec import is_zero
 from isogi_core.kernels.transport.transfer import TEXEL_PLACES, way_to
 
 NEARLY = 8
-"""Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for
-its normal.
+"""Number of halvings that find the place of a projected texel to 1/4000 of a voxel:
+enough for its normal.
 """
 
 
 @kernel()
 def blur_row(voxels, k, j, i0, i, i2):
-    """The smoothed value and slope along x of a row at voxel ``i``, whose neighbours are ``i0`` and
-    ``i2``.
+    """Return the smoothed value and the slope along x of a row at voxel ``i``, between its
+    neighbours ``i0`` and ``i2``, by the cubic B-spline (1, 4, 1)/6.
     """
     low = np.float64(voxels[k, j, i0])
     here = np.float64(voxels[k, j, i])
@@ -33,7 +33,7 @@ def blur_row(voxels, k, j, i0, i, i2):
 
 @kernel()
 def plane_of(voxels, k, j0, j, j2, i0, i, i2):
-    """The smoothed value of a plane at voxel (j, i), and its slopes along y and x."""
+    """Return the smoothed value of plane ``k`` at voxel (j, i), and its slopes along y and x."""
     a = blur_row(voxels, k, j0, i0, i, i2)
     b = blur_row(voxels, k, j, i0, i, i2)
     c = blur_row(voxels, k, j2, i0, i, i2)
@@ -46,14 +46,16 @@ def plane_of(voxels, k, j0, j, j2, i0, i, i2):
 
 @kernel()
 def voxel_gradient(voxels, k, j, i):
-    """``smooth_gradient`` at voxel (k, j, i), where it is of 27 voxels; those beyond the border
-    repeat the border's.
+    """Return ``smooth_gradient`` at voxel (k, j, i), which needs 27 voxels there instead of 64;
+    voxels beyond the border repeat the border's.
     """
     nz, ny, nx = voxels.shape
+    # Repeat the border's voxels beyond it.
     i0 = max(i - 1, 0)
     i2 = min(i + 1, nx - 1)
     j0 = max(j - 1, 0)
     j2 = min(j + 1, ny - 1)
+    # Smooth two axes of each component, and take the slope along the third.
     a = plane_of(voxels, max(k - 1, 0), j0, j, j2, i0, i, i2)
     b = plane_of(voxels, k, j0, j, j2, i0, i, i2)
     c = plane_of(voxels, min(k + 1, nz - 1), j0, j, j2, i0, i, i2)
@@ -66,11 +68,13 @@ def voxel_gradient(voxels, k, j, i):
 
 @kernel()
 def texel_normal(field, step, texels, m):
-    """The normal at texel ``m``'s own point, and that point; where each voxel has a texel, by the
-    voxels about it.
+    """Return the normal at the lattice point of texel ``m``, and that point in index space.
+
+    ``step`` (3,) is voxels per texel along x, y, z.
     """
     p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
     n = (0.0, 0.0, 0.0)
+    # At voxels, the smoothed gradient is cheaper: 27 voxels, and weights without fractions.
     if field.smooth and step[0] == 1.0 and step[1] == 1.0 and step[2] == 1.0:
         gradient = voxel_gradient(field.voxels, texels[m, 0], texels[m, 1], texels[m, 2])
         n = to_world_normal(gradient, field.spacing)
@@ -79,8 +83,8 @@ def texel_normal(field, step, texels, m):
 
 @kernel(exact=True)
 def normal_there(field, p, n, level):
-    """The normal where ``p``, whose own is ``n``, comes to on the isosurface ``level``; (0, 0, 0)
-    if out of reach.
+    """Return the normal at the place on the isosurface ``level`` that ``p``, whose normal is
+    ``n``, is projected to; (0, 0, 0) if it is out of reach.
     """
     if is_zero(n):
         return n
@@ -94,14 +98,14 @@ def normal_there(field, p, n, level):
     types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINT_ROWS)
 )
 def fill_texel_normals(field, step, level, projected, texels, normals):
-    """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own
-    points.
+    """Fill ``normals`` (m, 3), outward unit world ones, of the ``texels`` (m, 3; z, y, x).
 
-    Or, where they are ``projected``, of the places that ``project_texels`` brings them to on the
-    isosurface ``level``, a voxel-space isovalue; what else may keep them where they are is not
-    asked. ``step`` (3,) voxels per texel along x, y, z. Normals are (0, 0, 0) where the field has
-    no gradient or the level is out of reach. Of texels at the edge of a plateau, which are lit a
-    voxel or so away along the gradient, they are those of their own points too.
+    Normals are those at the texels' lattice points or, if ``projected``, at the places on the
+    isosurface ``level`` (a voxel-space isovalue) that ``project_texels`` moves them to; no other
+    reason to leave a texel in place is tested. ``step`` (3,) is voxels per texel along x, y, z.
+    Normals are (0, 0, 0) if the field has no gradient or the level is out of reach. Texels at the
+    edge of a plateau, whose light is computed about a voxel away along the gradient, keep the
+    normals of their lattice points.
     """
     for m in range(texels.shape[0]):
         n, p = texel_normal(field, step, texels, m)
@@ -111,18 +115,20 @@ def fill_texel_normals(field, step, level, projected, texels, normals):
 
 
 KEY_ARRAY = types.uint64[::1]
-"""Which texels a table of normals holds, each at the first free place from its own on: number plus
-1; 0 is free.
+"""Type of the keys of a hash table: number of a texel plus 1, 0 for a free place. A texel is at
+the first free place from its hash on (linear probing).
 """
 
 HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
-"""An odd number near 2⁶⁴ over the golden ratio: its multiples spread numbers in a row all over."""
+"""An odd number near 2⁶⁴ over the golden ratio: its multiples scatter consecutive numbers over
+all places (Knuth, "The Art of Computer Programming", section 6.4).
+"""
 
 
 @kernel()
 def slot_of(number, keys):
-    """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be
-    put.
+    """Return the place of texel ``number`` in a table of ``keys``, whose length is a power of
+    two, or the free place where it may be put.
     """
     last = np.uint64(keys.shape[0] - 1)
     key = number + np.uint64(1)
@@ -134,8 +140,8 @@ def slot_of(number, keys):
 
 @kernel(types.void(KEY_ARRAY, KEY_ARRAY, POINT_ROWS, POINT_ROWS, types.boolean[::1]))
 def look_up_normals(numbers, keys, table, normals, found):
-    """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are
-    ``found`` (m,).
+    """Fill ``normals`` (m, 3) of those texels ``numbers`` (m,) that a ``table`` holds, and set
+    ``found`` (m,) for these.
     """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)
@@ -146,8 +152,8 @@ def look_up_normals(numbers, keys, table, normals, found):
 
 @kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
-    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for
-    them.
+    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table``
+    that has room for them.
     """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)

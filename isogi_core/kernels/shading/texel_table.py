@@ -1,5 +1,9 @@
-"""The texel table: the light of texels as frames read it, unpacked and summed from the parts that
-texels keep.
+"""The texel table: the light of texels as frames read it, decoded and summed over the parts that
+bakes keep.
+
+A part is the light of one layer (direct, reflected, a glow). ``unpack_texels`` decodes parts from
+the records of chunks; ``add_part`` adds them to the rows of the table; ``judge_rows`` then
+estimates the error of each row.
 """
 
 import math
@@ -22,12 +26,14 @@ FIRST_LEVEL = 16
 """Samples of a texel's first level; each further level doubles them."""
 
 INFINITE_HALF = 0x7C00
-"""Bits of the half float that stands for no finite number, and below all others that do not."""
+"""Bits of an infinite half float;
+those of all numbers that are not finite are at least this, the sign aside.
+"""
 
 
 class Numbers(NamedTuple):
-    """What bytes stand for, (256,) each: ``samples`` int32, ``noise`` and ``light`` float32, see
-    ``bake.precision``.
+    """Tables (256,) from coded bytes to values: ``samples`` int32,
+    ``noise`` and ``light`` float32.
     """
 
     samples: np.ndarray
@@ -36,8 +42,8 @@ class Numbers(NamedTuple):
 
 
 class Texels(NamedTuple):
-    """What m texels keep of a layer, as ``bake.texel_light.Part``: ``samples``, ``noise``,
-    ``light`` (coefficients).
+    """The decoded light of m texels in one layer, as in ``bake.texel_light.Part``: ``samples``
+    (m,), ``noise`` (m, noises) and ``light`` (m, channels, coefficients).
     """
 
     samples: np.ndarray
@@ -46,8 +52,8 @@ class Texels(NamedTuple):
 
 
 def plane(kind, axes):
-    """The type of a plane in a record, of these ``axes``: it may be read-only, and its numbers lie
-    apart.
+    """Return the type of a plane in a record, with this number of ``axes``: it may be
+    read-only, and need not be contiguous.
     """
     return types.Array(kind, axes, "A", readonly=True)
 
@@ -66,11 +72,11 @@ TEXELS_RECORD = record(Texels, types.int32[::1], types.float32[:, ::1], types.fl
 
 @kernel()
 def number_of_half(half):
-    """The number that the 16 bits of a ``half`` float stand for, exactly; NaN where it is not
-    finite; float32.
+    """Return the value of the 16 bits of a ``half`` float, exactly, as float32; NaN if it is not
+    finite.
 
-    Its exponent and fraction are put where a single float has them, which then is 2^-112 of it,
-    also where the half is subnormal (IEEE 754).
+    Exponent and fraction are moved to where a single float has them. The result is 2^-112 times the
+    value, as the exponents' biases differ by 112; this holds for subnormal halves too (IEEE 754).
     """
     size = np.uint32(half) & np.uint32(0x7FFF)
     if size >= INFINITE_HALF:
@@ -83,8 +89,8 @@ def number_of_half(half):
 
 @kernel()
 def take_halves(plane, offsets, scale, into):
-    """Write the numbers of the half floats at ``offsets`` (m,) in a ``plane``, times ``scale``,
-    ``into`` (m,).
+    """Write the half floats at ``offsets`` (m,) of a ``plane``, times ``scale``,
+    to ``into`` (m,).
     """
     for m, t in enumerate(offsets):
         into[m] = number_of_half(plane[np.uint32(t)]) * scale
@@ -92,8 +98,8 @@ def take_halves(plane, offsets, scale, into):
 
 @kernel()
 def take_singles(plane, offsets, scale, into):
-    """Write the single floats at ``offsets`` (m,) in a ``plane``, times ``scale``, ``into``
-    (m,).
+    """Write the single floats at ``offsets`` (m,) of a ``plane``, times ``scale``,
+    to ``into`` (m,).
     """
     for m, t in enumerate(offsets):
         into[m] = plane[np.uint32(t)] * scale
@@ -101,8 +107,8 @@ def take_singles(plane, offsets, scale, into):
 
 @kernel()
 def take_codes(plane, offsets, numbers, scale, into):
-    """Write the ``numbers`` (256,) of bytes at ``offsets`` (m,) in a ``plane``, times ``scale``,
-    ``into`` (m,).
+    """Decode the bytes at ``offsets`` (m,) of a ``plane`` by the table ``numbers`` (256,), and
+    write them, times ``scale``, to ``into`` (m,).
     """
     for m, t in enumerate(offsets):
         into[m] = numbers[plane[np.uint32(t)]] * scale
@@ -115,52 +121,55 @@ PLANE_TUPLE = types.Tuple(
 
 @kernel(types.void(OFFSETS, BOUNDS, PLANE_TUPLE, TEXEL_NUMBERS, TEXELS_RECORD))
 def unpack_texels(offsets, bounds, planes, numbers, texels):
-    """Fill ``texels`` with those at ``offsets`` (m,) in records; ``bounds[k]`` … ``bounds[k + 1]``
-    are of record k.
+    """Decode into ``texels`` those at ``offsets`` (m,) in several records; entries ``bounds[k]`` …
+    ``bounds[k + 1]`` lie in record k.
 
-    The records' ``planes`` are ``scales`` (records,), ``rungs`` (records, texels), ``noise``
-    (records, noises, texels), and (records, channels, coefficients of this kind, texels)
-    ``halves``, the bits of half floats, then ``singles``, then ``codes``. Noise and light are times
-    the scales. Planes are read one after the other, as they lie.
+    The ``planes`` of the records are ``scales`` (records,), ``rungs`` (records, texels), ``noise``
+    (records, noises, texels), and three planes (records, channels, coefficients, texels) for the
+    first coefficients as ``halves``, the bits of half floats, the next as ``singles``, and the last
+    as ``codes``. Noise and light are multiplied by the scale of the record.
     """
     scales, rungs, noise, halves, singles, codes = planes
+    # Coefficients are stored as halves, then singles, then codes.
     first = halves.shape[2]
     second = halves.shape[2] + singles.shape[2]
     for k, scale in enumerate(scales):
+        # Read one plane after the other, in the order in which they lie in memory.
         a = bounds[k]
         b = bounds[k + 1]
-        own = offsets[a:b]
+        places = offsets[a:b]
         light = texels.light[a:b]
-        take_codes(rungs[k], own, numbers.samples, 1, texels.samples[a:b])
+        take_codes(rungs[k], places, numbers.samples, 1, texels.samples[a:b])
         for j in range(noise.shape[1]):
-            take_codes(noise[k, j], own, numbers.noise, scale, texels.noise[a:b, j])
+            take_codes(noise[k, j], places, numbers.noise, scale, texels.noise[a:b, j])
         for c in range(light.shape[1]):
             for i in range(first):
-                take_halves(halves[k, c, i], own, scale, light[:, c, i])
+                take_halves(halves[k, c, i], places, scale, light[:, c, i])
             for i in range(first, second):
-                take_singles(singles[k, c, i - first], own, scale, light[:, c, i])
+                take_singles(singles[k, c, i - first], places, scale, light[:, c, i])
             for i in range(second, light.shape[2]):
-                take_codes(codes[k, c, i - second], own, numbers.light, scale, light[:, c, i])
+                take_codes(codes[k, c, i - second], places, numbers.light, scale, light[:, c, i])
 
 
 TEXEL_LIT = 1
 LIGHT_LACKING = 2
 FEW_SAMPLES = 4
 TEXEL_VOID = 8
-"""What a part may say of a texel: it has light; shown light lacks; it has too few samples to be
-dark; it is void.
+"""Bits that a part may set for a texel: it has light; light that is shown is missing; it has
+too few samples to be known as dark; it is void.
 """
 
 VOID_SAMPLES = -1
-"""Number of samples of a texel that can hold no light (see bake.precision.VOID)."""
+"""Number of samples of a texel that can hold no light (``bake.texel_light.VOID``)."""
 
 
 class Rows(NamedTuple):
-    """Light as frames read it: ``transfer`` (rows, channels, columns), and of each row float32
-    ``scatter`` (see ``bake.noise``), relative ``error`` and ``stamp``, which says how far it is
-    baked.
+    """The texel table: light as frames read it, one row per texel.
 
-    Columns are the coefficients of terms that meet lights of their own, side by side.
+    ``transfer`` (rows, channels, columns) holds coefficients; each term has a range of columns.
+    ``scatter``, relative ``error`` and ``stamp``, float32 (rows,), are the ratio of
+    ``bake.noise.scatter``, the standard error over the luminance, and a number that encodes the
+    sample counts and the light without samples.
     """
 
     transfer: np.ndarray
@@ -170,9 +179,12 @@ class Rows(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What is summed over the parts of m texels: ``variance`` and ``luminance``, float64;
-    ``rungs``, those of the parts side by side, and the bits of what is ``shown`` without samples,
-    int64; ``marks``, TEXEL_LIT, …, uint8.
+    """Sums over the parts of m texels.
+
+    - ``variance``, ``luminance``: float64.
+    - ``rungs``: the rungs of all parts, encoded in one int64.
+    - ``shown``: sum of the bits of light that is shown without samples, int64.
+    - ``marks``: TEXEL_LIT, …, combined, uint8.
     """
 
     variance: np.ndarray
@@ -183,13 +195,16 @@ class Sums(NamedTuple):
 
 
 class Role(NamedTuple):
-    """What a part is to a bake: ``gains`` (noises,) of its squared noises, luminance ``weights``
-    (channels,) of band 0.
+    """How a part of a bake counts in the rows of its texels.
 
-    It is of the term with ``width`` columns from ``column`` on, and the ``first`` of its parts or
-    not. ``rung`` is what its rung counts in ``Sums.rungs``. Of a ``straight`` part light is shown,
-    of others only added to it; one that is ``telling`` is dark where no light ever comes. With
-    fewer samples than ``fewest`` a part is not known to be dark.
+    - ``gains`` (noises,): factors of its squared noises in the variance of luminance.
+    - ``weights`` (channels,): factors of band 0 in the luminance.
+    - ``column``, ``width``: the columns of its term.
+    - ``first``: True if it is the first part of its term, which overwrites the columns.
+    - ``rung``: factor of its rung in ``Sums.rungs``.
+    - ``straight``: True if its light is shown by itself; other light is only added to it.
+    - ``telling``: True if no light ever arrives at a texel that is dark in it.
+    - ``fewest``: least number of samples at which a dark texel counts as dark.
     """
 
     gains: np.ndarray
@@ -223,8 +238,8 @@ LIGHT_ROWS = types.float32[:, :, ::1]
 
 @kernel()
 def rung_of(samples):
-    """Return the rung of a number of samples on the ladder: 0 for none or void, k for FIRST_LEVEL ·
-    2^(k - 1).
+    """Return the rung of a number of samples on the ladder:
+    k for FIRST_LEVEL · 2^(k - 1) samples, 0 for none or void.
     """
     rung = 0
     while samples >= FIRST_LEVEL:
@@ -235,21 +250,22 @@ def rung_of(samples):
 
 @kernel()
 def add_texel_light(light, m, role, transfer, row):
-    """Add the ``light`` of a texel to its term's columns of a ``row``, or put it there; whether
-    there is any.
+    """Add the ``light`` of texel ``m`` to its term's columns in a ``row`` of ``transfer``, or write
+    it if the part is the first; return True if any of it is not zero.
 
-    A light of one channel is that of all.
+    Light of one channel counts for all channels.
     """
     lit = False
     n = min(light.shape[2], role.width)
     for c in range(transfer.shape[1]):
-        own = min(c, light.shape[1] - 1)
+        channel = min(c, light.shape[1] - 1)
         for i in range(n):
             if role.first:
                 former = np.float32(0.0)
             else:
                 former = transfer[row, c, role.column + i]
-            transfer[row, c, role.column + i] = light[m, own, i] + former
+            transfer[row, c, role.column + i] = light[m, channel, i] + former
+        # The first part clears the columns beyond its order.
         for i in range(n, role.width if role.first else n):
             transfer[row, c, role.column + i] = 0.0
     for c in range(light.shape[1]):
@@ -260,8 +276,8 @@ def add_texel_light(light, m, role, transfer, row):
 
 @kernel()
 def variance_of(noise, m, gains):
-    """Variance of the luminance in a part, at least a quarter of what even noise would be: see
-    ``noise.deviation``.
+    """Return the variance of the luminance of texel ``m`` in a part, at least a quarter of that
+    of uniform noise: see ``bake.noise.deviation``.
     """
     total = 0.0
     even = 0.0
@@ -274,8 +290,8 @@ def variance_of(noise, m, gains):
 
 @kernel()
 def mark_of(samples, lit, role):
-    """The marks that a part with this number of ``samples`` gives a texel, ``lit`` or dark in
-    it.
+    """Return the marks of a texel by a part in which it has this number of ``samples`` and is
+    ``lit`` or dark.
     """
     lacks = role.straight and samples == 0 and not lit
     if lit or not role.telling:
@@ -288,7 +304,9 @@ def mark_of(samples, lit, role):
 
 @kernel()
 def sum_bits(bits, m):
-    """The sum of a texel's numbers, taken by their ``bits`` (m, channels, n²) int32."""
+    """Return the sum of the coefficients of texel ``m``, taken as the integers that their
+    ``bits`` (m, channels, n²) int32 are: a checksum.
+    """
     total = np.int64(0)
     for c in range(bits.shape[1]):
         for i in range(bits.shape[2]):
@@ -309,10 +327,10 @@ def sum_bits(bits, m):
     )
 )
 def add_part(samples, noise, light, bits, role, rows, into, sums):
-    """Add one part of m texels to their ``rows`` (m,) in ``into``, and to their ``sums``.
+    """Add one part of m texels to their ``rows`` (m,) of the table ``into``, and to their ``sums``.
 
-    Of the part, ``samples`` (m,), ``noise`` (m, noises) and ``light`` (m, channels, n²), also as
-    its ``bits``.
+    The part has ``samples`` (m,), ``noise`` (m, noises) and ``light`` (m, channels, n²), which is
+    also given as ``bits``; ``role`` tells how it counts.
     """
     for m in range(len(samples)):
         lit = add_texel_light(light, m, role, into.transfer, np.uint32(rows[m]))
@@ -321,13 +339,17 @@ def add_part(samples, noise, light, bits, role, rows, into, sums):
             sums.luminance[m] += light[m, c, 0] * role.weights[c]
         sums.rungs[m] += role.rung * rung_of(samples[m])
         sums.marks[m] |= mark_of(samples[m], lit, role)
+        # Light without samples is that of a fallback layer: its bits enter the stamp, so that a
+        # change is noticed.
         if samples[m] == 0:
             sums.shown[m] += sum_bits(bits, m)
 
 
 @kernel()
 def lookup_of(marks, row):
-    """Where a texel with these ``marks`` is looked up: its ``row``, or why it has none."""
+    """Return the ``row`` of a texel with these ``marks``, or VOID_ROW, UNLIT_ROW or BURIED_ROW
+    if it has nothing to show.
+    """
     if marks & TEXEL_VOID:
         return VOID_ROW
     if marks & LIGHT_LACKING:
@@ -338,13 +360,16 @@ def lookup_of(marks, row):
 
 
 class Judge(NamedTuple):
-    """What a bake's lights are to its texels' errors, see ``bake.noise``.
+    """The lights of a bake, by which the errors of texels are judged: see ``bake.noise``.
 
-    Of each term the first of its columns, ``firsts`` (terms,), how many they are, ``widths``
-    (terms,), and the ``squares`` (terms,) of band 0 of its light; of each two of them the
-    ``powers`` (terms, terms, channels, channels, most n²), all in ``unit``. The least luminance
-    that an error is held against is ``level``, the least deviation ``darkest``. Stamps are the
-    rungs, and ``beyond`` times what bits are shown, by their remainder of ``checksums``.
+    - ``firsts``, ``widths`` (terms,): the first column of each term, and the number of its columns.
+    - ``squares`` (terms,): band 0 of the square of each term's light.
+    - ``powers`` (terms, terms, channels, channels, most n²): see ``bake.noise.powers``.
+    - ``unit``: the radiance that the light is counted in.
+    - ``level``: least luminance that errors are relative to.
+    - ``darkest``: least standard deviation of a path.
+    - ``beyond``, ``checksums``: a stamp is the rungs plus ``beyond`` times the checksum of light
+      without samples, modulo ``checksums``.
     """
 
     firsts: np.ndarray
@@ -373,8 +398,8 @@ JUDGE = record(
 
 @kernel()
 def second_moment(transfer, row, judge):
-    """The mean square of one path's luminance over turns of the light: band 0 of Σ τ·q, see
-    ``bake.noise``.
+    """Return the mean square of one path's luminance over all turns of the light: band 0 of Σ
+    τ·q, see ``bake.noise.path_deviation``.
     """
     total = 0.0
     green = transfer.shape[1] // 2
@@ -385,8 +410,8 @@ def second_moment(transfer, row, judge):
 
 @kernel(any_order=True)
 def product_of(transfer, row, judge, a, b):
-    """E[(τ_a·Dℓ_a)(τ_b·Dℓ_b)] of two terms over turns D of the light, by their ``powers``: see
-    ``bake.noise``.
+    """Return E[(τ_a·Dℓ_a)(τ_b·Dℓ_b)] of two terms over all turns D of the light, by their
+    ``powers``: see ``bake.noise.powers``.
     """
     total = 0.0
     first = judge.firsts[a]
@@ -403,7 +428,7 @@ def product_of(transfer, row, judge, a, b):
 
 @kernel()
 def mean_square(transfer, row, judge):
-    """E[(Σ τ·Dℓ)²] of all terms over turns D of the light."""
+    """Return E[(Σ τ·Dℓ)²], the mean square of a texel's luminance over all turns D of the light."""
     total = 0.0
     for a in range(judge.firsts.shape[0]):
         for b in range(judge.firsts.shape[0]):
@@ -413,21 +438,24 @@ def mean_square(transfer, row, judge):
 
 @kernel(types.void(COUNT_ARRAY, ROWS_RECORD, SUMS_RECORD, JUDGE, COUNT_ARRAY))
 def judge_rows(rows, into, sums, judge, places):
-    """Fill scatter, error and stamp of the ``rows`` (m,) in ``into``, whose parts were all added,
-    from their ``sums``.
+    """Fill scatter, error and stamp of the ``rows`` (m,) of ``into``, to which all parts were
+    added, by their ``sums``.
 
-    ``places`` (m,) are set to the rows, or to UNLIT_ROW, VOID_ROW or BURIED_ROW of texels that have
+    ``places`` (m,) become the rows, or UNLIT_ROW, VOID_ROW or BURIED_ROW for texels that have
     nothing to show.
     """
     for m in range(len(rows)):
         row = np.uint32(rows[m])
-        wrong = math.sqrt(sums.variance[m])
+        # The variance of one path is its second moment less the square of the mean, plus
+        # LEAST_SPREAD.
+        deviation = math.sqrt(sums.variance[m])
         second = second_moment(into.transfer, row, judge)
         spread = max(second - mean_square(into.transfer, row, judge), 0.0) + LEAST_SPREAD * max(
             second, 0.0
         )
-        into.scatter[row] = wrong / max(judge.unit * math.sqrt(spread), judge.darkest)
-        into.error[row] = wrong / max(sums.luminance[m], judge.level)
+        # Scatter stays as the light turns; error is that of the mean over all turns.
+        into.scatter[row] = deviation / max(judge.unit * math.sqrt(spread), judge.darkest)
+        into.error[row] = deviation / max(sums.luminance[m], judge.level)
         into.stamp[row] = sums.rungs[m] + judge.beyond * (sums.shown[m] % judge.checksums)
         places[m] = lookup_of(sums.marks[m], rows[m])
 
@@ -436,11 +464,11 @@ def judge_rows(rows, into, sums, judge, places):
     types.void(types.float32[::1], types.int64, types.int64, types.int32[::1], types.int32[::1])
 )
 def find_fewest(stamps, parts, levels, numbers, fewest):
-    """Fill ``fewest`` (m,): the fewest samples of any of the ``parts`` of texels with these
-    ``stamps`` (m,).
+    """Fill ``fewest`` (m,) with the smallest number of samples in any of the ``parts`` of texels
+    with these ``stamps`` (m,).
 
-    A stamp has as many ``levels`` for each part, which stand for ``numbers`` (256,) of samples;
-    negative ones for none.
+    A stamp encodes one rung per part to the base ``levels``; ``numbers`` (256,) are the sample
+    numbers of rungs. Negative stamps, of texels without light, count as rung 0.
     """
     for m in range(stamps.shape[0]):
         rungs = max(int(stamps[m]), 0)

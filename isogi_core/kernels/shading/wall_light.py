@@ -1,4 +1,4 @@
-"""Walls in the framebuffer: light between the texels of a lattice on each wall."""
+"""Light of walls in the framebuffer, interpolated between the texels of a lattice on each wall."""
 
 import math
 from typing import Any, NamedTuple
@@ -14,16 +14,16 @@ from isogi_core.kernels.tracing.walls import WALLS_RECORD, inner
 from isogi_core.kernels.transport.lights import row
 
 WALL_VARIANCE_COLUMN = 3
-"""The column of a wall's texel, after its colours, that holds the variance of its luminance."""
+"""Column of a wall's texel that holds the variance of its luminance, after the colours."""
 
 
 class WallTable(NamedTuple):
-    """The texels of k walls: ``light`` float32 (texels, 4), linear RGB that leaves them and its
-    luminance's variance.
+    """The texels of k walls.
 
-    ``first`` (k,) is each wall's first row of them, ``rows`` and ``columns`` (k,) how many it has
-    along its second and its first edge, at least 2, and ``states`` uint8 (k,) the state of pixels
-    that show it.
+    - ``light`` float32 (texels, 4): linear RGB that leaves them, and the variance of its luminance.
+    - ``first`` (k,): first row of each wall.
+    - ``rows``, ``columns`` (k,): texels along its second and its first edge, at least 2.
+    - ``states`` uint8 (k,): state of the pixels that show it.
     """
 
     light: Any
@@ -40,8 +40,8 @@ WALL_TABLE = record(
 
 @kernel()
 def texel_before(share, count):
-    """The texel before a ``share`` of an edge with ``count`` texels, in their middles, and the way
-    on to the next.
+    """Return the texel before a ``share`` (0 to 1) of an edge with ``count`` texels, and the
+    fraction to the next; texels are at the middles of equal parts.
     """
     place = min(max(share * count - 0.5, 0.0), count - 1.0)
     low = min(int(place), count - 2)
@@ -50,8 +50,8 @@ def texel_before(share, count):
 
 @kernel()
 def mix_texels(table, first, columns, way, c):
-    """Column ``c`` of a wall's texels between the four from row ``first`` on, at a ``way`` (x, y)
-    between them.
+    """Return column ``c`` of a wall's texels, bilinear between the four from row ``first`` on,
+    at the fractions ``way`` (x, y).
     """
     light = table.light
     (x, y) = way
@@ -72,13 +72,14 @@ def mix_texels(table, first, columns, way, c):
     )
 )
 def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
-    """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to
-    their ``pixels``.
+    """Write the light of walls ``numbers`` (m,) at their ``points`` (m, 3), in index space, to the
+    ``framebuffer`` at ``pixels`` (m,).
 
-    The error is relative to the luminance, or to that of ``darkest``.
+    The error is relative to the luminance, or to ``darkest`` if that is larger.
     """
     for m in range(pixels.shape[0]):
         k = int(numbers[m])
+        # Find the four texels around the point, by its share of both edges.
         away = sub(point_of(points, m), row(walls.corners, k))
         i, x = texel_before(inner(walls.across[k], 0, away), table.columns[k])
         j, y = texel_before(inner(walls.across[k], 1, away), table.rows[k])

@@ -1,4 +1,8 @@
-"""Building LLVM code for vectors; mathematics are in ``operators`` and ``maths``."""
+"""Tools that define functions of vectors for Numba, and build their LLVM code.
+
+``operators``, ``maths``, ``memory`` and ``voxels`` use them. A function is defined by a typer,
+which gives the signature for types of arguments, and a builder, which emits instructions.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -25,7 +29,7 @@ ELEMENTS = {
     types.uint32: WORD_TYPE,
     types.boolean: BIT_TYPE,
 }
-"""LLVM's types of a vector's elements."""
+"""LLVM types of the elements of vectors."""
 
 Build = Callable[..., ir.Value]
 Typer = Callable[..., Any]
@@ -33,19 +37,19 @@ Typer = Callable[..., Any]
 ANYTHING = ((types.VarArg(types.Any),),)
 UNARY_PATTERNS = ((Vector,),)
 BINARY_PATTERNS = ((Vector, Vector), (Vector, types.Number), (types.Number, Vector))
-"""Patterns of arguments: those of functions that are ours alone, and of Python's with vectors among
-the arguments.
+"""Patterns of argument types for Numba's registry. Functions that exist for vectors alone match
+anything; functions of Python match if a vector is among the arguments.
 """
 
 
 def vector_type(vector: Vector) -> ir.VectorType:
-    """LLVM's type of a vector."""
+    """Return the LLVM type of a vector."""
     return ir.VectorType(ELEMENTS[vector.number], vector.count)
 
 
 @register_model(Vector)
 class VectorModel(models.PrimitiveModel):
-    """A vector is one LLVM vector, in variables, arguments and tuples alike."""
+    """Numba's data model of a vector: one LLVM vector, in variables, arguments and tuples alike."""
 
     def __init__(self, dmm: Any, fe_type: Vector) -> None:
         super().__init__(dmm, fe_type, vector_type(fe_type))
@@ -54,15 +58,18 @@ class VectorModel(models.PrimitiveModel):
 def define(
     function: Any, typer: Typer, patterns: Sequence[Any] = ANYTHING
 ) -> Callable[[Build], Build]:
-    """Decorator: ``build(context, builder, signature, *values)`` makes the code of ``function``.
+    """Return a decorator that registers a builder as the code of ``function``.
 
-    ``typer(*arguments)`` gives the signature for these types of arguments, or None where there is
-    none.
+    ``typer(*arguments)`` returns the signature for these types of arguments, or None if there is
+    none. The builder is called as ``build(context, builder, signature, *values)`` and returns the
+    result's value. ``patterns`` are the argument types that it is registered for.
     """
 
     def _generic(self: Any, args: Any, kws: Any) -> Any:
+        """Return the signature for these types of arguments, as Numba's typing asks for it."""
         return typer(*args)
 
+    # Numba asks this template for the signature of a call.
     infer_global(function)(
         type("Case", (AbstractTemplate,), {"key": function, "generic": _generic})
     )
@@ -80,21 +87,26 @@ def define(
 
 
 def operand(arguments: Sequence[Any]) -> Vector:
-    """The type of the vectors among ``arguments``."""
+    """Return the type of the vectors among ``arguments``."""
     return next(each for each in arguments if isinstance(each, Vector))
 
 
 def elementwise(
     function: Any, arity: int, elements: set[Any], masks: bool = False
 ) -> Callable[[Build], Build]:
-    """Decorator: ``build(builder, vector type, *vectors)`` for a function of vectors of one type,
+    """Return a decorator that registers a builder for a ``function`` of vectors of one type,
     element by element.
 
-    Single numbers among the arguments are spread over all lanes first. The result is of the same
-    type, or a mask.
+    The builder is called as ``build(builder, vector type, *vectors)``. The function takes ``arity``
+    arguments, at least one of them a vector whose element type is in ``elements``; single numbers
+    among them are copied to all lanes first. The result is of the same type or, if ``masks``, a
+    mask.
     """
 
     def _typer(*args: Any) -> Any:
+        """Return the signature if all vectors have one type, with allowed elements, and the
+        rest are numbers.
+        """
         vectors = [each for each in args if isinstance(each, Vector)]
         others = [each for each in args if not isinstance(each, Vector)]
         if (
@@ -103,6 +115,7 @@ def elementwise(
             or not all(isinstance(each, types.Number) for each in others)
         ):
             return None
+        # All vectors must have one type, with an element that the function is made for.
         kind = vectors[0]
         if any(each != kind for each in vectors) or kind.number not in elements:
             return None
@@ -125,10 +138,13 @@ def elementwise(
 
 
 def stub(name: str, does: str, module: str) -> Any:
-    """A function of ``module`` that exists in compiled code only."""
+    """Make a function of ``module`` that exists in compiled code only; ``does`` is its docstring.
+
+    Python's version raises NotImplementedError.
+    """
 
     def _function(*_: Any) -> Any:
-        raise NotImplementedError(f"{name} works on vectors, in compiled code")
+        raise NotImplementedError(f"{name} exists in compiled code only, and takes vectors")
 
     _function.__name__ = _function.__qualname__ = name
     _function.__doc__ = does
@@ -137,7 +153,7 @@ def stub(name: str, does: str, module: str) -> Any:
 
 
 def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
-    """A vector with ``value`` in each of ``count`` lanes."""
+    """Return a vector with ``value`` in each of ``count`` lanes."""
     vector = ir.VectorType(value.type, count)
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, WORD_TYPE(0))
     zeros = ir.Constant(ir.VectorType(WORD_TYPE, count), [0] * count)
@@ -145,8 +161,8 @@ def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
-    """A number in every lane of a ``kind``, cut to the size of its elements; vectors as they
-    are.
+    """Return a number in every lane of a vector of type ``kind``, truncated to its element
+    type; vectors are returned as they are.
     """
     if isinstance(value.type, ir.VectorType):
         return value
@@ -160,24 +176,25 @@ def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
 
 
 def call(builder: ir.IRBuilder, name: str, result: ir.Type, *values: ir.Value) -> ir.Value:
-    """Call LLVM's intrinsic ``name``."""
+    """Call the LLVM intrinsic ``name``."""
     kind = ir.FunctionType(result, [value.type for value in values])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), values)
 
 
 def suffix(kind: Vector) -> str:
-    """What ends the names of LLVM's intrinsics for a vector of reals: v32f64 and the like."""
+    """Return the end of the names of LLVM intrinsics for a vector of reals, such as v32f64."""
     return f"v{kind.count}f{kind.number.bitwidth}"
 
 
 def consecutive(first: int, last: int, step: int = 1) -> ir.Constant:
-    """The vector first, first + step, … below ``last``, to shuffle by."""
+    """Return the constant vector first, first + step, … below ``last``, as indices of a shuffle."""
     numbers = list(range(first, last, step))
     return ir.Constant(ir.VectorType(WORD_TYPE, len(numbers)), numbers)
 
 
 def join(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
-    """Vectors end to end."""
+    """Return the vectors ``parts``, a power of two of them, end to end as one."""
+    # Join neighbours in pairs until one is left.
     while len(parts) > 1:
         both = 2 * parts[0].type.count
         pairs = zip(parts[::2], parts[1::2], strict=True)
@@ -186,12 +203,14 @@ def join(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
 
 
 def mask_bits(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
-    """A mask as an integer of 64 bits, bit i for lane i."""
+    """Return a mask as a 64-bit integer, bit i for lane i."""
     return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), LONG_TYPE)
 
 
 def ranks(builder: ir.IRBuilder, word: ir.Value, count: int) -> ir.Value:
-    """How many bits below it are set in a word of 32 bits, for each of ``count`` lanes."""
+    """Return, for each of ``count`` lanes, the number of bits below it that are set
+    in a 32-bit ``word``.
+    """
     before = ir.Constant(
         ir.VectorType(WORD_TYPE, count), [(1 << lane) - 1 for lane in range(count)]
     )

@@ -34,26 +34,34 @@ ELEMENT_OF = {
     types.int8: types.int32,
     types.uint32: types.uint32,
 }
-"""By an array's element: a vector's."""
+"""The element type of a vector, by that of the array that it is loaded from or stored to."""
 
 SINGLE = {types.float32, types.int32}
-"""Elements as large as a float32."""
+"""Element types of 32 bits."""
 
-gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
+gather = stub(
+    "gather",
+    "Return array[index] of a flat array; the index of every lane must be in it.",
+    __name__,
+)
 gather_pair = stub(
-    "gather_pair", "array[index] and array[index + 1] of a flat array of float32.", __name__
+    "gather_pair", "Return array[index] and array[index + 1] of a flat array of float32.", __name__
 )
 take = stub(
     "take",
-    "array[first], array[first + 1] … for the lanes that the mask has set, in turn.",
+    "Return array[first], array[first + 1], … in the lanes that are set in the mask, in order.",
     __name__,
 )
-scatter = stub("scatter", "array[index] = vector where the mask is set, lane by lane.", __name__)
+scatter = stub(
+    "scatter",
+    "Set array[index] = vector in the lanes that are set in the mask, one after the other.",
+    __name__,
+)
 
 
 def load(array: Any, i: int, width: int) -> Any:
-    """``width`` elements of a flat array from place ``i`` on; the width is a constant of the module
-    that calls it.
+    """Return ``width`` elements of a flat array from place ``i`` on; the width must be a
+    constant of the calling module.
     """
     return array[i]
 
@@ -64,26 +72,30 @@ def store(array: Any, i: int, vector: Any) -> None:
 
 
 def add_to(array: Any, i: Any, value: Any) -> Any:
-    """Add a number to element ``i`` of a flat array, or a vector to its ``width`` elements from
-    width · i on.
+    """Add a number to element ``i`` of a flat array,
+    or a vector of N lanes to the N elements from N · i on.
     """
     array[i] += value
 
 
 def prefetch(flat: Any, place: int) -> None:
-    """Have the line of ``flat[place]`` brought into the cache while other work goes on; without
-    Numba nothing.
+    """Start to bring the cache line of ``flat[place]`` into the cache, and go on without
+    waiting; do nothing without Numba.
     """
 
 
 def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Decorator: ``build(context, builder, signature, base pointer, *values)`` for a function on
-    flat arrays.
+    """Return a decorator that registers a builder for a function whose first argument is a flat
+    array with elements of the types ``numbers``.
 
-    ``numbers`` are the types of elements that it is made for.
+    The builder is called as ``build(context, builder, signature, base pointer, *values)``;
+    ``typer`` is as in ``define``.
     """
 
     def _flat(*args: Any) -> Any:
+        """Return the signature if the first argument is a flat array with elements
+        of one of ``numbers``.
+        """
         array = args[0]
         if isinstance(array, types.Array) and array.layout == "C" and array.dtype in numbers:
             return typer(*args)
@@ -103,30 +115,29 @@ def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Calla
 
 
 def _vector(array: Any, count: int) -> Vector:
-    """The type of ``count`` elements of an array."""
+    """Return the vector type of ``count`` elements of an array."""
     return Vector(ELEMENT_OF[array.dtype], count)
 
 
 def _at(builder: ir.IRBuilder, base: ir.Value, place: ir.Value, count: int) -> ir.Value:
-    """Pointer to ``count`` elements from ``place`` on."""
+    """Return a pointer to ``count`` elements from ``place`` on."""
     return builder.bitcast(
         builder.gep(base, [place]), ir.VectorType(base.type.pointee, count).as_pointer()
     )
 
 
 def _one(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, lane: int) -> ir.Value:
-    """Pointer to the element that one lane of an index names."""
+    """Return a pointer to the element at the index in one ``lane``."""
     return builder.gep(
         base, [builder.sext(builder.extract_element(index, WORD_TYPE(lane)), LONG_TYPE)]
     )
 
 
-# --- whole vectors
-# ------------------------------------------------------------------------------------------
+# --- whole vectors ---
 
 
 def _type_of_load(array: Any, i: Any, width: Any) -> Any:
-    """Signature of ``load``."""
+    """Return the signature of ``load``."""
     if not isinstance(width, types.IntegerLiteral):
         return None
     return signature(_vector(array, width.literal_value), array, types.int64, width)
@@ -136,6 +147,7 @@ def _type_of_load(array: Any, i: Any, width: Any) -> Any:
 def _load(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, width: Any
 ) -> ir.Value:
+    """Emit a vector load, aligned to an element; int8 is widened to int32."""
     kind = sig.return_type
     dtype = sig.args[0].dtype
     vector = builder.load(_at(builder, base, place, kind.count), align=dtype.bitwidth // 8)
@@ -145,7 +157,9 @@ def _load(
 
 
 def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
-    """Signature of ``store``."""
+    """Return the signature of ``store``,
+    or None if the vector's elements do not match the array's.
+    """
     fits = isinstance(vector, Vector) and vector.number == ELEMENT_OF[array.dtype]
     if fits:
         return signature(types.none, array, types.int64, vector)
@@ -156,6 +170,7 @@ def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
 def _store(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any
 ) -> ir.Value:
+    """Emit a vector store, aligned to an element; int32 is cut to int8 for an array of these."""
     dtype = sig.args[0].dtype
     count = vector.type.count
     if dtype == types.int8:
@@ -168,6 +183,7 @@ def _store(
 
 @overload(add_to)
 def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
+    """Choose the code of ``add_to``: a vector is added to consecutive elements."""
     if not isinstance(value, Vector):
         return add_to
     width = value.count
@@ -182,13 +198,13 @@ def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
 def _prefetch(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value
 ) -> ir.Value:
+    """Emit a prefetch for reading into all levels of the cache."""
     line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
     call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD_TYPE(0), WORD_TYPE(3), WORD_TYPE(1))
     return context.get_dummy_value()
 
 
-# --- single elements
-# ----------------------------------------------------------------------------------------
+# --- single elements ---
 
 
 @access(
@@ -199,7 +215,9 @@ def _prefetch(
 def _gather(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
 ) -> ir.Value:
+    """Emit a gather, register by register or element by element."""
     kind = sig.return_type
+    # AVX-512 gathers a register in one instruction; AVX2's gather is no faster than single loads.
     if REGISTER_LANES == 16:
         width = 8 if kind.number == types.float64 else 16
         parts = [
@@ -218,10 +236,12 @@ def _gather(
 def _gather_part(
     builder: ir.IRBuilder, kind: Vector, base: ir.Value, index: ir.Value, first: int, width: int
 ) -> ir.Value:
-    """AVX-512's gather for one register; AVX2's gains nothing over single loads."""
+    """Gather one register by AVX-512's instruction."""
     part = ir.VectorType(ELEMENTS[kind.number], width)
     letters = {types.float32: "ps", types.float64: "pd", types.int32: "pi"}[kind.number]
     every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
+    # The instruction takes a register of 32-bit indices, scaled to bytes, and a mask of the lanes
+    # to load.
     places = builder.shuffle_vector(index, index, consecutive(first, first + width))
     pointer = builder.bitcast(base, BYTE_TYPE.as_pointer())
     arguments = (
@@ -235,7 +255,7 @@ def _gather_part(
 
 
 def _type_of_pair(array: Any, index: Any) -> Any:
-    """Signature of ``gather_pair``."""
+    """Return the signature of ``gather_pair``."""
     return signature(types.UniTuple(_vector(array, index.count), 2), array, index)
 
 
@@ -243,6 +263,9 @@ def _type_of_pair(array: Any, index: Any) -> Any:
 def _gather_pair(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
 ) -> ir.Value:
+    # Load both elements of a pair as one 64-bit value, a register at a time, then part even from
+    # odd.
+    """Emit the loads of two consecutive elements per lane."""
     width = REGISTER_LANES // 2
     pairs = [
         _pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)
@@ -259,10 +282,11 @@ def _gather_pair(
 def _pairs(
     builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int
 ) -> ir.Value:
-    """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one
+    """Load two consecutive elements for each of ``width`` lanes from lane ``first`` on, as one
     register of float32.
     """
     vector = ir.VectorType(DOUBLE_TYPE, width)
+    # Gather 64-bit values with AVX-512, or load them lane by lane.
     if REGISTER_LANES == 16:
         every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
         places = builder.shuffle_vector(index, index, consecutive(first, first + width))
@@ -285,7 +309,7 @@ def _pairs(
 
 
 def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
-    """Signature of ``take``."""
+    """Return the signature of ``take``."""
     return signature(_vector(array, mask.count), array, types.int64, mask)
 
 
@@ -293,6 +317,9 @@ def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
 def _take(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value
 ) -> ir.Value:
+    """Emit an expanding load: set lanes get consecutive elements, in order;
+    the other lanes are arbitrary.
+    """
     kind = sig.return_type
     parts = []
     whole = kind.number == types.int32
@@ -300,8 +327,10 @@ def _take(
     name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER_LANES][whole])
     part = ir.VectorType(ELEMENTS[kind.number], REGISTER_LANES)
     for first in range(0, kind.count, REGISTER_LANES):
-        own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
-        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER_LANES)), WORD_TYPE)
+        # Lane i gets element (number of set lanes before it): load a register, and permute it by
+        # ranks.
+        part_mask = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
+        word = builder.zext(builder.bitcast(part_mask, ir.IntType(REGISTER_LANES)), WORD_TYPE)
         pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
         parts.append(
             call(
@@ -312,13 +341,14 @@ def _take(
                 ranks(builder, word, REGISTER_LANES),
             )
         )
+        # The next register goes on after the elements that this one took.
         taken = call(builder, "llvm.ctpop.i32", WORD_TYPE, word)
         place = builder.add(place, builder.zext(taken, place.type))
     return join(builder, parts)
 
 
 def _type_of_scatter(array: Any, index: Any, vector: Any, mask: Any) -> Any:
-    """Signature of ``scatter``."""
+    """Return the signature of ``scatter``, or None if the vector does not match array and index."""
     fits = vector == _vector(array, index.count)
     if fits:
         return signature(types.none, array, index, vector, mask)
@@ -335,6 +365,7 @@ def _scatter(
     vector: ir.Value,
     mask: ir.Value,
 ) -> ir.Value:
+    """Emit one conditional store per lane."""
     for lane in range(index.type.count):
         with builder.if_then(builder.extract_element(mask, WORD_TYPE(lane))):
             element = builder.extract_element(vector, WORD_TYPE(lane))

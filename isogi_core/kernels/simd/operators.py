@@ -1,9 +1,9 @@
-"""Python's operators on vectors: arithmetic, comparison and logic of masks, of any element and
-width.
+"""Python's operators on vectors: arithmetic, comparison and logic of masks, for any element type
+and width.
 
-A single number on either side stands in every lane. Sums of float32 may be fused with products, as
-in kernels; those of float64 are rounded one by one, so that they have the same bits as a kernel
-that is ``exact``.
+A single number on either side is copied to every lane. Sums and products of float32 may be fused
+into one rounding, as elsewhere in kernels. Those of float64 are rounded one by one, so that they
+give the same bits as a kernel that is ``exact``.
 """
 
 import operator
@@ -25,9 +25,12 @@ FAST_FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
 
 
 def method(real: str, whole: str = "") -> Build:
-    """The builder's method ``real`` for floating point, ``whole`` for integers and masks."""
+    """Return a builder that calls the IRBuilder's method ``real`` for floating point, and
+    ``whole`` for integers and masks.
+    """
 
     def _build(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
+        """Emit the operation with the flags of its element type."""
         if kind.number in REAL_TYPES:
             return getattr(builder, real)(*values, flags=FAST_FLAGS[kind.number])
         return getattr(builder, whole)(*values)
@@ -36,7 +39,9 @@ def method(real: str, whole: str = "") -> Build:
 
 
 def define_binary(name: str, elements: set[Any], build: Build) -> None:
-    """Define a binary operator of module ``operator``, and the one that assigns its result."""
+    """Define the binary operator ``name`` of module ``operator`` for vectors,
+    and its in-place form.
+    """
     for each in (name, "i" + name.rstrip("_")):
         elementwise(getattr(operator, each), 2, elements)(build)
 
@@ -52,7 +57,7 @@ elementwise(operator.neg, 1, REAL_TYPES)(lambda builder, kind, a: builder.fneg(a
 
 
 def _shift_right(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
-    """By the sign of int32, by zeros of uint32."""
+    """Shift right: int32 fills up with the sign bit, uint32 with zeros."""
     if kind.number == types.int32:
         return builder.ashr(a, b)
     return builder.lshr(a, b)
@@ -62,9 +67,12 @@ define_binary("rshift", INTEGER_TYPES, _shift_right)
 
 
 def comparison(sign: str) -> Build:
-    """How two vectors compare; nothing is true of what is no number, but that it differs."""
+    """Return the builder of a comparison; NaN differs from everything, and no other comparison
+    with it is true.
+    """
 
     def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
+        """Emit the comparison for the element type."""
         if kind.number in REAL_TYPES:
             return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
         if kind.number == types.int32:

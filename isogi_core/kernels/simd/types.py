@@ -1,5 +1,5 @@
-"""Vector types for SIMD: f32×N, f64×N, i32×N, u32×N and masks; how many lanes the processor's
-registers hold.
+"""Vector types for SIMD: f32×N, f64×N, i32×N, u32×N and masks,
+and the widths that suit the processor.
 """
 
 from typing import Any
@@ -9,6 +9,8 @@ import numba
 from numba import types
 
 FEATURE_LANES = {"avx512f": 16, "avx2": 8}
+"""Float32 lanes of a register, by the processor feature that provides it; the widest first."""
+
 AVX512_CPUS = (
     "skylake-avx512",
     "cascadelake",
@@ -19,23 +21,30 @@ AVX512_CPUS = (
     "znver5",
 )
 AVX2_CPUS = ("haswell", "broadwell", "skylake", "znver1", "znver2", "znver3", "alderlake")
+"""Prefixes of LLVM's names of processors with these features."""
 
 
 def register_lanes() -> int | None:
-    """Float32 lanes of a register of the processor that Numba compiles for; None where SIMD does
-    not pay.
+    """Return the number of float32 lanes in a register of the processor that Numba compiles for;
+    None if SIMD does not pay there.
+
+    Numba's settings NUMBA_CPU_NAME and NUMBA_CPU_FEATURES choose that processor, else it is this
+    machine's.
     """
     if numba.config.DISABLE_JIT:
         return None
     name = numba.config.CPU_NAME
     features = numba.config.CPU_FEATURES
+    # Compile for this machine: ask LLVM for its features.
     if features is None and name in (None, "", "host"):
         host = llvm.get_host_cpu_features()
         return next((lanes for feature, lanes in FEATURE_LANES.items() if host.get(feature)), None)
+    # Compile for given features.
     if features:
         return next(
             (lanes for feature, lanes in FEATURE_LANES.items() if f"+{feature}" in features), None
         )
+    # Compile for a processor that is given by its name alone.
     wide = any(name.startswith(cpu) for cpu in AVX512_CPUS)
     if wide:
         return 16
@@ -45,15 +54,15 @@ def register_lanes() -> int | None:
 
 
 REGISTER_LANES = register_lanes()
-"""Float32 lanes of a register, or None."""
+"""Float32 lanes of a register, or None if SIMD does not pay."""
 
 RAY_WIDTH = 2 * REGISTER_LANES if REGISTER_LANES else 1
-"""Lanes of the vectors that rays are traced in: two registers of float32. 1 where there is no
-SIMD.
-"""
+"""Lanes of the vectors in which rays are traced: two registers of float32; 1 without SIMD."""
 
 PATH_WIDTH = 1 if numba.config.DISABLE_JIT else REGISTER_LANES or 4
-"""Lanes of the vectors that paths are worked out in: two registers of float64."""
+"""Lanes of the vectors in which paths are computed: two registers of float64; 4 lanes if SIMD
+does not pay for rays, 1 without Numba.
+"""
 
 SCALARS = {
     types.float32: types.float64,
@@ -62,27 +71,28 @@ SCALARS = {
     types.uint32: types.uint64,
     types.boolean: types.boolean,
 }
-"""By a vector's element: the type in which single numbers meet it."""
+"""The type to which single numbers are converted next to vectors of an element type."""
 
 
 class Vector(types.Type):
     """Numba's type of a vector of ``count`` elements of the type ``number``, one of ``SCALARS``."""
 
     def __init__(self, number: Any, count: int) -> None:
+        """Name the type after its element and count, by which Numba compares types."""
         self.number = number
         self.count = count
         super().__init__(f"{number}x{count}")
 
     @property
     def scalar(self) -> Any:
-        """The type in which a single number meets this vector."""
+        """The type to which a single number is converted next to this vector."""
         return SCALARS[self.number]
 
     def of(self, number: Any) -> "Vector":
-        """The vector of as many elements of another type."""
+        """Return the type of vectors with as many elements of the type ``number``."""
         return Vector(number, self.count)
 
     @property
     def mask(self) -> "Vector":
-        """The mask of as many lanes."""
+        """The type of masks with as many lanes."""
         return self.of(types.boolean)

@@ -1,4 +1,4 @@
-"""Voxels of a volume side by side: the corners of cells, and fours in a row."""
+"""Loads of voxels: the eight corners of cells, and four in a row."""
 
 from typing import Any
 
@@ -25,15 +25,17 @@ FOUR = Vector(types.float64, 4)
 def open_voxels(
     context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value
 ) -> tuple[ir.Value, ...]:
-    """Pointer to the first element of a 3-D array, elements of a slab and of a row."""
+    """Return a pointer to the first element of a 3-D array, and the numbers of elements in a
+    slab and in a row.
+    """
     array = context.make_array(kind)(context, builder, voxels)
     _, ny, nx = cgutils.unpack_tuple(builder, array.shape, 3)
     return array.data, builder.mul(ny, nx), nx
 
 
 def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    """The corners of cell (k, j, i), x fastest, as float64; as f64×N those of cells at vectors of
-    whole reals.
+    """Return the corners of cell (k, j, i), x fastest, as eight float64; for vectors of whole
+    numbers, as eight f64×N.
     """
     below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
     behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
@@ -43,17 +45,19 @@ def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 
 def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
-    """Two float32 at each of the ``places``: the first ones and the second ones, as vectors of
-    float64.
+    """Load two consecutive float32 at each of the ``places``; return the first ones and the
+    second ones as vectors of float64.
     """
     count = places.type.count
     pairs = ir.Constant(ir.VectorType(DOUBLE_TYPE, count), ir.Undefined)
+    # Load each pair as one 64-bit value: half as many loads.
     for lane in range(count):
         pair = builder.bitcast(
             builder.gep(data, [builder.extract_element(places, WORD_TYPE(lane))]),
             DOUBLE_TYPE.as_pointer(),
         )
         pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD_TYPE(lane))
+    # Split even from odd elements, and widen them.
     singles = builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * count))
     halves = [consecutive(odd, 2 * count, 2) for odd in (0, 1)]
     wide = ir.VectorType(DOUBLE_TYPE, count)
@@ -62,10 +66,12 @@ def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[
 
 @intrinsic
 def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Emit the loads of the corners of cells (k, j, i), vectors of whole float64."""
     result = types.UniTuple(i, 8)
 
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
+        # Convert indices to integers, and find the flat place of the first corner of each cell.
         whole = ir.VectorType(row.type, i.count)
         cell = [builder.fptosi(value, whole) for value in values[1:]]
         along = [
@@ -73,6 +79,7 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
             for c, step in zip(cell, (slab, row), strict=False)
         ]
         first = builder.add(builder.add(along[0], along[1]), cell[2])
+        # Load pairs along x from four rows: those at y, y + 1, and both in the next slab.
         corners = []
         for step in (row.type(0), row, slab, builder.add(slab, row)):
             corners += load_pairs(builder, builder.gep(data, [step]), first)
@@ -83,6 +90,8 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @overload(cube)
 def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Choose the code of ``cube``: of a vector of cells, or of one."""
+
     def _of_vectors(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         return _cube(voxels, k, j, i)
 
@@ -92,14 +101,16 @@ def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 
 def four(voxels: Any, k: int, j: int, i: int) -> Any:
-    """Voxels i - 1 … i + 2 of row (k, j) as four float64 side by side; beyond the row's ends, the
-    end's.
+    """Return voxels i - 1 … i + 2 of row (k, j) as a vector of four float64; beyond the ends of
+    the row, the end's value.
     """
     return voxels[k, j, np.clip(np.arange(i - 1, i + 3), 0, voxels.shape[2] - 1)].astype(np.float64)
 
 
 @intrinsic
 def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Emit the load of four consecutive voxels from voxel (k, j, i) on, widened to float64."""
+
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
         place = builder.add(
@@ -115,6 +126,8 @@ def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @intrinsic
 def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Emit a vector of four float64 from four single numbers."""
+
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         vector = ir.Constant(vector_type(FOUR), ir.Undefined)
         for lane, value in enumerate(values):
@@ -128,6 +141,7 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 
 @numba.njit
 def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Return ``four`` near the ends of a row, beyond which the end's voxel is repeated."""
     last = voxels.shape[2] - 1
     a = voxels[k, j, max(i - 1, 0)]
     d = voxels[k, j, min(i + 2, last)]
@@ -136,6 +150,8 @@ def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @overload(four)
 def _overload_four(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """Choose the code of ``four``: one load, except near the ends of a row."""
+
     def _compiled(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         if 1 <= i < voxels.shape[2] - 2:
             return _four_together(voxels, k, j, i - 1)

@@ -89,16 +89,16 @@ def fill_ranges(voxels, size, low, high, margins):
 
 
 GROUP = 4
-"""Bricks along x that are marked together, so that loops have a fixed length and become SIMD
-code.
+"""Bricks along x that are marked together,
+so that loops have a fixed length and become SIMD code.
 """
 
 GROUP_CELLS = GROUP * BRICK_CELLS
 """Cells along x in a group."""
 
 MAX_FINE_BRICKS = 1 << 21
-"""Number of bricks up to which each has its own ranges, 24 MB; larger volumes have ranges of
-macrocells.
+"""Number of bricks up to which each has its own ranges, 24 MB;
+larger volumes have ranges of macrocells.
 """
 
 
@@ -139,6 +139,8 @@ def mark_layer(flat, place, row, plane, levels, marks):
     marks[:] = 0
     for r in range(BRICK_CELLS):
         for i in range(GROUP_CELLS):
+            # Read the eight corners of the cell, and compare their range with the levels of its
+            # block.
             p = place + r * row + i
             q = p + plane
             a = at(flat, p)
@@ -172,8 +174,8 @@ def mark_group(block, levels, marks, words, empty, b, count):
 
 @kernel()
 def set_levels(margins, first, count, side, iso_low, iso_high, levels):
-    """Write the ``levels`` beyond which cells are certainly solid or outside, for ``count``
-    blocks of ``side``³ bricks from ``first`` on.
+    """Write the ``levels`` (2, cells along x) beyond which cells are certainly solid or
+    outside, for ``count`` blocks of ``side``³ bricks from ``first`` on.
     """
     for m in range(count):
         solid = below(iso_high + margins[first + m])
@@ -192,12 +194,15 @@ def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
     count = 0
     for j in range(by):
         for i in range(0, bx, GROUP):
+            # A group may hold the surface if the range of one of its blocks, with its margin, does.
             holds = False
             first = block_at(k, j, i, side, shape)
             for m in range(first, first + across(i, side, bx)):
                 holds |= (low[m] <= iso_high + margins[m]) & (high[m] >= iso_low - margins[m])
+            # Write each group, and keep it if it may hold the surface: this needs no branch.
             groups[count] = j * bx + i
             count += holds
+    # ``mark_bricks`` prefetches one group past the last.
     groups[count] = 0
     return count
 
@@ -246,11 +251,11 @@ REAL_NUMBER = types.float64
     )
 )
 def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
-    """Write the ``words`` of the bricks in layers ``first`` to ``last`` - 1 along z, and which are
-    ``empty``.
+    """Write the ``words`` of the bricks in layers ``first`` to ``last`` - 1 along z, and set
+    ``empty`` of those without active cells.
 
     Only bricks whose ``ranges`` (low, high, margins), of blocks of ``side``³ bricks, meet the
-    ``isovalues`` (lowest, highest) are looked into; the words of the others keep their values.
+    ``isovalues`` (lowest, highest) are visited; the words of the others keep their values.
     """
     iso_low, iso_high = isovalues
     nz, ny, nx = voxels.shape
@@ -376,10 +381,12 @@ def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
         low, high, margins = measure_ranges(voxels, fine)
     else:
         low, high, margins = measured
+    # Ranges are of bricks, or of macrocells.
     if margins.shape == shape:
         side = 1
     else:
         side = MACROCELL_SIDE // BRICK_CELLS
+    # Spread the margins of macrocells to their bricks, which the traversal reads.
     of_bricks = margins
     if side > 1:
         of_bricks = take(bz * by * bx, np.float32).reshape(shape)
@@ -405,11 +412,11 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
 
     # Mark the layers of a part, and keep only the words of bricks with active cells.
     def _mark(first, last):
-        own = empty[first * layer : last * layer]
-        words = np.zeros(BRICK_CELLS * len(own), np.int32)
-        mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, own)
-        packed[first] = take(BRICK_CELLS * (len(own) - np.count_nonzero(own)), np.int32)
-        pack_bricks(words, own, packed[first])
+        part = empty[first * layer : last * layer]
+        words = np.zeros(BRICK_CELLS * len(part), np.int32)
+        mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, part)
+        packed[first] = take(BRICK_CELLS * (len(part) - np.count_nonzero(part)), np.int32)
+        pack_bricks(words, part, packed[first])
 
     # Mark all parts, join them, and number the bricks.
     run(_mark, bz) if run else _mark(0, bz)

@@ -63,7 +63,7 @@ def put_point(points, row, p):
 
 
 WINDOW_FACE = -2.0
-"""Stands for a face of the window in place of a wall's number."""
+"""Stands for a face of the window instead of a wall's number."""
 
 
 class Sight(NamedTuple):
@@ -78,7 +78,7 @@ class Sight(NamedTuple):
 SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
 
 NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
-"""No walls."""
+"""A scene without walls."""
 
 PIXEL_ROWS = types.uint32[:, ::1]
 POINT_ROWS = types.float32[:, :, ::1]
@@ -91,6 +91,7 @@ def look_through(window, eye, d):
     """
     near = 0.0
     far = math.inf
+    # Each plane cuts off the part of the ray that is behind it.
     for k in range(window.shape[0]):
         height = inner(window, k, eye) + window[k, 3]
         slope = inner(window, k, d)
@@ -107,8 +108,8 @@ def look_through(window, eye, d):
 
 @kernel()
 def is_solid(surface, p):
-    """Return whether an index-space point is in the volume's box and above the isovalue; never
-    next to a hole.
+    """Return True if the index-space point ``p`` is in the volume's box and above the isovalue;
+    False next to a hole.
     """
     nz, ny, nx = surface.field.voxels.shape
     x, y, z = p
@@ -128,7 +129,7 @@ def cast_through(surface, window, eye, directions, t, met):
     came = np.empty(count, np.int8)
     near = np.empty(count)
     far = np.empty(count)
-    # Start each ray where the window lets it in.
+    # Start each ray at the point at which the window lets it in.
     for i in range(count):
         d = column(directions, i)
         near[i], far[i] = look_through(window, eye, d)
@@ -157,6 +158,7 @@ def cast_sight(surface, sight, eye, directions, t, met):
 
     Windows do not cut walls.
     """
+    # Find the surface, then walls before it: a vector of rays at a time, and the rest one by one.
     cast_through(surface, sight.window, eye, directions, t, met)
     whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
     for i in range(0, whole, PATH_WIDTH):
@@ -195,7 +197,7 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
         y, x = divmod(first + i, width)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
     cast_sight(surface, sight, camera.eye, directions, t, met)
-    hits = beside = 0
+    hits = others = 0
     # Sort the hits into those on the surface and those on walls and faces.
     for i in range(count):
         if met[i] == NO_WALL:
@@ -203,15 +205,15 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
             place = hits
         else:
             kind = 1
-            place = beside
+            place = others
         if t[i] < math.inf:
             pixels[kind, place] = first + i
             put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
             if kind:
                 numbers[place] = np.int8(met[i])
             hits = hits + 1 - kind
-            beside = beside + kind
-    return hits, beside
+            others = others + kind
+    return hits, others
 
 
 @kernel(

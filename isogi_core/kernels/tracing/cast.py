@@ -1,5 +1,5 @@
-"""Casting many rays: the float32 traversal finds candidate cells, the float64 intersection
-decides.
+"""Casting many rays: the float32 traversal finds candidate cells,
+the float64 intersection decides.
 """
 
 import math
@@ -27,11 +27,10 @@ BATCH_RAYS = 4096
 SIMD = REGISTER_LANES is not None
 
 MOST_VOXELS = 2**31
-"""Volumes with more voxels, or longer sides, overflow the traversal's 32-bit words or its
-bounds in float32.
-"""
 LONGEST_SIDE = 2**18
-"""Larger or longer volumes overflow the traversal's words of 32 bits, or its proofs in float32."""
+"""Volumes with as many voxels, or as long a side, overflow the traversal's 32-bit words, or the
+margins of its float32 tests.
+"""
 
 ORIGINS = types.float64[:, ::1]
 SIDE_ARRAY = types.int8[::1]
@@ -39,8 +38,8 @@ RAYS_RECORD = record(Rays, REAL_ARRAY, ORIGINS, ORIGINS, SIDE_ARRAY)
 
 
 class TracedSurface(NamedTuple):
-    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``), and the
-    normalised isovalue.
+    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``),
+    and the normalised isovalue.
     """
 
     field: Any
@@ -83,8 +82,8 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
 
 @kernel()
 def settle(field, volume, rays, count, stream, found, entries, hits):
-    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed, as
-    ``cast`` gives them.
+    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed, with
+    the results of ``cast``.
     """
     isovalues, origins, directions, sides = rays
     t, came = hits

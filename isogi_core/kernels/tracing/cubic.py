@@ -66,12 +66,12 @@ def turning_points(q):
 
 @kernel(exact=True)
 def refine(q, lo, hi, solid, wanted):
-    """Return the zero of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side
+    """Return the zero of the cubic ``q`` in [lo, hi], in which it is monotone and leaves the side
     ``solid``.
 
-    Newton's method starts from the chord's root and stays in a shrinking bracket, so that it ends
-    even if the values at both ends have one sign: a root that rounding lost is at ``lo`` then.
-    Lanes that are not ``wanted`` are not waited for.
+    Newton's method starts from the chord's root and is kept in a shrinking bracket, so that it ends
+    even if the values at both ends have one sign: a root that rounding lost is at ``lo`` then. The
+    iteration ends once all lanes that are ``wanted`` have converged.
     """
     # Start at the root of the chord, or at the middle if rounding puts that outside.
     first, last = horner(q, lo), horner(q, hi)
@@ -95,25 +95,25 @@ def refine(q, lo, hi, solid, wanted):
 
 @kernel(exact=True)
 def ends_solid(q):
-    """Return whether the cubic is above 0 at t = 1."""
+    """Return True if the cubic is above 0 at t = 1."""
     return q[0] + q[1] + q[2] + q[3] > 0.0
 
 
 @kernel(exact=True)
 def beyond(f, solid, blur):
-    """Return whether the values ``f`` lie on the other side than ``solid`` by more than
-    ``blur``.
+    """Return True if the values ``f`` lie on the other side than ``solid``
+    by more than ``blur``.
     """
     return where(solid, -f, f) > blur
 
 
 @kernel(exact=True)
 def first_crossing(q, solid, blur, wanted):
-    """Return the smallest t in [0, 1] at which the cubic leaves the side ``solid``, and whether
+    """Return the smallest t in [0, 1] at which the cubic leaves the side ``solid``, and True if
     there is one.
 
     Lanes that are not ``wanted`` have none. A cubic that turns within ``blur`` of 0 only touches
-    the surface, and stays on its side.
+    the surface, and does not leave its side.
     """
     # Reject cubics whose Bernstein coefficients all lie on the starting side: they have no zero.
     across = ends_solid(q) != solid

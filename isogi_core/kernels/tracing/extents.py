@@ -1,4 +1,4 @@
-"""Extents of an isosurface: where it begins and ends along rows of cells."""
+"""Extents of an isosurface: the first and the last cell that it passes in each row of cells."""
 
 import math
 
@@ -13,8 +13,8 @@ ROW_ENDS = types.int32[:, :, ::1]
 
 @kernel()
 def holds_surface(voxels, k, j, i, level):
-    """Whether the surface passes the cell at (k, j, i): a corner is above ``level``, another is
-    not, and none is NaN.
+    """Return True if the surface passes the cell at (k, j, i): a corner is above ``level``,
+    another is not, and none is NaN.
     """
     above = 0
     total = 0.0
@@ -27,14 +27,17 @@ def holds_surface(voxels, k, j, i, level):
 
 @kernel()
 def first_cell(voxels, low, high, k, j, level, step):
-    """The first cell along x of row (k, j) that holds the surface, seen from its low end where
-    ``step`` is 1, from its high end where that is -1; -1 where none does.
+    """Return the first cell along x of row (k, j) that holds the surface, from the low end if
+    ``step`` is 1, from the high end if it is -1; -1 if none does.
 
-    ``low`` and ``high`` are ranges of the macrocells along the row: others are skipped.
+    ``low`` and ``high`` are ranges of the macrocells along the row, of which those that exclude the
+    level are skipped.
     """
     cells = voxels.shape[2] - 1
     blocks = low.shape[0]
     for n in range(blocks):
+        # Visit macrocells in the order of the step, and the cells of those that may hold the
+        # surface.
         block = n if step > 0 else blocks - 1 - n
         if low[block] <= level < high[block]:
             first = block * MACROCELL_SIDE
@@ -48,11 +51,11 @@ def first_cell(voxels, low, high, k, j, level, step):
 
 @kernel(types.void(VOXEL_ARRAY, VOXEL_ARRAY, VOXEL_ARRAY, types.float64, ROW_ENDS))
 def fill_row_ends(voxels, low, high, level, ends):
-    """Fill ``ends`` (2, nz - 1, ny - 1): the first and the last cell along x that hold the surface
-    at ``level``, -1 where none of the row does.
+    """Fill ``ends`` (2, nz - 1, ny - 1) with the first and the last cell along x that hold the
+    surface at ``level``; -1 in rows without it.
 
-    ``low`` and ``high`` are the ranges of macrocells. All points of the surface are between these
-    cells, so that they have its convex hull.
+    ``low`` and ``high`` are the ranges of macrocells. All points of the surface lie between these
+    cells, which therefore have its convex hull.
     """
     for k in range(ends.shape[1]):
         for j in range(ends.shape[2]):

@@ -20,8 +20,8 @@ VOXEL_ARRAY = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
 
 RAY_OFFSET_VOXELS = 0.3
-"""Default offset of illumination rays above the surface, in voxels along the normal (S1,
-section 4.1.1).
+"""Default offset of illumination rays above the surface,
+in voxels along the normal (S1, section 4.1.1).
 """
 
 
@@ -31,7 +31,7 @@ class Field(NamedTuple):
     - ``voxels`` float32 (nz, ny, nx).
     - ``low``, ``high`` float32 (mz, my, mx): smallest and largest voxel of each macrocell.
     - ``spacing``: world length of a voxel step along x, y, z.
-    - ``smooth``: whether normals come from the smoothed gradient, or from the plain one.
+    - ``smooth``: True if normals come from the smoothed gradient, False for the plain one.
     - ``offset``: voxels above the surface at which rays start.
     """
 
@@ -89,6 +89,8 @@ def gradient(voxels, p):
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
     gx, gy, gz = 0.0, 0.0, 0.0
+    # Sum over the cell's four edges along x: trilinear weights, or slopes along the axis of a
+    # component.
     for c in range(2):
         wz, sz = (z, 1.0) if c else (1.0 - z, -1.0)
         for b in range(2):
@@ -118,8 +120,8 @@ def bspline(f):
 
 @kernel(exact=True)
 def bspline_slope(f):
-    """Return the derivatives of the four cubic B-spline weights at fraction ``f``. They sum to
-    0.
+    """Return the derivatives of the four cubic B-spline weights at fraction ``f``.
+    They sum to 0.
     """
     g = 1.0 - f
     return (-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f)
@@ -195,8 +197,8 @@ def smooth_gradient(voxels, p):
 
 @kernel(exact=True)
 def put_weights(p, n, out):
-    """Write B-spline weights, slopes and cells of the coordinates ``p`` to rows of ``out``; all
-    are vectors.
+    """Write the B-spline weights (rows 0 to 3), slopes (4 to 7) and cells (8) of the
+    coordinates ``p`` along an axis of ``n`` voxels to ``out``; all are vectors.
     """
     i = floor_within(p, n - 2)
     for a, w in enumerate(bspline(p - i)):
@@ -235,7 +237,7 @@ def smooth_gradients(voxels, points, first, lanes, w, out):
 @kernel()
 def gradients(field, points, first, lanes, w, out):
     """Write the gradients that normals derive from: ``smooth_gradients``, or plain gradients if
-    the field says so.
+    ``field.smooth`` is False.
     """
     if field.smooth:
         smooth_gradients(field.voxels, points, first, lanes, w, out)
@@ -253,7 +255,7 @@ def to_index(v, spacing):
 @kernel(exact=True)
 def to_world_normal(g, spacing):
     """Return the unit outward world normal of a gradient per voxel step; (0, 0, 0) if the
-    gradient is 0 or no number. Takes vectors as well.
+    gradient is 0 or NaN. Takes vectors as well.
     """
     x, y, z = -g[0] / spacing[0], -g[1] / spacing[1], -g[2] / spacing[2]
     size = math.sqrt(x * x + y * y + z * z)
@@ -266,8 +268,8 @@ def to_world_normal(g, spacing):
 def normal(field, p):
     """Return the unit outward world normal of the isosurface through ``p``.
 
-    It comes from the smoothed gradient, or from the plain one if the field says so or the smoothed
-    one is 0 or no number. It is (0, 0, 0) if both are: a plateau has no surface.
+    It comes from the smoothed gradient, or from the plain one if ``field.smooth`` is False or the
+    smoothed one is 0 or NaN. It is (0, 0, 0) if both are: a plateau has no surface.
     """
     n = (0.0, 0.0, 0.0)
     if field.smooth:

@@ -13,7 +13,7 @@ from isogi_core.kernels.tracing.field import FIELD_RECORD, value
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
 
 VALUE_STEP = 0.5
-"""Step in which a range of values is sampled along a ray, in voxels of the least spacing."""
+"""Step at which values are sampled along a ray, in voxels of the least spacing."""
 
 NO_WAY = (0.0, -math.inf)
 """The interval of a ray that misses a region."""
@@ -134,7 +134,9 @@ def share_within(field, low, high, p, w, near, far):
 
 @kernel()
 def in_mask(glows, k, x, y, z):
-    """Return whether the voxel nearest to a place in index space is in the mask of region ``k``."""
+    """Return True if the voxel nearest to (x, y, z) in index space is in the mask
+    of region ``k``.
+    """
     nz, ny, nx = glows.bits.shape
     a = min(max(int(x + 0.5), 0), nx - 1)
     b = min(max(int(y + 0.5), 0), ny - 1)
@@ -147,7 +149,7 @@ def share_in_mask(field, glows, k, p, w, near, far):
     """Return the share of the ray from ``near`` to ``far`` in the mask and in the range of region
     ``k``.
 
-    Steps are those of ``share_within``; the middle of a step decides whether it is in the mask.
+    Steps are those of ``share_within``; a step is in the mask if its middle is.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
@@ -157,6 +159,7 @@ def share_in_mask(field, glows, k, p, w, near, far):
     for i in range(steps):
         x, y, z = madd(p, near + (i + 0.5) * length, w)
         after = value_on(field, p, near + (i + 1) * length, w)
+        # Count the part of the step on which the value glows, if its middle is in the mask.
         if in_mask(glows, k, x / sx, y / sy, z / sz):
             inside += share_between(glows.lows[k], glows.highs[k], before, after)
         before = after
@@ -198,6 +201,7 @@ def gather_from_eye(field, glows, eye, directions, reaches, light):
     sx, sy, sz = field.spacing
     start = eye[0] * sx, eye[1] * sy, eye[2] * sz
     for m in range(reaches.shape[0]):
+        # Convert the ray to world space, in which regions are given.
         x, y, z = column(directions, m)
         way = x * sx, y * sy, z * sz
         size = length(way)

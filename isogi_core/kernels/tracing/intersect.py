@@ -58,8 +58,8 @@ def less(c, iso):
 
 @kernel(exact=True)
 def extent(c):
-    """Return the least and the greatest of eight corner values, numbers or vectors, and their
-    sum.
+    """Return the least and the greatest of eight corner values, numbers or vectors,
+    and their sum.
     """
     low = min(min(min(c[0], c[1]), min(c[2], c[3])), min(min(c[4], c[5]), min(c[6], c[7])))
     high = max(max(max(c[0], c[1]), max(c[2], c[3])), max(max(c[4], c[5]), max(c[6], c[7])))
@@ -206,9 +206,9 @@ def launch(field, iso, p, n, side):
     """Return the origin of a ray that leaves the surface at ``p`` along the world normal ``n`` on
     ``side``.
 
-    The origin is offset off the surface; it is ``p`` itself if the offset point lies on the other
-    side, as in a crease or in noise: such a ray is given its side and cannot hit its own start.
-    Takes vectors of points as well.
+    The origin is offset from the surface. If the offset point lies on the other side, as in a
+    crease or in noise, the origin is ``p`` itself: such a ray is given its side and cannot hit the
+    point that it starts on. Takes vectors of points as well.
     """
     # Offset along the normal by a fixed number of voxels.
     x, y, z = to_index(n, field.spacing)
@@ -224,8 +224,8 @@ def launch(field, iso, p, n, side):
 
 @kernel()
 def shading_normal(field, p, side, d):
-    """Return the unit world normal at a hit, on the ``side`` that the ray came from; -d if the
-    field is flat.
+    """Return the unit world normal at a hit,
+    on the ``side`` that the ray came from; -d if the field is flat.
     """
     n = normal(field, p)
     if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:

@@ -1,5 +1,5 @@
-"""Macrocells: the smallest and largest voxel of each block of cells, and which cells hold an
-isovalue.
+"""Macrocells: the smallest and largest voxel of each block of cells,
+and the cells that hold an isovalue.
 """
 
 import math
@@ -20,14 +20,16 @@ RANGES = types.float32[:, :, ::1]
 
 @plain
 def blocks_along(shape, size):
-    """Blocks of ``size``³ cells along (z, y, x) for a volume of ``shape`` voxels."""
+    """Return the number of blocks of ``size``³ cells along (z, y, x) for a volume
+    of ``shape`` voxels.
+    """
     nz, ny, nx = shape
     return (-(-(nz - 1) // size), -(-(ny - 1) // size), -(-(nx - 1) // size))
 
 
 @kernel()
 def take_planes(voxels, first, last, low, high):
-    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` …
+    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` to
     ``last`` - 1.
 
     A NaN among them opens the range to (-inf, inf).
@@ -40,6 +42,7 @@ def take_planes(voxels, first, last, low, high):
         for k in range(first, last):
             row = voxels[k, j]
             for i in range(nx):
+                # NaN counts as -inf for the minimum, and as inf for the maximum.
                 whole = row[i] == row[i]
                 v = row[i] if whole else -SINGLE_INFINITY
                 w = row[i] if whole else SINGLE_INFINITY
@@ -49,8 +52,8 @@ def take_planes(voxels, first, last, low, high):
 
 @kernel()
 def take_rows(low, high, first, last, least, most):
-    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low``
-    and ``high``.
+    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` to ``last`` - 1 of
+    ``low`` and ``high``.
     """
     least[:] = SINGLE_INFINITY
     most[:] = -SINGLE_INFINITY
@@ -63,22 +66,23 @@ def take_rows(low, high, first, last, least, most):
 
 @kernel()
 def window(block, size, apron, n):
-    """First and one past the last of ``n`` voxels along an axis in the cells of a block and
-    ``apron`` cells around.
+    """Return the first voxel, and one past the last, of a block and ``apron`` cells around it,
+    along an axis of ``n`` voxels.
     """
     return max(block * size - apron, 0), min((block + 1) * size + apron + 1, n)
 
 
 @kernel()
 def find_ranges(voxels, size, apron, low, high):
-    """Fill ``low`` and ``high`` (blocks along z, y, x): the range of the voxels of each block of
-    ``size``³ cells.
+    """Fill ``low`` and ``high`` (blocks along z, y, x) with the range of the voxels of each block
+    of ``size``³ cells.
 
-    ``apron`` cells around the block are taken in too. A block with a NaN gets (-inf, inf).
+    ``apron`` cells around the block count too. A block with a NaN gets (-inf, inf).
     """
     nz, ny, nx = voxels.shape
     planes = np.empty((2, ny, nx), np.float32)
     rows = np.empty((2, nx), np.float32)
+    # Reduce the voxels along z, then y, then x: minimum and maximum are separable.
     for k in range(low.shape[0]):
         first, last = window(k, size, apron, nz)
         take_planes(voxels, first, last, planes[0], planes[1])
@@ -100,14 +104,14 @@ def fill_macrocells(voxels, low, high):
     """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) /
     MACROCELL_SIDE) and so on.
 
-    A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
+    A macrocell includes the voxels on all of its faces, shared ones too. One with a NaN in it gets
     (-inf, +inf), so that it is never skipped: its cells decide one by one.
     """
     find_ranges(voxels, MACROCELL_SIDE, 0, low, high)
 
 
 def macrocell_shape(shape):
-    """Macrocells along (z, y, x) for a volume of ``shape`` voxels."""
+    """Return the number of macrocells along (z, y, x) for a volume of ``shape`` voxels."""
     return blocks_along(shape, MACROCELL_SIDE)
 
 
@@ -116,11 +120,11 @@ CELL_MARKS = types.boolean[:, :, ::1]
 
 @kernel(types.void(VOXEL_ARRAY, types.float32, types.float32, CELL_MARKS))
 def mark_cells(voxels, lowest, highest, cells):
-    """Fill ``cells`` (nz - 1, ny - 1, nx - 1): whether an isovalue lies between the least and
-    greatest corner.
+    """Fill ``cells`` (nz - 1, ny - 1, nx - 1) with True for cells that hold an isovalue from
+    ``lowest`` to ``highest``.
 
-    Both are included, and isovalues go from ``lowest`` to ``highest``, both normalised. A cell
-    whose corners agree, or with a NaN, has none.
+    Isovalues are normalised, and count from the least to the greatest corner, both included. A cell
+    whose corners agree, or with a NaN, holds none.
     """
     for k in range(cells.shape[0]):
         for j in range(cells.shape[1]):
@@ -130,6 +134,7 @@ def mark_cells(voxels, lowest, highest, cells):
             over = voxels[k + 1, j + 1]
             row = cells[k, j]
             for i in range(row.shape[0]):
+                # Take the range of the eight corners.
                 a = near[i]
                 b = near[i + 1]
                 c = far[i]
@@ -139,6 +144,7 @@ def mark_cells(voxels, lowest, highest, cells):
                 g = over[i]
                 h = over[i + 1]
                 least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
+                # The sum is NaN if any corner is.
                 total = a + b + c + d + e + f + g + h
                 row[i] = (
                     (least <= highest) & (most >= lowest) & (least < most) & (not math.isnan(total))

@@ -1,5 +1,5 @@
-"""Depth peeling: all surfaces that camera rays meet, front to back, until what lies behind
-hardly counts. Walls are opaque: the first wall on a ray is the last layer.
+"""Depth peeling: all surfaces that camera rays meet, front to back, until hardly any light is left
+for those behind. Walls are opaque: the first wall on a ray is the last layer.
 """
 
 import math
@@ -29,7 +29,7 @@ If each layer lets nine tenths pass, the rest of a ray's light is below MIN_RAY_
 """
 
 MIN_RAY_SHARE = 1.0 / 512.0
-"""Share of a ray's light below which what lies behind is left out."""
+"""Least share of a ray's light: surfaces behind are left out once less than this passes."""
 
 NO_SIDE = -3
 """Side of a ray that meets nothing; WINDOW_FACE is that of a window, other sides are ≥ 0."""
@@ -53,7 +53,7 @@ class Shells(NamedTuple):
 
 
 class Peeled(NamedTuple):
-    """What rays meet, ray by ray and front to back, (m,) each.
+    """Hits of rays, ray by ray and front to back, (m,) each.
 
     - ``rays`` uint32: number of the ray; ``points`` (m, 3) float32: in index space.
     - ``sides`` int8: 2 k on the outer side of surface k, 2 k + 1 on its inner side, FIRST_WALL_SIDE
@@ -86,7 +86,7 @@ class Crossings(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """What n rays show, layer by layer: ``sides`` as in ``Peeled``, distances ``t`` and
+    """Layers of n rays: ``sides`` as in ``Peeled``, distances ``t`` and
     ``weights``, (MAX_PEELED_LAYERS + 1, n). The last layer holds only walls.
     """
 
@@ -122,8 +122,8 @@ def rest_of_cell(field, isovalue, o, d, side):
 
 @kernel()
 def put_crossing(crossings, k, i, way, came):
-    """Move the crossing of ray ``i`` with surface ``k`` on by ``way``; return whether it can
-    still be seen.
+    """Move the crossing of ray ``i`` with surface ``k`` on by the distance ``way``; return True
+    if it can still be seen.
     """
     t = crossings.t[k, i] + way
     crossings.t[k, i] = t if t <= crossings.far[i] else math.inf
@@ -142,11 +142,13 @@ def leave_cells(shells, crossings, k, eye, directions, some):
     count = 0
     for j in range(some.shape[0]):
         i = some[j]
+        # Start from the crossing, on the surface's other side.
         o = madd(eye, crossings.t[k, i], column(directions, i))
         came = int(crossings.came[k, i])
         t, side, leave = rest_of_cell(
             shells.field, shells.isovalues[k], o, column(directions, i), -came
         )
+        # Go to a second crossing in the cell, or to its exit, on the side found there.
         crosses = t < math.inf
         seen = put_crossing(crossings, k, i, t if crosses else leave, side if crosses else -side)
         some[count] = i
@@ -163,12 +165,14 @@ def cast_to_next(shells, crossings, k, eye, directions, some):
     )
     t = np.empty(n)
     came = np.empty(n, np.int8)
+    # Start each ray at its crossing, on the surface's other side.
     for j in range(n):
         i = some[j]
         d = column(directions, i)
         put_column(rays.origins, j, madd(eye, crossings.t[k, i], d))
         put_column(rays.directions, j, d)
         rays.sides[j] = -crossings.came[k, i]
+    # Add the distances to those from the eye.
     cast_batch(shells.field, shells.cells[k], rays, t, came)
     for j in range(n):
         put_crossing(crossings, k, some[j], t[j], came[j])
@@ -176,8 +180,8 @@ def cast_to_next(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def opens(shells, p):
-    """Return whether a point lies inside of an opaque surface, which a window's face then cuts
-    open.
+    """Return True if the point ``p`` lies inside of an opaque surface,
+    which a window's face then cuts open.
     """
     for k in range(shells.clears.shape[0]):
         if shells.clears[k] <= 0.0 and is_solid(
@@ -222,8 +226,8 @@ def first_crossings(shells, sight, eye, directions, layers, left):
 
 @kernel()
 def next_surface(shells, crossings, i, opaque):
-    """Return the surface with the next crossing on ray ``i``, or -1; only opaque surfaces if
-    ``opaque``.
+    """Return the surface with the next crossing on ray ``i``, or -1;
+    only opaque surfaces if ``opaque``.
     """
     best = -1
     way = math.inf
@@ -237,15 +241,17 @@ def next_surface(shells, crossings, i, opaque):
 @kernel()
 def take_layer(shells, crossings, layers, number, left):
     """Make the next crossing of each ray its layer ``number``, and reduce the share ``left``
-    (n,) that passes; return whether any ray goes on.
+    (n,) that passes; return True if any ray goes on.
     """
     some = False
     for i in range(left.shape[0]):
+        # The last layer, walls aside, is the next opaque surface: clear ones are skipped.
         if left[i] > 0.0:
             k = next_surface(shells, crossings, i, number == MAX_PEELED_LAYERS - 1)
         else:
             k = -1
         if k >= 0:
+            # The surface keeps 1 - clear of the light that is left; a small rest is dropped.
             clear = shells.clears[k]
             layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID_SIGN)
             layers.t[number, i] = crossings.t[k, i]
@@ -263,6 +269,7 @@ def take_walls(crossings, layers, left):
     """Make the wall that ends each ray its last layer, with the share ``left`` (n,)."""
     for i in range(left.shape[0]):
         if left[i] > 0.0 and crossings.walls[i] != NO_WALL:
+            # Find the first free layer of the ray.
             last = 0
             while layers.sides[last, i] != NO_SIDE:
                 last += 1
@@ -274,8 +281,8 @@ def take_walls(crossings, layers, left):
 
 @kernel()
 def find_passing(layers, number, k, left, some):
-    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,); return
-    their number.
+    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,);
+    return their number.
     """
     count = 0
     for i in range(left.shape[0]):
@@ -286,7 +293,7 @@ def find_passing(layers, number, k, left, some):
 
 @kernel()
 def write_layers(eye, directions, layers, peeled):
-    """Write the layers of all rays, ray by ray; return their number."""
+    """Write the layers of all rays to ``peeled``, ray by ray; return their number."""
     count = 0
     for i in range(directions.shape[1]):
         first = count
@@ -305,7 +312,7 @@ def write_layers(eye, directions, layers, peeled):
 
 @kernel()
 def rank_of(peeled, first, row):
-    """Return how many rows from ``first`` to ``row`` have the same side as ``row``."""
+    """Return the number of rows from ``first`` up to ``row`` that have the same side as ``row``."""
     found = 0
     for other in range(first, row):
         found += peeled.sides[other] == peeled.sides[row]
@@ -314,8 +321,8 @@ def rank_of(peeled, first, row):
 
 @kernel(types.int64(SHELLS, SIGHT, types.UniTuple(types.float64, 3), REAL_ROWS, PEELED, REAL_ARRAY))
 def peel_rays(shells, sight, eye, directions, peeled, left):
-    """Find all that rays from the ``eye`` in ``directions`` (3, n) meet, in index space; return the
-    number of rows in ``peeled``.
+    """Find all surfaces and walls that rays from the ``eye`` in ``directions`` (3, n) meet, in
+    index space; return the number of rows in ``peeled``.
 
     ``peeled`` has room for (MAX_PEELED_LAYERS + 1) · n rows. ``left`` (n,) is filled with the share
     of each ray's light that comes from behind all of it. The window of a ``sight`` has faces in

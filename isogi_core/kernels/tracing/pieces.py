@@ -1,4 +1,4 @@
-"""Small pieces taken out of a volume at every level at once: an area opening.
+"""Area opening: small pieces are removed from a volume at every level at once.
 
 Source: Vincent, "Grayscale area openings and closings", 1993; by union-find as in Meijster and
 Wilkinson, "A comparison of algorithms for connected set openings and closings", 2002.
@@ -18,10 +18,11 @@ RANKS = types.int32[::1]
 
 @kernel()
 def root_of(parents, place):
-    """The root of the piece that ``place`` is in; the way there is shortened."""
+    """Return the root of the piece that holds ``place``, and shorten the way there."""
     root = place
     while parents[root] >= 0:
         root = parents[root]
+    # Path compression: let all voxels on the way point to the root.
     while parents[place] >= 0:
         ahead = parents[place]
         parents[place] = root
@@ -33,8 +34,8 @@ def root_of(parents, place):
 def join(parents, ranks, place, other, least):
     """Join the piece of ``other``, a neighbour that was reached, to that of ``place``, a root.
 
-    A piece of ``least`` voxels or more that lies higher is left as it is: what is joined to it is
-    as large.
+    A higher piece of ``least`` voxels or more keeps its level; the piece that meets it then counts
+    as large enough too.
     """
     root = root_of(parents, other)
     if root == place:
@@ -48,16 +49,18 @@ def join(parents, ranks, place, other, least):
 
 @kernel(types.void(RANKS, PLACES, types.UniTuple(types.int64, 3), types.int64, PLACES))
 def open_by_size(ranks, order, shape, least, parents):
-    """Fill ``parents`` with the place of the voxel whose value each voxel takes, so that at every
-    level each piece of what is above has ``least`` voxels or more.
+    """Fill ``parents`` with the place of the voxel whose value each voxel takes, so that each
+    connected piece above any level has at least ``least`` voxels.
 
-    ``order`` has the places of the voxels that are no holes, flat, the highest first, and ``ranks``
+    ``order`` lists the places of the voxels that are no holes, flat, the highest first; ``ranks``
     ascend with values. Voxels are joined as the level falls: a piece that is still too small when
-    it meets another takes the value at which both are large enough. Voxels that share a corner are
-    neighbours. ``parents`` of roots are minus the voxels of their piece meanwhile.
+    it meets another takes the value at which both together are large enough. Voxels that share a
+    corner are neighbours. Meanwhile the parent of a root is minus the number of voxels of its
+    piece.
     """
     nz, ny, nx = shape
     parents[:] = NOT_SEEN
+    # Flood from the highest voxel down, and join each voxel with the neighbours above it.
     for n in range(order.shape[0]):
         place = order[n]
         parents[place] = -1
@@ -68,7 +71,7 @@ def open_by_size(ranks, order, shape, least, parents):
                     other = (c * ny + b) * nx + a
                     if other != place and parents[other] != NOT_SEEN:
                         join(parents, ranks, place, other, least)
-    # parents come later in the order, so that from its end each is known before its children
+    # Resolve parents to values. They come later in the order, so go through it from its end.
     for n in range(order.shape[0] - 1, -1, -1):
         place = order[n]
         parents[place] = place if parents[place] < 0 else parents[parents[place]]

@@ -28,11 +28,11 @@ STRAY_BIT = 8
 
 
 class Rays(NamedTuple):
-    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each with a surface
-    of its own.
+    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space; each may meet
+    another isosurface.
 
-    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN_SIDE, that
-    rays start on.
+    ``isovalues`` (n,) float64; ``sides`` (n,) int8: OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN_SIDE, on
+    which rays start.
     """
 
     isovalues: Any
@@ -61,8 +61,8 @@ def make_stream(n):
 
 @kernel()
 def mirrored_axis(d, here, size):
-    """Mirror a direction's component and a place along an axis of ``size`` if it descends:
-    (component, place, mask).
+    """Mirror a direction's component and a coordinate along an axis of ``size`` if the ray
+    descends it; return (component, coordinate, mask of the mirrored rays).
     """
     descends = d < 0.0
     return f32(abs(d)), f32(where(descends, size - here, here)), descends
@@ -70,8 +70,8 @@ def mirrored_axis(d, here, size):
 
 @kernel()
 def put_rays(shape, bricks, rays, m, stream, r):
-    """Write RAY_WIDTH rays from ray ``m`` on to the columns from ``r`` on; return which of them
-    meet the box, as bits.
+    """Write RAY_WIDTH rays from ray ``m`` on to the columns from ``r`` on; return those that meet
+    the box, as bits.
 
     ``shape`` are the voxels and ``bricks`` the bricks along z, y, x.
     """
@@ -135,6 +135,7 @@ def fill_stream(shape, bricks, rays, first, last, stream):
     """
     count = 0
     for i in range(first, last, RAY_WIDTH):
+        # The last vector is moved back to end at the last ray; rays that it repeats are masked out.
         m = max(min(i, last - RAY_WIDTH), 0)
         met = put_rays(shape, bricks, rays, m, stream, count)
         store(stream.owners, count, lane_numbers() + m)

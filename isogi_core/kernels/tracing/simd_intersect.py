@@ -16,8 +16,8 @@ from isogi_core.kernels.tracing.slabs import cut_cell, longest, reciprocals
 
 @kernel()
 def corners_of(flat, place, stride):
-    """Return the eight corner values, f64×N, x fastest, of cells whose lowest corner is at
-    ``place``.
+    """Return the eight corner values, f64×N, x fastest,
+    of cells whose lowest corner is at ``place``.
     """
     sy, sz = stride
     a, b = gather_pair(flat, place)
@@ -29,18 +29,19 @@ def corners_of(flat, place, stride):
 
 @kernel()
 def within_cell(o, middle, d, cell, n):
-    """Return whether the ray's point at ``middle`` is in ``cell`` along one axis of ``n``
-    voxels.
+    """Return the mask of rays whose point at ``middle`` is in ``cell``
+    along one axis of ``n`` voxels.
     """
     return min(max(i32(o + middle * d), 0), n - 2) == cell
 
 
 @kernel()
 def cross_cells(flat, shape, o, d, place, span, iso, solid):
-    """Intersect rays that enter the cells at ``place`` from a ``solid`` side or not.
+    """Intersect rays with the surface in the cells at ``place``, which they enter from a ``solid``
+    side or not.
 
-    ``span`` (near, far) comes from ``clip_box``. Returns (t, where the ray enters the cell, sure):
-    if sure, t equals the result of ``cross_cell``; otherwise that must be called.
+    ``span`` (near, far) comes from ``clip_box``. Returns (t, distance at which the ray enters the
+    cell, sure). If sure, t equals the result of ``cross_cell``; otherwise that must be called.
     """
     nz, ny, nx = shape
     # Recover the cell's indices from its flat address.

@@ -9,10 +9,10 @@ import numpy as np
 from isogi_core.kernels._jit import kernel
 
 SKIP_BITS = 4
-"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is
-descended.
+"""Bits of a skip distance; a word holds those of the octants 0 … 7. Bit a of an octant is set if
+directions descend along axis a.
 
-No skip is 0, so that words of skips are those whose uppermost four bits are not.
+No skip distance is 0, so that a word is one of skip distances if its uppermost four bits are not 0.
 """
 
 LONGEST_SKIP = 2**SKIP_BITS - 1
@@ -29,8 +29,8 @@ LAST_BIT = np.uint64(WORD_BRICKS - 1)
 
 @kernel()
 def write_bits(empty, hollow, outside):
-    """Write the bits of bricks that are ``empty`` (z, y, x), and of those beyond the volume, which
-    count as empty.
+    """Write a bit for each brick: to ``hollow`` if it is ``empty`` (z, y, x) or beyond the volume,
+    to ``outside`` if it is beyond.
 
     ``hollow`` and ``outside`` (z, y, words) reach beyond the volume by one word on each side.
     """
@@ -41,6 +41,7 @@ def write_bits(empty, hollow, outside):
         for j in range(by):
             for first in range(0, bx, WORD_BRICKS):
                 count = min(WORD_BRICKS, bx - first)
+                # Pack a row of up to 64 bricks into a word; bits beyond the volume are set.
                 bits = NO_BITS
                 for i in range(count):
                     bits |= np.uint64(empty[k, j, first + i]) << np.uint64(i)
@@ -55,15 +56,15 @@ def write_bits(empty, hollow, outside):
 
 @kernel()
 def flip(bits, others):
-    """Flip the ``bits`` that are set in ``others``; both are flat."""
+    """Flip those ``bits`` that are set in ``others``; both are flat arrays of words."""
     for q in range(bits.size):
         bits[q] ^= others[q]
 
 
 @kernel()
 def find_empty_pairs(cubes, dy, dz, first, last, rows):
-    """Write which ``cubes`` from ``first`` to ``last`` are empty together with their neighbours
-    along y, z and both to ``rows``.
+    """Write to ``rows`` the cubes from ``first`` to ``last`` that are empty together with their
+    neighbours along y, along z, and along both.
     """
     a = cubes[first:last]
     b = cubes[first + dy : last + dy]
@@ -75,8 +76,8 @@ def find_empty_pairs(cubes, dy, dz, first, last, rows):
 
 @kernel()
 def meet_next(rows, following, descended, outside, larger):
-    """Write which of ``rows`` are empty together with their neighbour along x, or lie
-    ``outside``, to ``larger``; ``following`` are the neighbouring words.
+    """Write to ``larger`` those of ``rows`` that are empty together with their neighbour along
+    x, or lie ``outside``; ``following`` are the neighbouring words.
     """
     if descended:
         for q in range(larger.size):
@@ -88,8 +89,8 @@ def meet_next(rows, following, descended, outside, larger):
 
 @kernel()
 def enlarge(cubes, octant, outside, steps, rows, larger):
-    """Write which cubes that are one brick larger are empty to ``larger``: those whose eight corner
-    ``cubes`` are.
+    """Write to ``larger`` the empty cubes that are one brick larger: those whose eight corner
+    ``cubes`` are empty.
 
     ``steps`` lead to the next word along y and z; ``rows`` is scratch space. All arrays are flat.
     """
@@ -97,9 +98,11 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
     dx = octant & 1
     dy = -along_y if octant & 2 else along_y
     dz = -along_z if octant & 4 else along_z
+    # Leave out the border, whose neighbours would lie beyond the arrays.
     first = along_y + along_z + 1
     last = cubes.size - along_y - along_z - 1
     find_empty_pairs(cubes, dy, dz, first - 1, last + 1, rows[first - 1 : last + 1])
+    # The neighbour along x may be in the next word, or in the word before if the axis descends.
     if dx:
         following = rows[first - 1 : last - 1]
     else:
@@ -121,6 +124,7 @@ def write_octant(sides, octant, shape, tops):
                 z = k + 1
                 y = j + 1
                 w = first // WORD_BRICKS + 1
+                # Collect the four bits of each brick's count from the four planes.
                 a = sides[0, z, y, w]
                 b = sides[1, z, y, w]
                 c = sides[2, z, y, w]

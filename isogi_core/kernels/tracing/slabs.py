@@ -1,4 +1,5 @@
-"""Rays against boxes: the part of a ray in a volume or a cell, and where it leaves a block.
+"""Rays against boxes: the part of a ray in a volume or a cell, and the face by which it leaves a
+block.
 
 All but the step from block to block takes numbers and vectors, and gives the same bits for both.
 """
@@ -30,8 +31,8 @@ def clip(o, d, n, near, far):
 
 @kernel()
 def clip_box(shape, o, d):
-    """Return the part (near, far) of the ray o + t·d, t ≥ 0, in the box of ``shape`` (nz, ny,
-    nx) voxels.
+    """Return the part (near, far) of the ray o + t·d, t ≥ 0,
+    in the box of ``shape`` (nz, ny, nx) voxels.
     """
     nz, ny, nx = shape
     near, far = clip(o[0], d[0], nx, 0.0, math.inf)
@@ -87,8 +88,8 @@ def next_face(o, inv, i, size):
 
 @kernel()
 def leave_block(o, inv, block, size):
-    """Return where the ray leaves a cubic block: (t, steps along x, y, z); one step is ±1, the
-    others are 0.
+    """Return the exit of the ray from a cubic block: (t, steps along x, y, z to the next
+    block); one step is ±1, the others are 0.
     """
     tx = next_face(o[0], inv[0], block[0], size)
     ty = next_face(o[1], inv[1], block[1], size)

@@ -1,15 +1,16 @@
-"""Stiff cells: where isosurfaces run along plateaus, through noise, or next to holes; and the
-points of texels on plateaus.
+"""Stiff cells, in which isosurfaces run along plateaus, through noise, or next to holes; and the
+points at which texels on plateaus are lit.
 
-A cell belongs to all isovalues from its least corner to its greatest, so that one pass serves all
-of them: counts are kept as differences, +1 where a range of isovalues begins and -1 after its end.
+``count_stiffness`` counts such cells for all isovalues in one pass. A cell belongs to the isovalues
+from its least corner to its greatest, so that counts are kept as differences: +1 at the first
+isovalue of a range, -1 after its last.
 
 A texel is at the edge of a plateau (a mask, a thin ramp, a terrace, clipped data) if hardly any
-voxel nearby is greater while many are as great: hardly anything above its value is solid. It is at
-an edge as well if hardly any is less: its isosurface is the hull of all that is greater, up to a
-voxel too far out. Such a texel is lit half-way between the extremes of the values nearby, about
-which the isosurfaces of its cells lie. In a wall one voxel thin, whose sides differ in light, a
-texel on the wall itself holds no light.
+voxel nearby is greater while many are equal: hardly anything above its value is solid. It is at an
+edge as well if hardly any is less: its isosurface is then the hull of all that is greater, up to a
+voxel too far out. ``leave_plateau`` lights such a texel half-way between the extremes of the values
+nearby, where the isosurfaces of its cells lie. In a wall one voxel thin, whose two sides differ in
+light, a texel on the wall itself holds no light.
 """
 
 import math
@@ -26,15 +27,15 @@ EDGE_SHARE = 0.1
 """Share of the range of nearby values within which a texel counts as being at an end of it."""
 
 FLAT_SHARE = 2 / 7
-"""Share of nearby voxels that equal the texel at the edge of a plateau; a cube's corner has 8 of
-27.
+"""Share of nearby voxels that equal the texel at the edge of a plateau; at a cube's corner, 8 of 27
+do.
 
-Without it texels of noisy fields, many of which are extremes of their neighbourhood, would leave
-their isosurfaces and have a quarter more error.
+Many texels of noisy fields are extremes of their neighbourhood. Without this limit they would leave
+their isosurfaces, and have a quarter more error.
 """
 
 MAX_SHIFT_VOXELS = 1.5
-"""Largest distance in voxels between a texel and the point that it is lit at."""
+"""Largest distance in voxels between a texel and the point at which it is lit."""
 
 BEHIND_VOXELS = -0.6
 """Largest distance ahead of a texel, in voxels, of a place that counts as behind it; a cube's
@@ -42,24 +43,24 @@ corner has none.
 """
 
 STEP_VOXELS = 0.0625
-"""Voxels between places at which the side of the field is sampled; a power of two."""
+"""Step in voxels at which the field is sampled along a way; a power of two."""
 
 HALVINGS = 32
-"""Bisection steps that refine an isosurface within a stride."""
+"""Number of bisection steps that refine an isosurface within a step."""
 
 
 @kernel(exact=True)
 def reach(x, n):
-    """Return the first and last of the ``n`` voxels along an axis that the smoothed gradient at
-    ``x`` uses.
+    """Return the first and last of the ``n`` voxels along an axis that the smoothed gradient
+    at ``x`` uses.
     """
     return max(int(math.floor(x)) - 1, 0), min(int(math.ceil(x)) + 1, n - 1)
 
 
 @kernel(exact=True)
 def value_span(voxels, p):
-    """Return the least and greatest voxel within the support of the smoothed gradient at ``p``,
-    and whether one is no number.
+    """Return the least and the greatest voxel within the support of the smoothed gradient at
+    ``p``, and True if one is NaN.
     """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -70,6 +71,7 @@ def value_span(voxels, p):
         for j in range(ys[0], ys[1] + 1):
             for i in range(xs[0], xs[1] + 1):
                 v = voxels[k, j, i]
+                # Comparisons with NaN are false, so that holes change neither bound.
                 low = v if v < low else low
                 high = v if v > high else high
                 hole = hole | math.isnan(v)
@@ -78,8 +80,8 @@ def value_span(voxels, p):
 
 @kernel(exact=True)
 def flat(voxels, p, own, edge):
-    """Return whether a share FLAT_SHARE of the voxels around ``p`` is within ``edge`` of its
-    value ``own``.
+    """Return True if at least a share FLAT_SHARE of the voxels around ``p`` is within ``edge``
+    of its value ``own``.
     """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -95,8 +97,8 @@ def flat(voxels, p, own, edge):
 
 @kernel(exact=True)
 def at_edge(voxels, p, own, low, high):
-    """Return whether ``p`` with the value ``own`` is at the edge of a plateau between ``low``
-    and ``high``.
+    """Return True if ``p`` with the value ``own`` is at the edge of a plateau; ``low`` and
+    ``high`` are the extremes nearby.
     """
     edge = EDGE_SHARE * (np.float64(high) - np.float64(low))
     return low < high and not low + edge < own < high - edge and flat(voxels, p, own, edge)
@@ -104,7 +106,7 @@ def at_edge(voxels, p, own, low, high):
 
 @kernel(exact=True)
 def point_within(shape, p, d, t):
-    """The point p + t·d, or the nearest to it within a box of ``shape`` (nz, ny, nx) voxels."""
+    """Return the point p + t·d, or the nearest to it in a box of ``shape`` (nz, ny, nx) voxels."""
     x, y, z = p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
     return (
         min(max(x, 0.0), shape[2] - 1.0),
@@ -115,11 +117,12 @@ def point_within(shape, p, d, t):
 
 @kernel(exact=True)
 def crossing(voxels, p, d, level, halvings=HALVINGS):
-    """How far along ``d`` the isosurface ``level`` is first crossed, MAX_SHIFT_VOXELS at most; inf
-    where it is not.
+    """Return the distance along ``d`` at which the isosurface ``level`` is first crossed; infinite
+    if it is not within MAX_SHIFT_VOXELS.
 
-    Known to STEP_VOXELS over 2 to the power of the ``halvings``.
+    The error is at most STEP_VOXELS over 2 to the power of ``halvings``.
     """
+    # Step along the way until the field changes sides.
     t = 0.0
     v = value(voxels, p)
     solid = v > level
@@ -128,6 +131,7 @@ def crossing(voxels, p, d, level, halvings=HALVINGS):
         v = value(voxels, point_within(voxels.shape, p, d, t))
     if (v > level) == solid or math.isnan(v):
         return math.inf
+    # Bisect the last step.
     near = t - STEP_VOXELS
     far = t
     for _ in range(halvings):
@@ -141,7 +145,9 @@ def crossing(voxels, p, d, level, halvings=HALVINGS):
 
 @kernel(exact=True)
 def downhill(n, spacing, sign):
-    """The way from a plateau: along the world normal ``n``, or against it, a voxel long."""
+    """Return the way down from a plateau, or up to it: along the world normal ``n`` if ``sign``
+    is 1, against it if -1; a voxel long, in index space.
+    """
     x, y, z = n[0] * spacing[0], n[1] * spacing[1], n[2] * spacing[2]
     share = sign / math.sqrt(x * x + y * y + z * z)
     return x * share, y * share, z * share
@@ -149,8 +155,8 @@ def downhill(n, spacing, sign):
 
 @kernel(exact=True)
 def thin(voxels, p, d, level):
-    """Return whether one of the 26 places a voxel away from ``p`` is open and behind it, so
-    that the wall's other side is as near.
+    """Return True if one of the 26 places a voxel away from ``p`` lies outside and behind it,
+    against ``d``: the wall's other side is then as near.
     """
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
@@ -162,20 +168,20 @@ def thin(voxels, p, d, level):
 
 @kernel(exact=True)
 def leave_plateau(field, p, n):
-    """Return where a texel at ``p`` with the normal ``n``, not zero, is lit: (point, normal,
-    isovalue).
+    """Return the point at which a texel at ``p`` with the normal ``n``, not zero, is lit: (point,
+    normal, isovalue).
 
-    That is ``p`` on its own isosurface, a float32, unless it is at the edge of a plateau. If there
-    is no isosurface half-way nearby, a texel at the foot of the plateau stays, and one on top gets
-    the normal (0, 0, 0): it has no side, as in a thin wall.
+    The result is ``p`` on the isosurface through it, a float32, unless it is at the edge of a
+    plateau. If there is no isosurface half-way nearby, a texel at the foot of the plateau keeps its
+    place, and one on top gets the normal (0, 0, 0): it has no side, as in a thin wall.
     """
-    own = np.float32(value(field.voxels, p))
+    here = np.float32(value(field.voxels, p))
     low, high, _ = value_span(field.voxels, p)
-    if not at_edge(field.voxels, p, own, low, high):
-        return p, n, own
+    if not at_edge(field.voxels, p, here, low, high):
+        return p, n, here
     # Look for the isosurface half-way between the extremes nearby, down the slope or up.
     level = np.float32(0.5 * (np.float64(low) + np.float64(high)))
-    top = own > level
+    top = here > level
     d = downhill(n, field.spacing, 1.0 if top else -1.0)
     if top and thin(field.voxels, p, d, level):
         t = math.inf
@@ -185,34 +191,33 @@ def leave_plateau(field, p, n):
     if t < math.inf:
         there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
-    return p, (0.0, 0.0, 0.0) if top else n, own
+    return p, (0.0, 0.0, 0.0) if top else n, here
 
 
 EDGE_MARK = 1
-"""Marks of a voxel: at the edge of a plateau, without a gradient, next to one that is no
-number. A texel at the edge of a plateau is not lit on its own isosurface: see
-``leave_plateau``.
-"""
 VOID_MARK = 2
 HOLE_MARK = 4
-"""Marks of a voxel: at the edge of a plateau, without a gradient, beside one that is no number.
+"""Marks of a voxel: at the edge of a plateau, without a gradient, near a hole (NaN).
 
-A texel at the edge of a plateau is not lit on its own isosurface: see ``kernels.tracing.plateaus``.
+A texel at the edge of a plateau is not lit on the isosurface through it: see ``leave_plateau``.
 """
 
 CELLS_ROW = 0
-"""Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
 STEEP_ROW = 1
 PLATEAU_ROW = 2
 NOISY_ROW = 3
 HOLED_ROW = 4
 FACES_ROW = 5
-"""Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
+"""Rows of counts; those from FACES_ROW on belong to the six faces of the box,
+x = 0, x = 1, y = 0, ….
+"""
 
 COUNTED_ROWS = FACES_ROW + 6
 
 STEEP_CORNERS = 4
-"""Corners at a plateau's edge, or on a plateau, that make a cell steep: half of its corners."""
+"""Number of corners at a plateau's edge, or on a plateau, that make a cell steep:
+half of its corners.
+"""
 
 MIN_MEAN_NORMAL = 0.9
 """Length of the mean of a cell's unit normals below which the cell is noisy: normals then differ by
@@ -243,13 +248,14 @@ def first_at(levels, value):
 
 @kernel()
 def look_at(field, levels, k, normals, marks):
-    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` near an
-    isosurface.
+    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` that
+    are near an isosurface of the ``levels``.
     """
     _, ny, nx = field.voxels.shape
     for j in range(ny):
         for i in range(nx):
             p = (float(i), float(j), float(k))
+            # Skip voxels that no isovalue passes nearby: their cells are not counted.
             low, high, hole = value_span(field.voxels, p)
             if not first_at(levels, low) < first_at(levels, high):
                 continue
@@ -265,7 +271,7 @@ def look_at(field, levels, k, normals, marks):
 
 @kernel()
 def count_levels(row, first, last):
-    """Count one for the isovalues ``first`` to ``last`` - 1."""
+    """Add 1 to the counts of the isovalues ``first`` to ``last`` - 1, as differences in ``row``."""
     row[first] += 1
     row[last] -= 1
 
@@ -303,6 +309,7 @@ def corner_of(marks, normals, k, j, i):
         column = i + (c & 1)
         mark = marks[plane, row, column]
         n = normals[plane, row, column]
+        # Count corners at an edge, join the marks, and sum the normals that exist.
         edges = edges + (mark & EDGE_MARK)
         together = together | mark
         if not mark & VOID_MARK:
@@ -340,8 +347,8 @@ def count_faces(levels, corners, place, shape, counts):
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
-    """Count a cell that the isovalues ``first`` to ``last`` - 1 pass; ``seen`` is its
-    ``corner_of``.
+    """Count a cell that the isovalues ``first`` to ``last`` - 1 pass;
+    ``seen`` is its ``corner_of``.
     """
     edges, together, coherence = seen
     count_levels(counts[CELLS_ROW], first, last)
@@ -351,6 +358,8 @@ def count_cell(levels, corners, first, last, seen, counts):
         count_levels(counts[NOISY_ROW], first, last)
     if together & HOLE_MARK:
         count_levels(counts[HOLED_ROW], first, last)
+    # A cell with a corner without a gradient is a plateau for all isovalues; others only for
+    # isovalues that half of their corners equal.
     if together & VOID_MARK:
         count_levels(counts[PLATEAU_ROW], first, last)
     else:

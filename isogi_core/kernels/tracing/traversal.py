@@ -21,15 +21,11 @@ MAX_WAITING_LANES = max(RAY_WIDTH // 3, 1)
 """Lanes that wait at a cell that may hold the surface, from which on these cells are tested."""
 
 MISS = -1
+UNSURE = -2
 """Results of the traversal that name no cell: no hit, or a case that only ``cast`` can decide.
 
 Of 2³¹ voxels neither of the last two is the lowest corner of a cell, so that no cell has these
 codes.
-"""
-UNSURE = -2
-"""Results of the traversal that are no cell: the ray meets nothing, or only ``cast`` can decide.
-
-Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is one of these.
 """
 
 HUGE_INVERSE = 1e30
@@ -110,8 +106,8 @@ def last_cell(descends, n):
 
 @kernel()
 def first_cell(x, descends, limit, n):
-    """Return the cell of the mirrored coordinate ``x`` along an axis of ``n`` voxels that ends
-    before ``limit``.
+    """Return the cell of the mirrored coordinate ``x`` along an axis of ``n`` voxels
+    that ends before ``limit``.
     """
     lowest = where(descends != 0, filled(n) - (n - 1), 0)
     return min(max(i32(x), lowest), limit - 1)
@@ -157,8 +153,8 @@ def look_up(cells, c, ray):
 
 @kernel()
 def leave(ray, c, low, size):
-    """Return where lanes leave a cube of cells with corner ``low``: (t, next cell, whether it
-    is outside).
+    """Return the points at which lanes leave a cube of cells with corner ``low``: (t, next
+    cell, mask of the lanes that leave the volume).
     """
     n = low[0] + size, low[1] + size, low[2] + size
     tx = (f32(n[0]) - ray.o[0]) * ray.inv[0]
@@ -188,6 +184,7 @@ def bernstein(v, a, b):
     They are values of the field's blossom: at the corners of the box between a and b, averaged. If
     all have one sign, the field keeps that sign along the segment.
     """
+    # Interpolate the corners along x at both ends of the segment, then along y.
     x0 = lerp(v[0], v[1], a[0])
     x1 = lerp(v[2], v[3], a[0])
     x2 = lerp(v[4], v[5], a[0])
@@ -200,6 +197,7 @@ def bernstein(v, a, b):
     ab0, ab1 = lerp(x0, x1, b[1]), lerp(x2, x3, b[1])
     ba0, ba1 = lerp(y0, y1, a[1]), lerp(y2, y3, a[1])
     bb0, bb1 = lerp(y0, y1, b[1]), lerp(y2, y3, b[1])
+    # The inner coefficients average the three blossom values with one, or two, coordinates of b.
     third = 1.0 / 3.0
     one = (lerp(aa0, aa1, b[2]) + lerp(ab0, ab1, a[2]) + lerp(ba0, ba1, a[2])) * third
     two = (lerp(bb0, bb1, a[2]) + lerp(ba0, ba1, b[2]) + lerp(ab0, ab1, b[2])) * third
@@ -212,6 +210,7 @@ def corner_values(flat, place, turned, sy, sz, iso):
 
     ``turned`` lanes are mirrored in x; ``sy`` and ``sz`` lead to the second corner along y and z.
     """
+    # Load pairs of neighbours along x; a mirrored lane swaps them.
     a, b = gather_pair(flat, place)
     c, d = gather_pair(flat, place + sy)
     e, f = gather_pair(flat, place + sz)
@@ -230,8 +229,8 @@ def corner_values(flat, place, turned, sy, sz, iso):
 
 @kernel()
 def certain(volume, cells, ray, c, span, sign, lanes):
-    """Return in which of the ``lanes`` the field certainly keeps ``sign`` in cell ``c`` on the
-    ``span`` (in, out).
+    """Return the mask of those ``lanes`` in which the field certainly keeps ``sign`` in cell
+    ``c`` on the ``span`` (in, out).
     """
     # Gather the corners of the cell.
     flat, (_, ny, nx) = volume
@@ -260,12 +259,13 @@ def cell_of(word):
 
 @kernel()
 def put_cells(found, entries, owner, cell, sign, t, lanes):
-    """Write 2 · cell + (1 if solid) of the chosen lanes to ``found`` at their rays, and ``t``
-    to ``entries``.
+    """Write 2 · cell + (1 if solid) of the chosen lanes to ``found`` at their rays,
+    and ``t`` to ``entries``.
     """
     word = cell * 2 + where(sign > 0.0, 1, 0)
     chosen = bits(lanes)
     lane = 0
+    # Lanes end at different rays, so that they are stored one by one.
     while chosen != 0:
         if chosen & 1:
             m = owner[lane]
@@ -330,8 +330,8 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
 
 @kernel()
 def enter(volume, cells, ray, given):
-    """Return where rays begin: (cell, sign of the field there, whether it is in doubt); ``given``
-    is the sign, or 0.
+    """Return the first cells of rays: (cell, sign of the field there, mask of doubtful starts);
+    ``given`` is the sign, or 0 if it is unknown.
 
     A start is in doubt if the field must be evaluated in an active cell, or contradicts the given
     sign.
@@ -351,12 +351,12 @@ def enter(volume, cells, ray, given):
 
 @kernel()
 def traverse(volume, cells, records, count, found, entries):
-    """Write the first cell that each of ``count`` rays may hit to ``found``, as 2 · cell + (1 from
-    a solid side), or UNSURE.
+    """Find the first cell that each of ``count`` rays may hit; write it to ``found`` as 2 · cell +
+    (1 from a solid side), or UNSURE.
 
     ``volume`` is (flat voxels, shape), ``cells`` its active-cell map, ``records`` (FIELDS, n) the
-    stream of rays (see ``ray_stream``). Rays that hit nothing keep their entry. ``entries`` is the
-    distance to that cell, in steps of the direction's largest component.
+    stream of rays (see ``ray_stream``). Entries of rays that hit nothing are not changed.
+    ``entries`` gets the distance to that cell, in steps of the direction's largest component.
     """
     shape = volume[1]
     ray = no_ray()

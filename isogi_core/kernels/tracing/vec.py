@@ -1,4 +1,6 @@
-"""Vectors: 3-tuples of float64, made and taken apart in registers."""
+"""Vectors: 3-tuples of float64, which live in registers. Functions without branches take tuples
+of SIMD vectors too.
+"""
 
 import math
 
@@ -7,67 +9,69 @@ from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
 
 SMALLEST_NORMAL = 2.0**-1022
+"""Smallest normal float64, which stands for 0 in a divisor."""
 
 
 @kernel()
 def add(a, b):
-    """Sum a + b."""
+    """Return the sum a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel()
 def sub(a, b):
-    """Difference a - b."""
+    """Return the difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel()
 def scale(a, t):
-    """Product t·a with the number t."""
+    """Return t·a for a number t."""
     return a[0] * t, a[1] * t, a[2] * t
 
 
 @kernel()
 def times(a, b):
-    """The product of two vectors, or colours, member by member."""
+    """Return the product of two vectors, or colours, component by component."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @kernel()
 def madd(o, t, d):
-    """Point o + t·d, as along a ray from o in direction d."""
+    """Return the point o + t·d, as along a ray from o in direction d."""
     return o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
 
 
 @kernel()
 def dot(a, b):
-    """Scalar product Σ aᵢ bᵢ."""
+    """Return the scalar product Σ aᵢ bᵢ."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel()
 def cross(a, b):
-    """Vector product a × b, right-handed."""
+    """Return the vector product a × b, right-handed."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel()
 def is_zero(a):
-    """Whether all of a is 0."""
+    """Return True if all components of a are 0."""
     return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
 
 @kernel()
 def length(a):
-    """Euclidean length √(a·a)."""
+    """Return the Euclidean length √(a·a)."""
     return math.sqrt(dot(a, a))
 
 
 @kernel()
 def normalize(a):
-    """Unit vector a/|a|, or (0, 0, 0) where a has no direction: zero, infinite or NaN.
+    """Return the unit vector a/|a|, or (0, 0, 0) if a has no direction: zero, infinite or NaN.
 
-    Scaled by the largest component first, so that squares neither overflow nor vanish.
+    The vector is first scaled by its largest component, so that squares neither overflow nor
+    vanish.
     """
     largest = max(abs(a[0]), abs(a[1]), abs(a[2]), SMALLEST_NORMAL)
     x, y, z = a[0] / largest, a[1] / largest, a[2] / largest
@@ -79,9 +83,9 @@ def normalize(a):
 
 @kernel(exact=True)
 def orthonormal_basis(n):
-    """Tangents (s, t) that make (s, t, n) right-handed and orthonormal; n is a unit vector.
+    """Return tangents (s, t) that make (s, t, n) right-handed and orthonormal; n is a unit vector.
 
-    Without a branch and without a pole: Duff et al., "Building an Orthonormal Basis, Revisited",
+    It has no branch and no pole. Source: Duff et al., "Building an Orthonormal Basis, Revisited",
     JCGT 6(1), 2017, listing 3.
     """
     sign = math.copysign(1.0, n[2])
@@ -96,7 +100,7 @@ def orthonormal_basis(n):
 
 @kernel()
 def column(vectors, m):
-    """Column ``m`` of a (3, n) array as a tuple."""
+    """Return column ``m`` of a (3, n) array as a tuple."""
     return vectors[0, m], vectors[1, m], vectors[2, m]
 
 
@@ -108,7 +112,7 @@ def put_column(vectors, m, v):
 
 @kernel()
 def load_columns(vectors, m):
-    """PATH_WIDTH columns of a (3, n) array from ``m`` on, as f64×N."""
+    """Return PATH_WIDTH columns of a (3, n) array from ``m`` on, as f64×N."""
     return (
         load(vectors[0], m, PATH_WIDTH),
         load(vectors[1], m, PATH_WIDTH),
@@ -118,7 +122,7 @@ def load_columns(vectors, m):
 
 @kernel()
 def store_columns(vectors, m, v):
-    """Write a vector of f64×N to the columns of a (3, n) array from ``m`` on."""
+    """Write a tuple of f64×N to PATH_WIDTH columns of a (3, n) array from ``m`` on."""
     store(vectors[0], m, v[0])
     store(vectors[1], m, v[1])
     store(vectors[2], m, v[2])

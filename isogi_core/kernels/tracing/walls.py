@@ -13,11 +13,11 @@ from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.vec import load_columns
 
 NO_WALL = -1.0
-"""Number of no wall."""
+"""Stands for no wall instead of a number."""
 
 WALL_RIM = 1e-9
-"""Share of its edges by which a wall extends beyond them, so that no ray slips between two that
-touch.
+"""Share of its edges by which a wall extends beyond them,
+so that no ray slips between two that touch.
 """
 
 
@@ -54,6 +54,7 @@ def nearest_wall(walls, o, d, own, reach):
     """
     found = own * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
+        # Find the ray's hit on the wall's plane, and its coordinates along the two edges.
         x = o[0] - walls.corners[k, 0]
         y = o[1] - walls.corners[k, 1]
         z = o[2] - walls.corners[k, 2]
@@ -62,6 +63,7 @@ def nearest_wall(walls, o, d, own, reach):
         p = x + t * d[0], y + t * d[1], z + t * d[2]
         a, b = inner(walls.across[k], 0, p), inner(walls.across[k], 1, p)
         within = (a >= -WALL_RIM) & (a <= 1.0 + WALL_RIM) & (b >= -WALL_RIM) & (b <= 1.0 + WALL_RIM)
+        # Keep it if it is on the rectangle, before the nearest so far, on a side that stops rays.
         met = within & (t > 0.0) & (t < reach) & (own != float(k)) & (slope < walls.backs[k])
         reach = where(met, t, reach)
         found = where(met, float(k), found)

@@ -1,3 +1,3 @@
-"""Transport: paths of light over an isosurface, their random numbers, and what texels keep of
-them.
+"""Transport: paths of light over an isosurface, their random numbers,
+and the light that texels store.
 """

@@ -75,6 +75,7 @@ def known_code(codes, p):
     for c in range(2):
         for b in range(2):
             for a in range(2):
+                # Leave out corners without a value.
                 code = codes[k + c, j + b, i + a]
                 weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
                 if code != NO_VALUE:
@@ -102,9 +103,11 @@ def next_label(labels, p, after):
         b = corner >> 1 & 1
         c = corner >> 2
         weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
+        # Each corner has two labels, with the shares 1 - second and second.
         second = LABEL_SHARE * labels[k + c, j + b, i + a, 2]
         for which in range(2):
             label = np.int64(labels[k + c, j + b, i + a, which])
+            # Start the sum again if a lower label is found, else add to it.
             if after < label <= least:
                 total = (total if label == least else 0.0) + weight * (
                     second if which else 1.0 - second
@@ -148,8 +151,8 @@ def label_albedo(colours, p):
 
 @kernel()
 def albedo_at(colours, p):
-    """Return the linear RGB albedo of the surface at ``p`` in index space, from the table by
-    code or labels.
+    """Return the linear RGB albedo of the surface at ``p`` in index space,
+    from the table by code or labels.
     """
     table = colours.table
     step = colours.step
@@ -157,6 +160,7 @@ def albedo_at(colours, p):
     if colours.labels.shape[0] > 0:
         return label_albedo(colours, place)
     code, known = known_code(colours.codes, place)
+    # Interpolate the table between two codes; code 0 stands for the rest of the weights.
     low = min(max(int(code), 1), LAST_CODE - 1)
     share = code - low
     r = (
@@ -197,6 +201,7 @@ def sample_layer(voxels, matrix, z, step, values):
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
             x, y = column * step[0], row * step[1]
+            # Map the place to the other volume.
             a = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]
             b = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]
             c = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
@@ -239,8 +244,8 @@ def weigh_labels(codes, mixed, bell, labels):
     the second's share.
 
     Each of the ``codes`` (nz, ny, nx) has the weight of the ``bell`` (2r + 1,) along each axis, in
-    integers, so that sums are equal whichever way round a volume lies. NO_VALUE has no weight. The
-    share is that of the second label among both, in units of LABEL_SHARE. Border places repeat
+    integers, so that sums do not depend on the orientation of the volume. NO_VALUE has no weight.
+    The share is that of the second label among both, in units of LABEL_SHARE. Border places repeat
     beyond the volume.
     """
     nz, ny, nx = codes.shape

@@ -1,5 +1,5 @@
-"""The entry kernels of paths that gather light, by what the paths meet and what they gather: one
-table for all.
+"""The entry kernels of paths that gather light,
+in one table by the scene and the source of light.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ PATH_KERNELS = {
     (Among, Glows): glow_among_surfaces,
     (Through, Surroundings): light_through_matter,
 }
-"""By the types of scene and source: kernels that take scene, starts, samples, rules, source, and
+"""Kernels by the types of scene and source; each takes scene, starts, samples, rules, source, and
 the sums to add to.
 
 Texels in the Open have a kernel that takes them by their places, ``bake_irradiance``.
@@ -27,5 +27,7 @@ Texels in the Open have a kernel that takes them by their places, ``bake_irradia
 
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
-    """The entry kernels of paths that meet and gather this."""
+    """Return the entry kernels for paths that meet scenes of type ``meets``
+    and gather light of type ``gathers``.
+    """
     return PATH_KERNELS[meets, gathers], fill_seeds

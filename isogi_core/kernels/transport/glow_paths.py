@@ -39,8 +39,8 @@ from isogi_core.kernels.transport.surface_paths import (
 
 @kernel()
 def cap_of(glows, k, p):
-    """Return 1 - cosα of the cone from ``p`` around the bounding ball of region ``k``; 0 if p
-    is in the ball.
+    """Return 1 - cosα of the cone from ``p`` around the bounding ball of region ``k``;
+    0 if p is in the ball.
     """
     away = sub(column(glows.centres, k), p)
     square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST_NORMAL)
@@ -70,9 +70,9 @@ def draw_towards(glows, k, p, u, v):
     """
     down = u * cap_of(glows, k, p)
     turn = 2.0 * math.pi * v
-    aside = math.sqrt(max(down * (2.0 - down), 0.0))
+    sine = math.sqrt(max(down * (2.0 - down), 0.0))
     axis = normalize(sub(column(glows.centres, k), p))
-    return about(axis, (aside * math.cos(turn), aside * math.sin(turn), 1.0 - down))
+    return about(axis, (sine * math.cos(turn), sine * math.sin(turn), 1.0 - down))
 
 
 @kernel()
@@ -102,6 +102,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     ways = columns(rays.ways, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
+    # Each region and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + k * PAIRS_PER_PURPOSE + bounce)
     aimed = 0
     for i in range(count):
@@ -111,11 +112,14 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
         u, v = point_of_words(low, high, sample, dimension)
         o, n = column(origins, i), column(normals, i)
         p = to_world(o, spacing)
+        # Sample the cone around the region's ball; points inside of it rely on cosine sampling
+        # alone.
         outside = cap_of(glows, k, p) > 0.0
         if outside:
             w = draw_towards(glows, k, p, u, v)
         else:
             w = n
+        # Rays that cannot bring light start at infinity, and hit nothing.
         lit = outside and dot(n, w) > 0.0
         aimed += lit
         put_column(ways, i, w)
@@ -136,6 +140,7 @@ def add_glow(wave, vertices, i, k, scene, glows, share):
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
     if light > 0.0:
+        # Weight against the other sampling technique; each region has three channels of the sums.
         light *= share * balance_cone(
             glows, k, p, w, dot(column(columns(vertices.normals, count), i), w)
         )
@@ -160,8 +165,8 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 @gather_met.case(Glows)
 def gather_met_glow(scene, state, vertices, bounce, glows):
-    """Add the light of all regions along the rays that were cast; return the number of paths
-    that continue.
+    """Add the light of all regions along the rays that were cast;
+    return the number of paths that continue.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -199,6 +204,7 @@ def gather_to_crossings(scene, state, vertices, k, glows, place, going):
         i = state.pending[j]
         before = state.passed[i]
         state.pending[staying] = i
+        # The ray goes on with the part that passes; the part that is stopped has reached its end.
         on = goes_on(scene.surfaces, state, i, bounce, crossing, True)
         staying += on
         if on:

@@ -16,12 +16,13 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.memory import add_to
 
 MAX_ORDER = 10
+"""Largest order of the tables."""
 MATRIX = types.Array(types.float64, 2, "C", readonly=True)
 
 
 def _diagonal() -> np.ndarray:
-    """q_mm = √(2 - δ_m0) √((2m+1)!!/(2m)!!) / √4π for m < MAX_ORDER: where the recurrence in l
-    starts.
+    """Return q_mm = √(2 - δ_m0) √((2m+1)!!/(2m)!!) / √4π for m < MAX_ORDER, at which the
+    recurrence in l starts.
     """
     m = np.arange(1, MAX_ORDER)
     growth = np.sqrt(np.cumprod((2 * m + 1) / (2 * m)))
@@ -29,8 +30,8 @@ def _diagonal() -> np.ndarray:
 
 
 def _recurrence() -> tuple[np.ndarray, np.ndarray]:
-    """Factors (a, b), each (MAX_ORDER+1, MAX_ORDER), of q_lm = a_lm z q_(l-1)m - b_lm q_(l-2)m, for
-    l > m.
+    """Return the factors (a, b), each (MAX_ORDER+1, MAX_ORDER), of q_lm = a_lm z q_(l-1)m - b_lm
+    q_(l-2)m, for l > m.
 
     a² = (4l²-1)/(l²-m²); b = a_lm / a_(l-1)m, and 0 for l = m+1.
     """
@@ -51,12 +52,13 @@ def accumulate(order, x, y, z, weight, out):
     """Add weight · Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out
     float64.
 
-    `order` <= MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it.
-    With vectors of directions and weights each lane has sums of its own, out[width · i + lane].
+    ``order`` ≤ MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it.
+    With vectors of directions and weights each lane has separate sums, out[width · i + lane].
     """
     nothing = 0.0 * weight
     cosine, sine = weight, nothing
     for m in range(order):
+        # Run up the bands from q_mm; cosine and sine hold weight · (x + iy)^m.
         before = nothing
         q = nothing + DIAGONAL[m]
         for l in range(m, order):
@@ -65,13 +67,14 @@ def accumulate(order, x, y, z, weight, out):
                 add_to(out, middle - m, sine * q)
             add_to(out, middle + m, cosine * q)
             before, q = q, RECURRENCE_SLOPE[l + 1, m] * z * q - RECURRENCE_OFFSET[l + 1, m] * before
+        # Go on to the next power of x + iy.
         cosine, sine = x * cosine - y * sine, x * sine + y * cosine
 
 
 @kernel()
 def evaluate(order, x, y, z, out):
-    """Write Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out is
-    float64.
+    """Write Y_i(x, y, z) to out[i] for all i < order²;
+    (x, y, z) is a unit vector, out is float64.
     """
     for i in range(order * order):
         out[i] = 0.0
@@ -79,7 +82,7 @@ def evaluate(order, x, y, z, out):
 
 
 def cosine_lobe_factors(order: int) -> np.ndarray:
-    """A_l for l < order, float64: irradiance E_lm = A_l L_lm; π, 2π/3, π/4, 0, -π/24, 0, …
+    """Return A_l for l < order, float64: irradiance E_lm = A_l L_lm; π, 2π/3, π/4, 0, -π/24, 0, …
 
     Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps", 2001,
     eq. 8.
@@ -94,8 +97,8 @@ def cosine_lobe_factors(order: int) -> np.ndarray:
 
 @kernel()
 def _step(first, before, l, i, m, n):
-    """P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1. Matrices are
-    centred.
+    """Return P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1.
+    Matrices are centred.
     """
     c = MAX_ORDER
     if n == l:
@@ -111,8 +114,8 @@ def _step(first, before, l, i, m, n):
 
 @kernel()
 def _inner_weights(m):
-    """Weights of P₁ and P₋₁ within V; rows 0 and ±1 reach the row 0, which stands for both signs at
-    once.
+    """Return the weights of P₁ and P₋₁ within V; rows 0 and ±1 refer to the row 0, which stands
+    for both signs together.
     """
     if abs(m) == 1:
         same = math.sqrt(2.0)
@@ -127,11 +130,12 @@ def _inner_weights(m):
 
 @kernel()
 def _element(first, before, l, m, n):
-    """Element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg, tables 1 and 2 as
-    corrected.
+    """Return element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg,
+    tables 1 and 2 as corrected.
     """
     k = abs(m)
     s = 1 if m > 0 else -1
+    # Compute the factors u, v and w (table 1).
     if abs(n) == l:
         below = 2 * l * (2 * l - 1)
     else:
@@ -142,6 +146,7 @@ def _element(first, before, l, m, n):
         w = 0.5 * math.sqrt(max(0, (l - k - 1) * (l - k)) / below)
     else:
         w = 0.0
+    # Sum the terms of U, V and W (table 2): index, row and weight of each.
     plus, minus = _inner_weights(m)
     total = 0.0
     for i, row, weight in (
@@ -157,12 +162,12 @@ def _element(first, before, l, m, n):
 
 @kernel()
 def band_rotation(l, first, before, out):
-    """Rotation matrix of band l >= 2 from bands 1 and l-1: element (m, n) at [MAX_ORDER+m,
-    MAX_ORDER+n].
+    """Fill ``out`` with the rotation matrix of band l ≥ 2 from bands 1 and l-1: element (m, n) at
+    [MAX_ORDER+m, MAX_ORDER+n].
 
-    `first` is (3, 3), `before` and `out` are (2 MAX_ORDER + 1, 2 MAX_ORDER + 1) with zeros around
-    the band. Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102,
-    9099 (1998).
+    ``first`` is (3, 3), ``before`` and ``out`` are (2 MAX_ORDER + 1, 2 MAX_ORDER + 1) with zeros
+    around the band. Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in
+    A 102, 9099 (1998).
     """
     for m in range(-l, l + 1):
         for n in range(-l, l + 1):
@@ -171,7 +176,7 @@ def band_rotation(l, first, before, out):
 
 @kernel()
 def _apply_band(l, band, coefficients, out):
-    """out_m = Σ_n band_mn coefficients_n within band l, for every channel."""
+    """Write out_m = Σ_n band_mn coefficients_n within band l, for every channel."""
     middle = l * (l + 1)
     for channel in range(coefficients.shape[0]):
         for m in range(-l, l + 1):
@@ -193,10 +198,11 @@ def rotate(order, matrix, coefficients, out):
     side = 2 * MAX_ORDER + 1
     before = np.zeros((side, side))
     band = np.zeros((side, side))
+    # Band 1 is the rotation matrix itself, in the order y, z, x.
     first = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            first[i, j] = matrix[(i + 1) % 3, (j + 1) % 3]  # band 1 runs y, z, x
+            first[i, j] = matrix[(i + 1) % 3, (j + 1) % 3]
             band[MAX_ORDER - 1 + i, MAX_ORDER - 1 + j] = first[i, j]
     before[MAX_ORDER, MAX_ORDER] = 1.0
     _apply_band(0, before, coefficients, out)

@@ -122,8 +122,8 @@ def make_vertices(n):
 
 @kernel()
 def columns(room, count):
-    """View the first ``count`` paths of a (3 n,) array as (3, count rounded up to whole
-    vectors).
+    """View the first ``count`` paths of a (3 n,) array
+    as (3, count rounded up to whole vectors).
     """
     n = whole(count)
     return room[: 3 * n].reshape(3, n)
@@ -169,7 +169,7 @@ def sample_direction(wave, vertices, bounce, spacing):
     normals = columns(vertices.normals, count)
     ways = columns(wave.ways, count)
     directions = columns(wave.directions, count)
-    # Each bounce draws its pair of random numbers from a dimension of its own.
+    # Each bounce draws its pair of random numbers from a different dimension.
     dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
         low = load(wave.low, i, PATH_WIDTH)
@@ -196,8 +196,8 @@ def intersect(field, cells, wave, points, count):
 
 @kernel()
 def partition(wave, count):
-    """List the places of the rays that hit the surface, and of those that escape; return the
-    number of hits.
+    """List the places of the rays that hit the surface, and of those that escape;
+    return the number of hits.
     """
     hits = escaped = 0
     for i in range(count):
@@ -234,8 +234,8 @@ def russian_roulette(wave, hits, bounce, survival):
 
 @kernel()
 def compact(wave, vertices, following):
-    """Move the paths that hit something to the first places, and their vertices to
-    ``following``.
+    """Move the paths that hit something to the first places,
+    and their vertices to ``following``.
     """
     count = vertices.count
     hits = following.count
@@ -297,8 +297,8 @@ def next_vertex(field, wave, count, following):
 
 @kernel()
 def launch_all(field, starts):
-    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``, or on
-    a wall.
+    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``,
+    or on a wall.
     """
     origins = starts.points.copy()
     for i in range(starts.isovalues.shape[0]):
@@ -326,8 +326,8 @@ def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
 
 
 class ShadowRays(NamedTuple):
-    """Shadow rays of a wave: origins (3 n,), the light that each carries (3 n,), and its reach
-    (n,).
+    """Shadow rays of a wave: origins (3 n,), the light that each carries (3 n,),
+    and its reach (n,).
     """
 
     starts: Any
@@ -358,8 +358,8 @@ def limits(rules):
 
 @Choice
 def make_state(scene, starts, wave):
-    """Make the state of a wave in a scene: a record that holds ``wave`` and scratch space for
-    rays.
+    """Make the state of a wave in a scene: a record that holds ``wave``
+    and scratch space for rays.
     """
 
 
@@ -387,8 +387,8 @@ def meet(scene, state, vertices, bounce):
 
 @Choice
 def gather_met(scene, state, vertices, bounce, source):
-    """Gather the light that rays bring, list the rays whose paths continue, and return their
-    number.
+    """Gather the light that rays bring, list the rays whose paths continue,
+    and return their number.
     """
 
 
@@ -401,8 +401,8 @@ def advance(scene, state, vertices, following, bounce, rules):
 
 @Choice
 def split(scene, state, vertices, spare, bounce, rules, source):
-    """Let the paths at ``vertices`` branch if the rules say so; return their vertices and the
-    ``spare`` ones.
+    """Let the paths at ``vertices`` branch if the rules say so;
+    return their vertices and the ``spare`` ones.
     """
 
 
@@ -431,10 +431,11 @@ def make_shadow_rays(n):
 
 @kernel()
 def make_paths(n, rules, total, gathered):
-    """Allocate waves of ``n`` of ``total`` paths with the first weight as throughput; clear
-    ``gathered``.
+    """Allocate waves of ``n`` of ``total`` paths with the first weight
+    as throughput; clear ``gathered``.
     """
     gathered[:, :total] = 0.0
+    # The first weight is the throughput before any bounce.
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
@@ -451,7 +452,7 @@ def make_paths(n, rules, total, gathered):
 @kernel()
 def add_carried(wave, i, light):
     """Add ``light`` that arrives at the vertex of path ``i``, times the path's throughput, to
-    what it gathered.
+    the gathered light.
     """
     m = wave.rays.owners[i]
     for c in range(3):
@@ -487,8 +488,8 @@ def walk(scene, state, vertices, spare, rules, source):
 
 @kernel()
 def places_for(total, branches):
-    """Return the number of places of a wave for ``total`` paths, each with room for its
-    ``branches``.
+    """Return the number of places of a wave for ``total`` paths,
+    each with room for its ``branches``.
     """
     return whole(min(WAVE_PATHS // branches, total)) * branches
 
@@ -584,8 +585,8 @@ def limits_of_tree(rules):
 
 @kernel()
 def blocks(branches):
-    """Return the number of blocks in ``PathEnds``: one for unbranched paths, and one for each
-    branch.
+    """Return the number of blocks in ``PathEnds``: one for unbranched paths,
+    and one for each branch.
     """
     return 1 if branches == 1 else 1 + branches
 
@@ -612,7 +613,7 @@ def branch(wave, vertices, room, branches, stride):
     further = columns(room.points, count)
     around = columns(room.normals, count)
     # Go backwards, so that each path is read before its place is overwritten by branches.
-    for h in range(hits - 1, -1, -1):  # each is read before others are written in its place
+    for h in range(hits - 1, -1, -1):
         owner = wave.owners[h]
         sample = wave.samples[h]
         isovalue = wave.isovalues[h]

@@ -73,8 +73,8 @@ def make_alone(scene, starts, wave):
 
 @launch_starts.case()
 def launch_off(scene, starts):
-    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``, or on
-    walls.
+    """Return the origins of first rays, (3, g): offset from the isosurface by ``launch``,
+    or on walls.
     """
     return launch_all(scene.field, starts)
 
@@ -105,8 +105,8 @@ def advance_in_the_open(scene, state, vertices, following, bounce, rules):
 
 @advance.case(Open, PathRules)
 def advance_by_weights(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, with the weight of one more bounce as
-    throughput.
+    """Move the paths that hit the surface there,
+    with the weight of one more bounce as throughput.
     """
     rays = state.wave.rays
     carried = state.wave.carried
@@ -171,8 +171,8 @@ def sample_source(light, source, p, n, u, v):
 
 @kernel()
 def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
-    """Turn the rays of the wave towards a ``source``; rays that it cannot light are set to hit
-    nothing.
+    """Turn the rays of the wave towards a ``source``;
+    rays that it cannot light are set to hit nothing.
     """
     shadow = wave.shadow
     rays = wave.rays
@@ -183,7 +183,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    # Each source and bounce draws from a dimension of its own.
+    # Each source and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low = np.uint64(rays.low[i])
@@ -219,8 +219,8 @@ def add_unblocked(scene, state, vertices, bounce):
 
 @gather_sources.case(Open, Surroundings)
 def gather_from_outside(scene, state, vertices, bounce, light):
-    """Add the light that lamps and bright parts of the environment send to the vertices of a
-    wave.
+    """Add the light that lamps and bright parts of the environment send
+    to the vertices of a wave.
     """
     first = 0 if light.table[0].shape[0] > 0 else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
@@ -230,8 +230,8 @@ def gather_from_outside(scene, state, vertices, bounce, light):
 
 @kernel()
 def gather_ends(wave, vertices, light):
-    """Add the environment's light of rays that escape; return the number of rays that hit
-    something.
+    """Add the environment's light of rays that escape;
+    return the number of rays that hit something.
     """
     rays = wave.rays
     count = vertices.count

@@ -1,5 +1,5 @@
-"""Light sources: an environment (constant plus lat-long image) at infinity, and lamps in the
-scene.
+"""Light sources: an environment (constant plus lat-long image) at infinity,
+and lamps in the scene.
 """
 
 import math
@@ -24,8 +24,8 @@ from isogi_core.kernels.transport.sampling import (
 
 @kernel()
 def turn_back(matrix, w):
-    """Return the world direction ``w`` in the frame of a light turned by ``matrix`` (3, 3):
-    matrixᵀ w.
+    """Return the world direction ``w`` in the frame of a light turned
+    by ``matrix`` (3, 3): matrixᵀ w.
     """
     return (
         matrix[0, 0] * w[0] + matrix[1, 0] * w[1] + matrix[2, 0] * w[2],
@@ -36,8 +36,8 @@ def turn_back(matrix, w):
 
 @kernel()
 def turn(matrix, d):
-    """Return the direction ``d`` of a light's frame, turned by ``matrix`` (3, 3), in the world:
-    matrix d.
+    """Return the direction ``d`` of a light's frame, turned by ``matrix`` (3, 3),
+    in the world: matrix d.
     """
     return (
         matrix[0, 0] * d[0] + matrix[0, 1] * d[1] + matrix[0, 2] * d[2],
@@ -62,8 +62,8 @@ def glow(constant, image, row, column):
 
 @kernel()
 def radiance(constant, image, matrix, w):
-    """Return the linear RGB radiance from world direction ``w``; ``image`` (h, w, 3) is turned
-    by ``matrix``.
+    """Return the linear RGB radiance from world direction ``w``;
+    ``image`` (h, w, 3) is turned by ``matrix``.
     """
     row, column = direction_to_latlong(turn_back(matrix, w))
     return glow(constant, image, row, column)
@@ -125,8 +125,8 @@ def unshadowed_irradiance(order, lobe, light, n, basis, c):
 
 @kernel()
 def unshadowed(order, lobe, light, n, basis):
-    """Return unoccluded irradiance over π, linear RGB, at the normal ``n``. Overwrites
-    ``basis``.
+    """Return unoccluded irradiance over π, linear RGB,
+    at the normal ``n``. Overwrites ``basis``.
     """
     evaluate(order, n[0], n[1], n[2], basis)
     return (
@@ -210,9 +210,11 @@ def illuminate(lamps, k, p, n, u, v):
     place = row(lamps.places, k)
     edges = lamps.edges[k]
     colour = row(lamps.colours, k)
+    # A directional lamp is at infinity.
     if lamps.kinds[k] == DIRECTIONAL:
         w, cosine = draw_from_disc(place, edges, u, v)
         return w, math.inf, scale(colour, max(dot(n, w), 0.0) / cosine)
+    # Sample a point of an area; the edges of a point lamp are zero.
     away = sub(madd(madd(place, u, row(edges, 0)), v, row(edges, 1)), p)
     distance = length(away)
     square = distance * distance
@@ -220,6 +222,7 @@ def illuminate(lamps, k, p, n, u, v):
         return n, 0.0, NO_LIGHT
     w = scale(away, 1.0 / distance)
     share = max(dot(n, w), 0.0) / square
+    # The cross product of the edges is area times normal; the back of an area emits nothing.
     if lamps.kinds[k] == AREA:
         share *= max(-dot(w, cross(row(edges, 0), row(edges, 1))), 0.0)
     return w, distance, scale(colour, share)

@@ -29,8 +29,8 @@ class ShineLobe(NamedTuple):
     incidence.
 
     ``strength`` scales the lobe. Under a ``metal`` lobe diffuse light falls to 1 - strength, else
-    to what the lobe leaves of it (see ``light_below``). ``energy`` (ENERGY_STEPS + 1, 2) comes from
-    ``fill_energy``. The share ``aside`` of its rays is aimed at lights.
+    to the share that the lobe leaves (see ``light_below``). ``energy`` (ENERGY_STEPS + 1, 2) comes
+    from ``fill_energy``. The share ``aside`` of its rays is aimed at lights.
     """
 
     alpha: float
@@ -59,27 +59,33 @@ def facets_facing(alpha, cosine):
 
 @kernel()
 def hidden(alpha, cosine):
-    """Return Λ of Smith's masking of GGX: (√(1 + α² tan²θ) - 1)/2."""
+    """Return Λ of Smith's masking of GGX for a direction at ``cosine`` to the normal:
+    (√(1 + α² tan²θ) - 1)/2.
+    """
     square = cosine * cosine
     return 0.5 * (math.sqrt(1.0 + alpha * alpha * max(1.0 - square, 0.0) / square) - 1.0)
 
 
 @kernel()
 def seen_from(alpha, cosine):
-    """Return G₁: the share of facets turned towards a direction that are visible from there."""
+    """Return G₁, the share of facets turned towards a direction at ``cosine``
+    that are visible from there.
+    """
     return 1.0 / (1.0 + hidden(alpha, cosine))
 
 
 @kernel()
 def seen_and_lit(alpha, to_viewer, to_light):
-    """Return G₂: the share of facets that are visible and lit, height-correlated."""
+    """Return G₂, the share of facets that are both visible and lit, by the cosines
+    ``to_viewer`` and ``to_light``: masking and shadowing correlated by height.
+    """
     return 1.0 / (1.0 + hidden(alpha, to_viewer) + hidden(alpha, to_light))
 
 
 @kernel()
 def grazing(cosine):
-    """Return (1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, θ between facet and
-    light.
+    """Return (1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵,
+    θ between facet and light.
     """
     rest = 1.0 - min(max(cosine, 0.0), 1.0)
     return rest * rest * rest * rest * rest
@@ -105,8 +111,8 @@ def reflected(alpha, v, l):
 
 @kernel()
 def reflected_pdf(alpha, v, l):
-    """Return the density of ``sample_reflected`` per steradian: G₁ D/(4 cosθ_v), also below the
-    surface.
+    """Return the density of ``sample_reflected`` per steradian:
+    G₁ D/(4 cosθ_v), also below the surface.
     """
     h = facet_between(v, l)
     if not (h[2] > 0.0 and dot(v, h) > 0.0):
@@ -149,8 +155,8 @@ def schlick_fresnel(facing, v, l):
 
 @kernel()
 def towards_ends(k):
-    """Return place ``k`` of GRID in [0, 1], denser towards both ends by t²(3 - 2t), and its
-    weight.
+    """Return place ``k`` of GRID in [0, 1], denser towards both ends by t²(3 - 2t),
+    and its weight.
     """
     t = (k + 0.5) / GRID
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
@@ -173,6 +179,7 @@ def mean_energy(alpha, cosine):
             l = sample_reflected(alpha, v, x, y)
             total = total + width * height
             if l[2] > 0.0:
+                # The weight of a sampled direction is G₂/G₁ F; Schlick's F = F₀ (1 - edge) + edge.
                 share = width * height * seen_and_lit(alpha, v[2], l[2]) / seen_from(alpha, v[2])
                 edge = grazing(dot(v, facet_between(v, l)))
                 a = a + share * (1.0 - edge)

@@ -35,8 +35,8 @@ class SampleRange(NamedTuple):
 
 
 class PathRules(NamedTuple):
-    """``weights`` (float64, see each kernel) of the light that paths gather, and the ``survival``
-    probability.
+    """Rules of paths that gather light: ``weights`` float64 of the light by the number of bounces
+    (see each kernel), and the probability ``survival``.
 
     A path that has hit twice or more continues with the probability ``survival``: see
     ``russian_roulette``.

@@ -87,9 +87,11 @@ def panel_met(panels, k, p, w):
     across = cross(u, v)
     away = sub(row(panels.corners, k), p)
     area = length(across)
+    # Only the front emits, unless the panel is twofold.
     slope = dot(across, w) / area
     if slope == 0.0 or not (slope < 0.0 or panels.twofold[k] > 0.0):
         return math.inf, 0.0
+    # Intersect its plane, and find the coordinates of the point along both edges.
     t = dot(across, away) / area / slope
     q = sub(scale(w, t), away)
     a = dot(cross(q, v), across) / (area * area)
@@ -101,8 +103,8 @@ def panel_met(panels, k, p, w):
 
 @kernel()
 def disc_met(discs, k, w):
-    """Return the density of direction ``w`` when sampled from disc ``k``; 0 outside of it. See
-    ``draw_from_disc``.
+    """Return the density of direction ``w`` when sampled from disc ``k``;
+    0 outside of it. See ``draw_from_disc``.
     """
     towards = row(discs.towards, k)
     cosine = dot(towards, w)
@@ -129,6 +131,7 @@ def draw_light(lights, which, p, a, b):
     """Sample a world direction from ``p`` towards light number ``which`` by (a, b) in [0, 1)²."""
     around = lights.around
     panels = lights.panels
+    # Lights are numbered: the bright environment if there is one, then panels, then discs.
     bright = 1 if around.table[0].shape[0] > 0 else 0
     if which < bright:
         return draw_bright(around.table, around.matrix, a, b)
@@ -150,12 +153,14 @@ def expect_along(lights, p, w):
     around = lights.around
     panels = lights.panels
     discs = lights.discs
+    # Add the environment, with its density if it is sampled.
     height, width = direction_to_latlong(turn_back(around.matrix, w))
     (r, g, b) = glow(around.constant, around.image, height, width)
     total = 0.0
     if around.table[0].shape[0] > 0:
         drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
         total += drawn / max(latlong_jacobian(height), SMALLEST_NORMAL)
+    # Add the panels and discs that the ray would meet.
     for k in range(panels.corners.shape[0]):
         t, density = panel_met(panels, k, p, w)
         if t < math.inf:

@@ -1,8 +1,8 @@
-"""Random numbers that belong to (seed, index, dimension), not to a thread: hashes and scrambled
+"""Random numbers that belong to (seed, index, dimension), and not to a thread: hashes and scrambled
 Sobol points.
 
-All words are 32 bits wide and are carried in uint64 under a mask: products of two words then fit,
-so compiled code and plain Python agree bit for bit and nothing ever overflows. Vectors of words
+All words are 32 bits wide and are held in uint64 under a mask: products of two words fit then, so
+that compiled code and plain Python agree bit for bit and nothing overflows. Vectors of words
 (u32×N), which need no mask, go through the same functions to the same bits.
 """
 
@@ -42,16 +42,16 @@ PLACES_16 = np.uint64(0x0000FFFF)
 
 @kernel()
 def _fold(word):
-    """The word with its high half added (xor) to its low half."""
+    """Return the word with its high half added (xor) to its low half."""
     return word ^ (word >> HALF_WORD)
 
 
 @kernel()
 def pcg4d(a, b, c, d):
-    """Hash of four words into four words, a bijection of the 128 bits.
+    """Hash four words to four words, a bijection of the 128 bits.
 
     Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020. Their two rounds leave
-    some bits of neighbouring counters related (seen in the tests' avalanche), three do not.
+    some bits of neighbouring counters correlated (the tests' avalanche shows it), three do not.
     """
     a = (a * MULTIPLIER + INCREMENT) & WORD_MASK
     b = (b * MULTIPLIER + INCREMENT) & WORD_MASK
@@ -68,8 +68,8 @@ def pcg4d(a, b, c, d):
 
 @kernel()
 def mix(a, b):
-    """Hash of two integers 0 <= a, b < 2⁶⁴ into 64 mixed bits: a seed from a texel and a
-    replicate.
+    """Hash two integers 0 ≤ a, b < 2⁶⁴ to 64 mixed bits:
+    a seed from a texel and a replica, for example.
     """
     a, b = np.uint64(a), np.uint64(b)
     high, low, _, _ = pcg4d(a & WORD_MASK, a >> WORD_BITS, b & WORD_MASK, b >> WORD_BITS)
@@ -78,7 +78,8 @@ def mix(a, b):
 
 @kernel()
 def reverse_bits(word):
-    """The 32 bits of a word in reverse order."""
+    """Return the 32 bits of a word in reverse order."""
+    # Swap neighbouring bits, then pairs, fours, bytes and halves.
     word = ((word >> STEP_1) & PLACES_1) | ((word & PLACES_1) << STEP_1)
     word = ((word >> STEP_2) & PLACES_2) | ((word & PLACES_2) << STEP_2)
     word = ((word >> STEP_4) & PLACES_4) | ((word & PLACES_4) << STEP_4)
@@ -88,11 +89,11 @@ def reverse_bits(word):
 
 @kernel()
 def pascal_bits(word):
-    """Product of the Pascal matrix modulo 2 with a word's bits: bit i = ⊕ of the bits j that
-    contain i.
+    """Multiply the Pascal matrix modulo 2 by the bits of a word: bit i becomes the xor of the bits
+    j whose number contains all binary digits of i.
 
-    The binomial C(j, i) is odd when the binary digits of i are among those of j (Lucas), so the
-    matrix is a fivefold Kronecker product and five steps of a butterfly apply it.
+    The binomial C(j, i) is odd if the binary digits of i are among those of j (Lucas). The matrix
+    is a fivefold Kronecker product, so that five steps of a butterfly apply it.
     """
     word = word ^ ((word >> STEP_1) & PLACES_1)
     word = word ^ ((word >> STEP_2) & PLACES_2)
@@ -103,10 +104,10 @@ def pascal_bits(word):
 
 @kernel()
 def sobol_2d(index):
-    """Point 0 <= index < 2³² of Sobol's (0,2)-sequence as two words, to be read as fractions of
-    2³².
+    """Return point number 0 ≤ index < 2³² of Sobol's (0,2)-sequence as two words, fractions of 2³².
 
-    The first is van der Corput's radical inverse, the second Sobol's with the Pascal matrix.
+    The first is van der Corput's radical inverse, the second Sobol's dimension of the Pascal
+    matrix.
     """
     index = np.uint64(index) & WORD_MASK
     return reverse_bits(index), reverse_bits(pascal_bits(index))
@@ -114,7 +115,7 @@ def sobol_2d(index):
 
 @kernel()
 def laine_karras(word, seed):
-    """Permutation of words in which a bit is changed by lower bits and the seed only.
+    """Permute words so that each bit is changed only by lower bits and the seed.
 
     Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by
     Vegdahl 2021.
@@ -128,20 +129,23 @@ def laine_karras(word, seed):
 
 @kernel()
 def nested_uniform_scramble(word, seed):
-    """Owen's scrambling of a word: each bit is flipped or not by a hash of the seed and all higher
+    """Scramble a word as Owen does: each bit is flipped or not by a hash of the seed and all higher
     bits.
 
-    Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020. `seed` is one well mixed word.
+    Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020. ``seed`` is one well mixed
+    word.
     """
     return reverse_bits(laine_karras(reverse_bits(word), seed))
 
 
 @kernel()
 def point_of_words(low, high, index, dimension):
-    """``point_2d`` where each argument is a word, or a vector of words; ``low`` and ``high`` make
-    the seed.
+    """Return ``point_2d`` for arguments that are words, or vectors of words; ``low`` and
+    ``high`` make the seed.
     """
     shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD_MASK)
+    # Shuffle the index, then scramble both Sobol coordinates; these are reversed words, so that one
+    # of the reversals in each scramble cancels.
     place = nested_uniform_scramble(index, shuffle)
     u = reverse_bits(laine_karras(place, first))
     v = reverse_bits(laine_karras(pascal_bits(place), second))
@@ -150,12 +154,12 @@ def point_of_words(low, high, index, dimension):
 
 @kernel()
 def point_2d(seed, index, dimension):
-    """Point (u, v) in [0, 1)² number 0 <= index < 2³² of a pair of dimensions; doubles with 32
-    bits.
+    """Return point (u, v) in [0, 1)² number 0 ≤ index < 2³² of a pair of dimensions; doubles with
+    32 bits.
 
     The first 2ᵏ points of every (seed, dimension) have one point in each elementary interval of
-    area 2⁻ᵏ. Shuffling the index by a scramble of its own takes the correlation between pairs away
-    (padding, Burley 2020, section 4). Seeds have up to 64 bits and need no mixing.
+    area 2⁻ᵏ. Each pair of dimensions shuffles the index by a different scramble, so that pairs are
+    not correlated (padding, Burley 2020, section 4). Seeds have up to 64 bits and need no mixing.
     """
     seed = np.uint64(seed)
     return point_of_words(

@@ -1,5 +1,5 @@
-"""Paths over an isosurface and walls, which gather the light of luminaires and of the
-surroundings.
+"""Paths over an isosurface and walls, which gather the light of luminaires
+and of the surroundings.
 """
 
 import math
@@ -53,8 +53,8 @@ from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 
 SHADOWED_SHARE = 1.0 - 1e-9
-"""Part of the way to a luminaire on which geometry may block it; the rest is the luminaire
-itself.
+"""Part of the way to a luminaire on which geometry may block it;
+the rest is the luminaire itself.
 """
 
 
@@ -96,8 +96,8 @@ ROOM_RECORD = record(
 
 
 class InRoom(NamedTuple):
-    """One isosurface of a ``field`` within its active ``cells``, and the walls of a ``room``
-    around it.
+    """One isosurface of a ``field`` within its active ``cells``,
+    and the walls of a ``room`` around it.
     """
 
     field: Any
@@ -113,7 +113,7 @@ def balance_area(room, k, cosine, slope, distance):
     """Return the weight p_c/(p_c + p_a) of a ray to wall ``k`` that both cosine and area sampling
     may draw.
 
-    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|), where slope is
+    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|); ``slope`` is
     the cosine to the wall's normal. A ray of either technique adds this part of the radiance to
     E/π. Source: Veach and Guibas 1995, balance heuristic.
     """
@@ -124,16 +124,16 @@ def balance_area(room, k, cosine, slope, distance):
 
 @kernel()
 def lit_from(room, k, slope):
-    """Return whether a ray with this component along the normal of wall ``k`` meets a side that
-    emits.
+    """Return True if a ray with the component ``slope`` along the normal of wall ``k`` meets a
+    side that reflects and emits.
     """
     return slope < 0.0 or room.twofold[k] > 0.0
 
 
 @kernel()
 def sample_luminaire(room, k, p, n, u, v):
-    """Sample luminaire ``k`` from the world point ``p`` with normal ``n``: (direction,
-    distance, E/π).
+    """Sample luminaire ``k`` from the world point ``p`` with normal ``n``:
+    (direction, distance, E/π).
     """
     # Pick a point on the wall; reject it if it is behind the surface or shows a dark side.
     away = sub(
@@ -156,8 +156,8 @@ def sample_luminaire(room, k, p, n, u, v):
 
 @kernel()
 def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
-    """Turn the rays of the wave towards luminaire ``k``, with the random numbers of a
-    ``source``.
+    """Turn the rays of the wave towards luminaire ``k``,
+    with the random numbers of a ``source``.
     """
     shadow = wave.shadow
     rays = wave.rays
@@ -168,6 +168,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
+    # Each source and bounce draws from a different dimension.
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low = np.uint64(rays.low[i])
@@ -178,6 +179,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
         w, shadow.reach[i], shine = sample_luminaire(
             room, k, to_world(o, spacing), column(normals, i), u, v
         )
+        # Rays that cannot bring light, and those from the luminaire itself, hit nothing.
         lit = wave.own[i] != k and max(shine[0], shine[1], shine[2]) > 0.0
         put_column(directions, i, to_index(w, spacing))
         put_column(lights, i, shine)
@@ -186,8 +188,8 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
 
 @cast_wave.case(InRoom)
 def cast_among_walls(scene, state, points, count):
-    """Cast the rays of a wave from ``points`` to their first hits, on the isosurface or on a
-    wall.
+    """Cast the rays of a wave from ``points`` to their first hits,
+    on the isosurface or on a wall.
     """
     wave = state.wave
     rays = state.wave.rays
@@ -200,8 +202,8 @@ def cast_among_walls(scene, state, points, count):
 
 @gather_sources.case(Surroundings)
 def gather_from_all(scene, state, vertices, bounce, light):
-    """Add the light of lamps, bright parts of the environment, and luminaires at the vertices
-    of a wave.
+    """Add the light of lamps, bright parts of the environment,
+    and luminaires at the vertices of a wave.
     """
     room = scene.room
     lamps = light.lamps.kinds.shape[0]
@@ -237,11 +239,14 @@ def gather_walls(wave, vertices, hits, room):
         i = rays.hits[h]
         k = int(wave.met[i])
         w = column(ways, i)
+        # Find the side of the wall that the ray hits.
         if k >= 0:
             slope = dot(row(room.normals, k), w)
         else:
             slope = 0.0
         rays.hits[staying] = i
+        # Keep paths on surfaces and on lit sides, and add the wall's light, balanced with shadow
+        # rays.
         if k < 0 or lit_from(room, k, slope):
             staying += 1
             if k >= 0:
@@ -260,8 +265,8 @@ def surface_albedo(room, p):
 
 @kernel()
 def carry(wave, vertices, hits, chance, room):
-    """Multiply throughputs by the albedo of what paths hit, over the ``chance`` that they
-    continue.
+    """Multiply throughputs by the albedo of the wall or surface that paths hit, over the
+    ``chance`` that they continue.
     """
     rays = wave.rays
     count = vertices.count
@@ -271,6 +276,7 @@ def carry(wave, vertices, hits, chance, room):
         k = int(wave.met[i])
         m = rays.owners[i]
         p = madd(column(origins, i), rays.t[i], column(directions, i))
+        # Take the albedo of the wall, or of the isosurface at the hit point.
         if k >= 0:
             albedo = row(room.albedos, k)
         else:
@@ -281,8 +287,8 @@ def carry(wave, vertices, hits, chance, room):
 
 @kernel()
 def stand_on_walls(wave, vertices, following, room):
-    """Put the vertices ``following`` that lie on walls there, with the normal of the side that
-    was hit.
+    """Put the vertices ``following`` that lie on walls there,
+    with the normal of the side that was hit.
     """
     rays = wave.rays
     count = vertices.count
@@ -297,6 +303,8 @@ def stand_on_walls(wave, vertices, following, room):
         k = int(wave.met[i])
         wave.own[h] = k
         if k >= 0:
+            # Turn the wall's normal towards the ray; no ray from a wall is given a side of the
+            # isosurface.
             n = row(room.normals, k)
             if dot(n, column(ways, i)) < 0.0:
                 side = 1.0
@@ -323,8 +331,8 @@ def advance_in_room(scene, state, vertices, following, bounce, rules):
 
 @kernel()
 def begin_on_walls(wave, starts, first, count):
-    """Set the walls of the first ``count`` vertices of a wave, whose first path has the number
-    ``first``.
+    """Set the walls of the first ``count`` vertices of a wave,
+    whose first path has the number ``first``.
     """
     g = starts.walls.shape[0]
     for m in range(count):
@@ -356,8 +364,8 @@ def light_in_room(scene, starts, samples, rules, light, sums):
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))
 def fill_seeds(words, seeds):
-    """Fill ``seeds`` (g,) with the seeds of the rows of ``words`` (g, 2 or more), by mixing the
-    words in order.
+    """Fill ``seeds`` (g,) with the seeds of the rows of ``words`` (g, 2 or more),
+    by mixing the words in order.
     """
     for i in range(words.shape[0]):
         seed = np.uint64(words[i, 0])

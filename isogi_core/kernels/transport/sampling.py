@@ -1,4 +1,5 @@
-"""Sampling of directions: densities with ``sample_x``, ``x_pdf`` and ``invert_x``, and refraction.
+"""Sampling of directions: ``sample_x`` with its density ``x_pdf`` and its inverse ``invert_x``;
+refraction.
 
 Uniform random numbers are arguments, so that sampling is a pure function; ``invert_x`` returns
 them. Local directions have z along the normal. Densities are per steradian, or per unit area of the
@@ -16,6 +17,7 @@ from isogi_core.kernels.simd.maths import where
 from isogi_core.kernels.tracing.vec import madd, normalize, orthonormal_basis, scale
 
 BELOW_ONE = 1.0 - 2.0**-53
+"""Largest float64 below 1."""
 
 # Minimax polynomials in x² of cos and sin on [-π/4, π/4], lowest term first (fdlibm's k_cos.c and
 # k_sin.c).
@@ -31,13 +33,15 @@ SINE = (
 
 @kernel(exact=True)
 def polynomial(a, x):
-    """a₀ + a₁ x + … + a₅ x⁵."""
+    """Return a₀ + a₁ x + … + a₅ x⁵."""
     return a[0] + x * (a[1] + x * (a[2] + x * (a[3] + x * (a[4] + x * a[5]))))
 
 
 @kernel(exact=True)
 def cosine_and_sine(angle):
-    """(cos, sin) of an angle in [-π/4, π/4], to the last bit or the one next to it."""
+    """Return (cos, sin) of an angle in [-π/4, π/4],
+    with an error of at most one unit in the last place.
+    """
     square = angle * angle
     cosine = 1.0 - (0.5 * square - square * square * polynomial(COSINE, square))
     return cosine, angle + angle * square * polynomial(SINE, square)
@@ -45,11 +49,13 @@ def cosine_and_sine(angle):
 
 @kernel(exact=True)
 def sample_disc(u, v):
-    """Point (x, y) of the unit disc, uniform, from (u, v) in [0, 1)², keeping strata whole.
+    """Return a point (x, y) of the unit disc, uniform, from (u, v) in [0, 1)²; the map keeps strata
+    compact.
 
-    Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
+    Source: Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
     """
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
+    # In each quarter of the square the larger coordinate becomes the radius, their ratio the angle.
     wide = abs(a) > abs(b)
     radius = where(wide, a, b)
     other = where(wide, b, a)
@@ -60,7 +66,7 @@ def sample_disc(u, v):
 
 @kernel()
 def disc_pdf(x, y):
-    """Density of `sample_disc` per unit area: 1/π inside, 0 outside."""
+    """Return the density of ``sample_disc`` per unit area: 1/π inside, 0 outside."""
     if x * x + y * y <= 1.0:
         return 1.0 / math.pi
     return 0.0
@@ -68,8 +74,9 @@ def disc_pdf(x, y):
 
 @kernel()
 def invert_disc(x, y):
-    """The (u, v) in [0, 1]² that `sample_disc` maps to (x, y)."""
+    """Return the (u, v) in [0, 1]² that ``sample_disc`` maps to (x, y)."""
     radius = math.sqrt(x * x + y * y)
+    # The larger coordinate has the sign of the quarter; the angle gives the other coordinate.
     if abs(x) > abs(y):
         a = math.copysign(radius, x)
         if x > 0.0:
@@ -89,8 +96,8 @@ def invert_disc(x, y):
 
 @kernel(exact=True)
 def sample_cosine_hemisphere(u, v):
-    """Unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a disc point, lifted
-    (Malley).
+    """Return a unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a point of
+    the disc, lifted to the sphere (Malley's method).
     """
     x, y = sample_disc(u, v)
     height = 1.0 - x * x - y * y
@@ -99,7 +106,9 @@ def sample_cosine_hemisphere(u, v):
 
 @kernel(exact=True)
 def about(n, d):
-    """The direction ``d``, given about +z, turned so that +z is the unit vector ``n``."""
+    """Return the direction ``d``, given about +z,
+    rotated so that +z becomes the unit vector ``n``.
+    """
     s, t = orthonormal_basis(n)
     return (
         n[0] * d[2] + s[0] * d[0] + t[0] * d[1],
@@ -110,20 +119,20 @@ def about(n, d):
 
 @kernel()
 def cosine_hemisphere_pdf(cos_theta):
-    """Density of `sample_cosine_hemisphere` per steradian: max(cosθ, 0)/π."""
+    """Return the density of ``sample_cosine_hemisphere`` per steradian: max(cosθ, 0)/π."""
     return max(cos_theta, 0.0) / math.pi
 
 
 @kernel()
 def invert_cosine_hemisphere(d):
-    """The (u, v) that `sample_cosine_hemisphere` maps to the unit direction d."""
+    """Return the (u, v) that ``sample_cosine_hemisphere`` maps to the unit direction d."""
     return invert_disc(d[0], d[1])
 
 
 @kernel()
 def sample_uniform_sphere(u, v):
-    """Unit direction, uniform over the sphere, from (u, v) in [0, 1)²: z = 1 - 2u, φ = 2πv
-    (Archimedes).
+    """Return a unit direction, uniform over the sphere, from (u, v) in [0, 1)²:
+    z = 1 - 2u, φ = 2πv (Archimedes).
     """
     radius = 2.0 * math.sqrt(max(0.0, u * (1.0 - u)))
     angle = 2.0 * math.pi * v
@@ -132,19 +141,19 @@ def sample_uniform_sphere(u, v):
 
 @kernel()
 def uniform_sphere_pdf():
-    """Density of `sample_uniform_sphere` per steradian: 1/4π."""
+    """Return the density of ``sample_uniform_sphere`` per steradian: 1/4π."""
     return 0.25 / math.pi
 
 
 @kernel()
 def invert_uniform_sphere(d):
-    """The (u, v) that `sample_uniform_sphere` maps to the unit direction d."""
+    """Return the (u, v) that ``sample_uniform_sphere`` maps to the unit direction d."""
     return 0.5 * (1.0 - d[2]), _turn(d[0], d[1])
 
 
 @kernel()
 def _turn(x, y):
-    """Azimuth of (x, y) from +x towards +y as a fraction of a turn, in [0, 1)."""
+    """Return the azimuth of (x, y), from +x towards +y, as a fraction of a turn in [0, 1)."""
     turn = math.atan2(y, x) / (2.0 * math.pi)
     if turn < 0.0:
         return min(turn + 1.0, BELOW_ONE)
@@ -153,17 +162,20 @@ def _turn(x, y):
 
 @kernel()
 def direction_to_latlong(d):
-    """Place (row, column) of a direction in a lat-long image, as fractions of its height and width.
+    """Return the place (row, column) of a direction in a lat-long image, as fractions of its height
+    and width.
 
-    Row in [0, 1] is θ/π from +z down, column in [0, 1) is φ/2π from +x towards +y; d need not be
-    unit.
+    Row in [0, 1] is θ/π down from +z, column in [0, 1) is φ/2π from +x towards +y; d need not be a
+    unit vector.
     """
     return math.atan2(math.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / math.pi, _turn(d[0], d[1])
 
 
 @kernel()
 def latlong_to_direction(row, column):
-    """Unit direction at fractions (row, column) of a lat-long image's height and width."""
+    """Return the unit direction at fractions (row, column)
+    of a lat-long image's height and width.
+    """
     theta = math.pi * row
     phi = 2.0 * math.pi * column
     return math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
@@ -171,7 +183,7 @@ def latlong_to_direction(row, column):
 
 @kernel()
 def latlong_jacobian(row):
-    """Steradians per unit of lat-long area, dω/(d row · d column) = 2π² sin(π row).
+    """Return the steradians per unit of lat-long area, dω/(d row · d column) = 2π² sin(π row).
 
     A density over the image, divided by this, is a density per steradian.
     """
@@ -180,8 +192,8 @@ def latlong_jacobian(row):
 
 @kernel()
 def find_interval(cdf, u):
-    """Return the last i <= len(cdf) - 2 with cdf[i] <= u; an interval without width is never
-    found for u < 1.
+    """Return the last i ≤ len(cdf) - 2 with cdf[i] ≤ u, by bisection; an interval of width 0 is
+    never found for u < 1.
     """
     low = 0
     high = cdf.shape[0] - 1
@@ -196,12 +208,12 @@ def find_interval(cdf, u):
 
 @kernel()
 def sample_piecewise_2d(marginal_cdf, conditional_cdf, u, v):
-    """Place (row, column) in [0, 1)² from a density that is constant on each of h × w pixels, by
-    inversion.
+    """Return a place (row, column) in [0, 1)² from a density that is constant on each of h × w
+    pixels, by inversion of (u, v).
 
-    `marginal_cdf` (h + 1,) runs from 0 to 1 over the rows, `conditional_cdf` (h, w + 1) from 0 to 1
-    over the columns of each row; both float64. Pixels of no weight are never drawn. (pbrt, section
-    A.5.6.)
+    ``marginal_cdf`` (h + 1,) runs from 0 to 1 over the rows, ``conditional_cdf`` (h, w + 1) from 0
+    to 1 over the columns of each row; both float64. Pixels of weight 0 are never sampled. Source:
+    pbrt, section A.5.6.
     """
     i = find_interval(marginal_cdf, u)
     j = find_interval(conditional_cdf[i], v)
@@ -210,7 +222,7 @@ def sample_piecewise_2d(marginal_cdf, conditional_cdf, u, v):
 
 @kernel()
 def _place(cdf, i, u):
-    """Where in [0, 1) the cdf, linear in interval i, takes the value u."""
+    """Return the place in [0, 1) at which the cdf, linear in interval i, has the value u."""
     count = cdf.shape[0] - 1
     width = cdf[i + 1] - cdf[i]
     if width > 0.0:
@@ -222,8 +234,8 @@ def _place(cdf, i, u):
 
 @kernel()
 def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
-    """Density of `sample_piecewise_2d` at (row, column), per unit area of the square; it integrates
-    to 1.
+    """Return the density of ``sample_piecewise_2d`` at (row, column), per unit area of the
+    square; it integrates to 1.
     """
     rows = conditional_cdf.shape[0]
     columns = conditional_cdf.shape[1] - 1
@@ -234,7 +246,7 @@ def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
 
 @kernel()
 def invert_piecewise_2d(marginal_cdf, conditional_cdf, row, column):
-    """The (u, v) that `sample_piecewise_2d` maps to (row, column)."""
+    """Return the (u, v) that ``sample_piecewise_2d`` maps to (row, column)."""
     rows = conditional_cdf.shape[0]
     return _height(marginal_cdf, row), _height(
         conditional_cdf[min(int(row * rows), rows - 1)], column
@@ -243,7 +255,7 @@ def invert_piecewise_2d(marginal_cdf, conditional_cdf, row, column):
 
 @kernel()
 def _height(cdf, place):
-    """Value of the piecewise linear cdf at a place in [0, 1]."""
+    """Return the value of the piecewise linear cdf at a place in [0, 1]."""
     count = cdf.shape[0] - 1
     i = min(int(place * count), count - 1)
     return cdf[i] + (place * count - i) * (cdf[i + 1] - cdf[i])

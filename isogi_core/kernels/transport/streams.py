@@ -1,10 +1,9 @@
-"""The table of random numbers: streams keep sequences apart, and dimensions the purposes that a
-path draws for.
+"""The table of random numbers: streams keep sequences apart, and dimensions the purposes of a path.
 
-A seed owns a sequence, and words make the seed: a pixel and its stream plus the number of a
+A seed selects a sequence, and words make the seed: a pixel and its stream plus the number of a
 replica, or a texel's place and its half. Each sample of a sequence has pairs of numbers, one for
-each dimension: see ``point_2d``. Two purposes that draw the same pair of one sequence are
-correlated, and no test of either sees that. So all of them stand here.
+each dimension: see ``point_2d``. If two purposes drew the same pair of one sequence they would be
+correlated, and no test of either would show it; therefore all are listed here.
 
 To add a stream, append the next free power of two, and list it in STREAMS. To add a purpose of
 paths, put its pairs below those of LEAVING, and list it in PURPOSES. Numbers that are here never
@@ -23,10 +22,10 @@ lamps, then luminaires.
 """
 
 MAX_CROSSINGS = 64
-"""Surfaces that a ray passes at most: what comes next stops it."""
+"""Largest number of surfaces that a ray passes; the next one stops it."""
 
 FIRST_ROULETTE_PAIR = 0x7FFF * PAIRS_PER_PURPOSE
-"""The first pair that decides which paths go on, one for each bounce."""
+"""The first pair that decides which paths continue, one for each bounce."""
 
 PASSING = FIRST_ROULETTE_PAIR - MAX_CROSSINGS * PAIRS_PER_PURPOSE
 """The first pair that decides which rays pass a surface, one for each crossing and vertex."""
@@ -38,7 +37,9 @@ IN_MATTER = 0x8000 * PAIRS_PER_PURPOSE
 """The first pair on a ray's way through matter, two for each of MAX_STEPS steps and each vertex."""
 
 MAX_STEPS = 4096
-"""Interfaces and scatterings of a ray in matter at most: what is left then is lost."""
+"""Largest number of interfaces and scattering events of a ray in matter;
+the light left after them is lost.
+"""
 
 PURPOSES = (
     (DIRECTIONS, PAIRS_PER_PURPOSE),
@@ -48,13 +49,13 @@ PURPOSES = (
     (FIRST_ROULETTE_PAIR, PAIRS_PER_PURPOSE),
     (IN_MATTER, 2 * MAX_STEPS * PAIRS_PER_PURPOSE),
 )
-"""For each purpose of a path the first of its pairs, and how many are its own."""
+"""The first pair of each purpose of a path, and the number of its pairs."""
 
 SHINE_WAY = 0
 SHINE_CHOICE = 1
 SHINE_LAMP = 2
-"""Pairs of the sequences of shine's rays: for a way, for which way a ray takes, and one for each
-lamp from there on.
+"""Pairs in the sequences of shine's rays: for a candidate direction, for the choice among
+candidates, and from SHINE_LAMP on one for each lamp.
 """
 
 PICTURE_STREAM = 0
@@ -67,7 +68,7 @@ CONTROLS_STREAM = 1 << 17
 """The first stream of control pixels, two for each set of halves."""
 
 PIXEL_LIGHT_STREAM = 1 << 18
-"""The first stream of pixels that get light of their own."""
+"""The first stream of paths for pixels whose texels are not accurate enough."""
 
 WALLS_STREAM = 1 << 19
 """The first word, in place of a lattice texel's z, of seeds of walls' texels: two for each wall,

@@ -129,8 +129,8 @@ def cast_at_all(scene, state, origins, count):
 
 @kernel()
 def cast_past(scene, state, k, origins, count, going):
-    """Cast the pending rays among the first ``going`` that have just passed surface ``k`` on
-    from there.
+    """Cast the pending rays among the first ``going`` that have just passed surface ``k``
+    on from there.
     """
     # List the rays whose last crossing was on surface k.
     n = whole(going)
@@ -166,8 +166,8 @@ def cast_past(scene, state, k, origins, count, going):
 
 @kernel()
 def nearest_surface(state, i):
-    """Return the surface that ray ``i`` crosses next, the first of several at one place; 0 if
-    there is none.
+    """Return the surface that ray ``i`` crosses next, the first of several at one place;
+    0 if there is none.
     """
     best = 0
     for k in range(1, state.t.shape[0]):
@@ -178,7 +178,7 @@ def nearest_surface(state, i):
 
 @kernel()
 def happens(rays, i, number, chance):
-    """Return whether path ``i`` of a wave takes an event of probability ``chance``, by its
+    """Return True if path ``i`` of a wave takes an event of probability ``chance``, by its
     random pair ``number``.
     """
     low = np.uint64(rays.low[i])
@@ -189,8 +189,8 @@ def happens(rays, i, number, chance):
 
 @kernel()
 def passes(rays, i, bounce, crossing, clear):
-    """Return whether ray ``i`` of a path passes the surface at this ``crossing``, at random by
-    ``clear``.
+    """Return True if ray ``i`` of a path passes the surface at this ``crossing``, at random
+    with probability ``clear``.
     """
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
@@ -199,7 +199,7 @@ def passes(rays, i, bounce, crossing, clear):
 
 @kernel()
 def goes_on(surfaces, state, i, bounce, crossing, aimed):
-    """Handle the next crossing of ray ``i``; return whether the ray continues past it.
+    """Handle the next crossing of ray ``i``; return True if the ray continues past it.
 
     An ``aimed`` ray continues up to its reach with the light that is transmitted; other rays pass
     at random, or stop.
@@ -210,6 +210,7 @@ def goes_on(surfaces, state, i, bounce, crossing, aimed):
         reach = state.wave.shadow.reach[i]
     else:
         reach = math.inf
+    # Record the crossing, or the wall if that is nearer.
     walled = state.end[i] <= state.t[k, i]
     if walled:
         rays.t[i] = state.end[i]
@@ -217,6 +218,7 @@ def goes_on(surfaces, state, i, bounce, crossing, aimed):
         rays.t[i] = state.t[k, i]
     rays.came[i] = state.came[k, i]
     state.met[i] = NO_SURFACE if walled else k
+    # End at the source of a shadow ray, or at a wall.
     if rays.t[i] >= reach or (walled and not aimed):
         return False
     if aimed:
@@ -261,8 +263,8 @@ def follow_rays(scene, state, room, bounce, count, aimed):
 
 @add_sent.case(Among)
 def add_sent_among(scene, state, vertices, bounce):
-    """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls
-    nothing.
+    """Add the light of the shadow rays of a wave; surfaces let a share of it pass,
+    and walls nothing.
     """
     shadow = state.wave.shadow
     count = vertices.count
@@ -286,8 +288,8 @@ def meet_among(scene, state, vertices, bounce):
 
 @kernel()
 def choose_side(surfaces, state, h, k, vertex, chance):
-    """Choose at random whether path ``h`` leaves its ``vertex`` on surface ``k`` on the other side;
-    return whether it does.
+    """Choose at random the side on which path ``h`` leaves its ``vertex`` on surface ``k``; return
+    True for the other side.
 
     The probability of each side is its share of the light that leaves, so that no colour of the
     throughput grows more than threefold. The throughput is divided by that probability, and by the
@@ -347,15 +349,14 @@ def stand_on(scene, state, following, count, bounce, chance):
         elif choose_side(surfaces, state, h, k, bounce + 1, chance):
             rays.sides[h] = -rays.sides[h]
             rays.signs[h] = -rays.signs[h]
-            put_column(
-                ways, i, scale(column(ways, i), -1.0)
-            )  # where the field is flat normals are against them
+            # ``next_vertex`` takes the direction against the ray as normal if the field is flat.
+            put_column(ways, i, scale(column(ways, i), -1.0))
 
 
 @kernel()
 def start_on_either_side(scene, state, vertices, starts):
-    """Let paths leave their first surface on one of its sides, each with its share of the light
-    that leaves.
+    """Let paths leave their first surface on one of its sides,
+    each with its share of the light that leaves.
     """
     surfaces = scene.surfaces
     rays = state.wave.rays
@@ -405,8 +406,8 @@ def make_among(scene, starts, wave):
 
 @begin_wave.case(Among)
 def begin_among(scene, state, vertices, starts, first):
-    """Set the surfaces and walls of the first vertices, and choose the sides that paths leave
-    on.
+    """Set the surfaces and walls of the first vertices,
+    and choose the sides that paths leave on.
     """
     wave = state.wave
     begin_on_walls(wave, starts, first, vertices.count)
@@ -429,12 +430,12 @@ def light_among_surfaces(scene, starts, samples, rules, light, sums):
     - A ray that hits a surface passes straight through with the probability ``clear``, else it
       meets a diffuse, thin shell lit from both sides.
     - Light of shadow rays is multiplied by the ``clear`` of all surfaces that they cross.
-    - Each bounce multiplies by the albedo of what it hit, or by its transmission if the path
-      continues on the other side, over the probability of that side.
+    - Each bounce multiplies by the albedo of the hit, or by its transmission if the path continues
+      on the other side, over the probability of that side.
     - All light has the first of the weights (bounces + 1, 3) of the ``rules``; the others are not
       read.
-    - If the surface of the starts has albedo a and transmission t, E is that of both sides weighted
-      by what leaves, (a E_own + t E_other) / (a + t).
+    - If the surface of the starts has albedo a and transmission t, E is the mean of both sides,
+      weighted by the light that leaves: (a E_near + t E_far) / (a + t).
     - Luminaires are combined by the balance heuristic as in ``light_in_room``.
 
     The result does not depend on which starts are traced together. Source: Kajiya 1986; clear

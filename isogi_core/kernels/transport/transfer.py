@@ -96,7 +96,7 @@ def texel_seed(z, y, x, half):
 
 @kernel(exact=True)
 def hemmed(field, p, n, level):
-    """Return whether the field is solid RAY_OFFSET_VOXELS above ``p`` along the normal ``n``.
+    """Return True if the field is solid RAY_OFFSET_VOXELS above ``p`` along the normal ``n``.
 
     Light has no room to arrive at such a point.
     """
@@ -117,9 +117,9 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
     through each.
 
     ``step`` (3,) holds the voxels per texel along x, y, z. Writes ``normals`` (3, m), the float32
-    isovalue in units of the voxels that each texel is lit on, and whether it is void. A texel is
-    void if it has no gradient, no value or no outer side, or if it is hemmed in. Texels at the edge
-    of a plateau move to its rim: see ``leave_plateau``.
+    isovalue in units of the voxels at which each texel is lit, and ``void`` (m,), True for void
+    texels. A texel is void if it has no gradient, no value or no outer side, or if it is hemmed in.
+    Texels at the edge of a plateau move to its rim: see ``leave_plateau``.
     """
     for m in range(texels.shape[0]):
         # Evaluate the field and its smoothed gradient (S1, fig. 5) at the texel.
@@ -137,8 +137,8 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 @Choice
 def make_carried(scene, paths):
-    """Allocate the albedos (3, n) that n ``paths`` carry; empty if the whole surface reflects
-    alike.
+    """Allocate the albedos (3, n) that n ``paths`` carry;
+    empty if the whole surface reflects alike.
     """
 
 
@@ -189,12 +189,12 @@ def count_by_weights(ends, carried, rules, c, counts):
 @kernel()
 def add_harmonics(ends, counts, order, starts, samples, some, sums):
     """Add the spherical harmonics of the directions of ``PathEnds`` to ``sums`` (blocks of starts,
-    n² · PATH_WIDTH).
+    n² · PATH_WIDTH), each with its weight in ``counts``.
 
-    There are ``starts`` starts; ``samples`` are the samples that each took, and the room for
-    samples; ``some`` (first, last) is the range of blocks of ends. Lane i % PATH_WIDTH of block i
-    // PATH_WIDTH belongs to start i, and takes its samples in order, and the branches of each in
-    order. So the result does not depend on which starts are traced together.
+    There are ``starts`` starts; ``samples`` holds the number of samples that each took, and the
+    room for samples; ``some`` (first, last) is the range of blocks of ends. Lane i % PATH_WIDTH of
+    block i // PATH_WIDTH belongs to start i, and takes its samples in order, and the branches of
+    each in order. So the result does not depend on which starts are traced together.
     """
     stride = starts * samples[1]
     # Evaluate the harmonics of one end of PATH_WIDTH starts at a time.
@@ -248,6 +248,7 @@ def start_halves(place, rows):
     levels = np.empty(g)
     seeds = np.empty(g, np.uint64)
     for i in range(g):
+        # Starts 2 r and 2 r + 1 are the two halves of row r, which differ in their seeds alone.
         r = rows[i // 2]
         put_column(here, i, column(points, r))
         put_column(around, i, column(normals, r))
@@ -283,8 +284,8 @@ def bake_together(scene, place, rows, samples, rules, orders, out):
 
 @kernel()
 def bake_rows(scene, place, rows, samples, rules, orders, sums):
-    """Add a ``SampleRange`` of paths from the ``rows`` to ``sums``, some texels at a time: see
-    ``bake_texels``.
+    """Add a ``SampleRange`` of paths from the ``rows`` to ``sums``,
+    some texels at a time: see ``bake_texels``.
     """
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
@@ -316,7 +317,7 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
     ``place`` holds the input and output of ``locate_texels``: texels, points, normals and
     isovalues, which lie within the range of ``cells``. The weights (channels, bounces + 2) of the
     ``TransferRules`` hold the weight of a path that never leaves at 0, and of one that leaves after
-    k bounces at k + 1. ``sums`` are (m, 2, channels, n²), where n is the greatest of the channels'
+    k bounces at k + 1. ``sums`` are (m, 2, channels, n²); n is the greatest of the channels'
     ``orders``. Source: S1, section 4.1, "for all texels".
     """
     bake_rows(Open(field, cells), place, rows, samples, rules, orders, sums)
@@ -324,8 +325,8 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
 
 @kernel()
 def light_together(field, cells, place, rows, samples, rules, light, sums):
-    """Bake the irradiance of a few texels whose paths fill waves together: see
-    ``bake_irradiance``.
+    """Bake the irradiance of a few texels whose paths fill waves together:
+    see ``bake_irradiance``.
     """
     some = np.empty((2 * rows.shape[0], 3))
     for i in range(some.shape[0]):
@@ -388,7 +389,7 @@ CONFINES_RECORD = record(Confines, types.int64, types.float64, types.int64, REAL
 
 @kernel()
 def is_within(p, box):
-    """Return whether the point ``p`` lies in a ``box``."""
+    """Return True if the point ``p`` lies in a ``box`` (2, 3)."""
     return (
         box[0, 0] <= p[0] <= box[1, 0]
         and box[0, 1] <= p[1] <= box[1, 1]
@@ -398,8 +399,8 @@ def is_within(p, box):
 
 @gather_met.case(Strays)
 def mark_strays(scene, state, vertices, bounce, strays):
-    """Mark the starts of rays that hit something outside of the box; return the number of paths
-    that continue.
+    """Mark the starts of rays that hit something outside of the box;
+    return the number of paths that continue.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -411,6 +412,7 @@ def mark_strays(scene, state, vertices, bounce, strays):
         start = rays.owners[i] % strays.marks.shape[0]
         if not is_within(madd(column(origins, i), rays.t[i], column(directions, i)), strays.box):
             strays.marks[start] = True
+        # A start that is marked needs no further paths.
         rays.hits[staying] = i
         staying += not strays.marks[start]
     return staying
@@ -418,8 +420,8 @@ def mark_strays(scene, state, vertices, bounce, strays):
 
 @kernel()
 def trace_strays(scene, starts, samples, confines, marks):
-    """Mark the ``PathStarts`` that stray in ``marks`` (g,), by a ``SampleRange`` of the paths
-    of ``trace_ends``.
+    """Mark the ``PathStarts`` that stray in ``marks`` (g,),
+    by a ``SampleRange`` of the paths of ``trace_ends``.
     """
     tree = PathTree(confines.bounces, confines.survival, confines.branches)
     total = starts.isovalues.shape[0] * samples.count
@@ -456,10 +458,10 @@ def find_strays(field, cells, place, rows, samples, confines, strays):
 class ColouredRules(NamedTuple):
     """Weights of a path in each of r rows of sums on a coloured surface, and its ``PathTree``.
 
-    Rows have harmonics of ``orders`` (r,). A path that leaves at once has the weight ``straight``
-    (r,). A path that leaves after bounces has the weight ``reflected`` (r,), times the product of
-    the albedos that it met over the probability to get there, mixed from RGB by ``mixes`` (r, 3);
-    rows that are ``squared`` (r,) take the square of that product.
+    Rows have harmonics of ``orders`` (r,). A path that leaves without a bounce has the weight
+    ``straight`` (r,). A path that leaves after bounces has the weight ``reflected`` (r,), times the
+    product of the albedos that it met over the probability to get there, mixed from RGB by
+    ``mixes`` (r, 3); rows that are ``squared`` (r,) take the square of that product.
     """
 
     orders: Any
@@ -500,8 +502,8 @@ def make_albedos(scene, paths):
 
 @advance.case(Coloured)
 def advance_on_colours(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, and multiply what they carry by albedo over
-    probability.
+    """Move the paths that hit the surface there,
+    and multiply their carried product by albedo over probability.
     """
     rays = state.wave.rays
     carried = state.wave.carried
@@ -520,7 +522,7 @@ def advance_on_colours(scene, state, vertices, following, bounce, rules):
 
 @begin_branches.case(Coloured, PathEnds)
 def carry_along(scene, wave, count, ends):
-    """Mark new branches as unfinished, and give them what their parents carry."""
+    """Mark new branches as unfinished, and give them the products that their parents carry."""
     branch_ends(wave, count, ends)
     for owner in wave.rays.owners[:count]:
         put_column(wave.carried, owner, column(wave.carried, owner % wave.starting))
@@ -573,9 +575,9 @@ def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sum
 
 
 TEXEL_PROJECTED, TOO_FAR, OTHER_SHEET, NORMAL_TURNED, TEXEL_HEMMED, NO_SURFACE = range(6)
-"""What became of a texel: it was projected, or the shown isosurface is not within MAX_SHIFT_VOXELS,
-or another sheet of it is; the normal there is turned by more than a right angle; light has no room
-to arrive there; or its own point has no normal.
+"""Verdicts on a texel: projected; the isosurface is not within MAX_SHIFT_VOXELS; the crossing
+lies on another sheet of it; the normal there is turned by more than a right angle; light has no
+room to arrive there; the texel has no normal.
 """
 
 MAX_BACKTRACK = 0.1
@@ -587,15 +589,15 @@ def strays(voxels, p, d, level, reach):
     """Return how far the field runs backwards from ``p`` to ``reach`` along ``d``, over its
     distance from ``level``.
     """
-    own = value(voxels, p)
-    nearest = abs(own - level)
+    here = value(voxels, p)
+    nearest = abs(here - level)
     back = 0.0
     t = STEP_VOXELS
     # Sample the way in steps; the field should come nearer to the level with each.
     while t < reach:
         away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
         nearest, back, t = min(nearest, away), max(back, away - nearest), t + STEP_VOXELS
-    return back / max(abs(own - level), 1e-300)
+    return back / max(abs(here - level), 1e-300)
 
 
 @kernel(exact=True)

@@ -5,7 +5,7 @@ import pytest
 
 from isogi_core.kernels.shading.filtering import (
     DISTANCE_WEIGHTS,
-    LENDS,
+    MIN_LENDING_WEIGHT,
     PATHS_COLUMN,
     SHARED_VARIANCE_FACTOR,
     VARIANCE_COLUMN,
@@ -94,7 +94,7 @@ def one_by_one(positions, records, step):
         )
         around = kept[near][weights > 0.0]
         weights = weights[weights > 0.0]
-        if len(weights) < 2 or (unlit and weights.sum() < LENDS):
+        if len(weights) < 2 or (unlit and weights.sum() < MIN_LENDING_WEIGHT):
             continue
         counts = weights * around[:, PATHS_COLUMN]
         ratio = (

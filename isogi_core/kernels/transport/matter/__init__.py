@@ -1,1 +1,3 @@
-"""Light that passes through what an isosurface bounds: refracted, absorbed and scattered there."""
+"""Light that passes through the matter behind an isosurface:
+refracted, absorbed and scattered there.
+"""

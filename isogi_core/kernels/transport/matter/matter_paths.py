@@ -1,5 +1,5 @@
-"""Paths among walls around refracting matter: vertices lie on walls, and rays between them pass
-through matter.
+"""Paths among walls around refracting matter: vertices lie on walls,
+and rays between them pass through matter.
 """
 
 import math
@@ -43,8 +43,10 @@ from isogi_core.kernels.transport.streams import DIRECTIONS
 
 INWARD = -2.0
 ALONG_RAY = -3.0
-"""In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about
-its inner normal; and one from anywhere whose ray goes along its ``normal``."""
+"""Values of ``PathStarts.walls`` for starts on no wall: INWARD on the isosurface, with
+cosine-weighted rays about its inner normal; ALONG_RAY anywhere, with one ray along the start's
+``normal``.
+"""
 
 
 class Through(NamedTuple):
@@ -62,8 +64,8 @@ THROUGH_RECORD = record(Through, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD, MATTER
 
 
 class Crossing(NamedTuple):
-    """State of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its
-    paths.
+    """State of a ``wave`` whose rays pass matter: their ``passage``,
+    and the ``starts`` of its paths.
     """
 
     wave: Any
@@ -114,8 +116,8 @@ def first_way(rays, starts, k, i):
 
 @kernel()
 def enter_passage(wave, vertices, passage, starts, bounce):
-    """Start the passage of the wave's rays; first rays of paths that start on no wall get their
-    direction here.
+    """Start the passage of the wave's rays;
+    first rays of paths that start on no wall get their direction here.
     """
     rays = wave.rays
     count = vertices.count
@@ -124,6 +126,7 @@ def enter_passage(wave, vertices, passage, starts, bounce):
     ways = columns(rays.ways, count)
     for i in range(count):
         k = rays.owners[i] % g
+        # First rays from no wall get their direction here; other rays were sampled at the wall.
         free = bounce == 0 and starts.walls[k] < 0.0
         if free:
             put_column(ways, i, first_way(rays, starts, k, i))
@@ -133,6 +136,8 @@ def enter_passage(wave, vertices, passage, starts, bounce):
             passage.sides[i] = SOLID_SIGN
         else:
             passage.sides[i] = UNKNOWN_SIDE
+        # No shadow ray was cast for a free start, so that its ray counts as bent from the
+        # beginning.
         passage.own[i] = NO_WALL if free else wave.own[i]
         passage.straight[i] = 0.0 if free else 1.0
 
@@ -153,8 +158,8 @@ def leave_passage(wave, passage, count):
 
 @kernel()
 def gather_passed_ends(wave, vertices, passage, escaped, light):
-    """Add the environment's light of ``escaped`` paths; all of it if no shadow ray could bring
-    it.
+    """Add the environment's light along ``escaped`` paths; all of it, without balance weight,
+    if no shadow ray could bring it.
     """
     normals = columns(vertices.normals, vertices.count)
     for i in wave.rays.escaped[:escaped]:
@@ -170,8 +175,8 @@ def gather_passed_ends(wave, vertices, passage, escaped, light):
 
 @kernel()
 def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
-    """Add the light of luminaires that paths hit; return the number of paths that hit a
-    reflecting side.
+    """Add the light of luminaires that paths hit;
+    return the number of paths that hit a reflecting side.
     """
     rays = wave.rays
     staying = 0
@@ -184,9 +189,11 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
         w = column(passage.ways, i)
         slope = dot(row(room.normals, k), w)
         rays.hits[staying] = i
+        # A path ends on the dark back of a wall.
         if lit_from(room, k, slope):
             staying += 1
             share = 1.0
+            # Shadow rays may bring the light of a straight ray too, so that both are balanced.
             if passage.straight[i] > 0.0:
                 x, y, z = column(passage.origins, i)
                 a, b, c = column(starts, i)
@@ -199,8 +206,8 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
 
 @kernel()
 def stand_at_ends(wave, passage, following, room, chance):
-    """Put the vertices ``following`` on the walls that were hit; multiply by albedo over
-    ``chance``.
+    """Put the vertices ``following`` on the walls that were hit;
+    multiply by albedo over ``chance``.
     """
     rays = wave.rays
     hits = following.count
@@ -209,6 +216,7 @@ def stand_at_ends(wave, passage, following, room, chance):
     for h in range(hits):
         i, m = rays.hits[h], rays.owners[h]
         k = int(passage.met[i])
+        # Turn the wall's normal towards the side that the ray came from.
         n = row(room.normals, k)
         put_column(points, h, column(passage.origins, i))
         put_column(normals, h, scale(n, 1.0 if dot(n, column(passage.ways, i)) < 0.0 else -1.0))
@@ -239,8 +247,8 @@ def meet_through(scene, state, vertices, bounce):
 
 @gather_met.case(Through, Surroundings)
 def gather_met_through(scene, state, vertices, bounce, light):
-    """Add the environment's light and that of luminaires; return the number of paths that
-    continue.
+    """Add the environment's light and that of luminaires;
+    return the number of paths that continue.
     """
     wave = state.wave
     passage = state.passage

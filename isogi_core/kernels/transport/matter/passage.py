@@ -1,5 +1,5 @@
-"""The way of a wave's rays through matter: refraction, reflection and scattering up to a wall or
-out of the scene.
+"""Paths of a wave's rays through matter: refraction, reflection and scattering up to a wall or out
+of the scene.
 
 Random numbers belong to the path, the bounce and the step.
 """
@@ -44,8 +44,8 @@ MATTER_RECORD = record(Matter, types.float64, REAL_ARRAY, types.float64, REAL_AR
 
 
 class Passable(NamedTuple):
-    """What rays meet that pass an isosurface: the ``room`` around it, and the ``matter`` behind
-    it.
+    """The scene for rays that pass an isosurface: the ``room`` around it,
+    and the ``matter`` behind it.
     """
 
     room: Any
@@ -80,11 +80,11 @@ def transmitted(matter, way):
 
 @kernel()
 def meet_interface(field, matter, p, w, came):
-    """Return what happens to the unit direction ``w`` at the interface at ``p``: (reflectance,
-    reflected, refracted direction).
+    """Return reflectance, reflected and refracted direction of the unit direction ``w`` at the
+    interface at ``p``.
 
-    The normal is the shading normal. If it points away from the ray, as at outlines of smoothed
-    normals, the ray grazes and passes entirely.
+    ``came`` is the side that the ray arrives on. The normal is the shading normal. If it points
+    away from the ray, as at outlines of smoothed normals, the ray grazes and passes entirely.
     """
     n = shading_normal(field, p, came, w)
     cosine = -dot(n, w)
@@ -150,8 +150,8 @@ def make_passage(n):
 
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
-    """Return pair ``second`` (0 or 1) of the random numbers of ray ``i`` at a ``step`` of its
-    way.
+    """Return pair ``second`` (0 or 1) of the random numbers of ray ``i``
+    at a ``step`` of its way.
     """
     rays = wave.rays
     dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS_PER_PURPOSE + bounce)
@@ -162,22 +162,23 @@ def draw(wave, i, bounce, step, second):
 
 @kernel()
 def gather_rays(field, wave, passage, going):
-    """Return the first ``going`` pending rays as whole vectors of ``Rays``, and the walls that
-    they start on.
+    """Return the first ``going`` pending rays as whole vectors of ``Rays``,
+    and the walls that they start on.
     """
     n = whole(going)
     rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
-    own = np.full(n, NO_WALL)
+    walls = np.full(n, NO_WALL)
     for j in range(going):
         i = passage.pending[j]
         rays.isovalues[j] = wave.isovalues[i]
         rays.sides[j] = passage.sides[i]
-        own[j] = passage.own[i]
+        walls[j] = passage.own[i]
         put_column(rays.origins, j, column(passage.origins, i))
         put_column(rays.directions, j, to_index(column(passage.ways, i), field.spacing))
+    # Fill up the last vector with rays that start at infinity.
     for j in range(going, n):
         rays.isovalues[j] = rays.isovalues[0]
-    return rays, own
+    return rays, walls
 
 
 @kernel(inline=True)
@@ -199,7 +200,7 @@ def end_at(passage, i, p, wall):
 @kernel(inline=True)
 def scatter(matter, wave, passage, i, bounce, step):
     """Scatter ray ``i`` into a new direction, or absorb it at random by its brightest channel;
-    return whether it goes on.
+    return True if it goes on.
 
     The throughput is divided by the probability to go on.
     """
@@ -218,8 +219,8 @@ def scatter(matter, wave, passage, i, bounce, step):
 
 @kernel(inline=True)
 def go_on(field, matter, wave, passage, ray, i, place):
-    """Move ray ``i`` to its next event, ``ray`` = (o, d, t, side it came from, wall); return
-    whether it goes on.
+    """Move ray ``i`` to its next event, ``ray`` = (o, d, t, side it came from, wall); return True
+    if it goes on.
 
     ``place`` is (bounce, step) of its random numbers.
     """

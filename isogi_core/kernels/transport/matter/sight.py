@@ -1,5 +1,5 @@
-"""What the eye sees through refracting matter: rays split in two at each interface, as long as
-both parts count.
+"""The view through refracting matter: rays from the eye split in two at each interface, as long
+as both parts count.
 """
 
 import math
@@ -31,8 +31,8 @@ from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
 
 PARTED_PLACES = 16
-"""A ray splits if each part counts at least 1 / (PARTED_PLACES · places), of the places that
-its point may see.
+"""A ray splits if each part counts at least 1 / (PARTED_PLACES · places); places are the ends
+that its point may see.
 """
 
 START_BACK_VOXELS = 1e-2
@@ -40,7 +40,7 @@ START_BACK_VOXELS = 1e-2
 
 
 class Leaves(NamedTuple):
-    """What n points show: the environment and the walls that their rays end on.
+    """The ends of the rays of n points: the environment, and the walls that they see.
 
     - ``sky`` (n, 3) float32: light of the environment.
     - ``weights``, ``points`` (rows, 3) float32: weight and index-space point of a wall; row b · m +
@@ -84,8 +84,8 @@ NO_SAMPLE = -1
 
 
 class Progress(NamedTuple):
-    """Of each of n points: the places ``used`` and ``shown``, and the random choices ``made``,
-    (n,) each.
+    """Counts for each of n points, (n,) each: places ``used`` by its rays, walls ``shown``, and
+    random choices ``made``.
     """
 
     used: Any
@@ -130,7 +130,9 @@ def push(sight, j, o, w, weight, side, owner):
 
 @kernel()
 def put_leaf(leaves, place, p, weight, wall, side):
-    """Write a wall that is seen."""
+    """Write a wall that is seen at ``p``, with its ``weight`` and its ``side``, to a ``place``
+    of the ``leaves``.
+    """
     for c in range(3):
         leaves.weights[place, c] = np.float32(weight[c])
         leaves.points[place, c] = np.float32(p[c])
@@ -176,13 +178,14 @@ def part(surface, matter, sight, j, ray, shown):
 
 @kernel()
 def meet_surface(surface, sight, count):
-    """Return where the first ``count`` rays hit the surface: (index-space directions,
-    distances, sides they came from).
+    """Return the hits of the first ``count`` rays on the surface: (index-space directions,
+    distances, sides that they came from).
     """
     n = whole(count)
     directions = np.ones((3, n))
     t = np.empty(n)
     came = np.empty(n, np.int8)
+    # Lanes that fill up the last vector start at infinity.
     origins = np.full((3, n), math.inf)
     sides = np.zeros(n, np.int8)
     for j in range(count):
@@ -196,8 +199,11 @@ def meet_surface(surface, sight, count):
 
 @kernel()
 def show_end(room, light, shown, ends, m, weight):
-    """Add what a ray of point ``m`` ends on, ``ends`` = (point, direction, wall or NO_WALL): a
-    wall's emitting side, or the environment.
+    """Add the light or the wall at the end of a ray of point ``m``: ``ends`` = (point, direction,
+    wall or NO_WALL).
+
+    Without a wall the ray brings the environment's light; walls are listed if they emit on that
+    side.
     """
     leaves, _, progress = shown
     p, w, wall = ends
