@@ -12,8 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.bake.bake_spec import Term
-from isogi_core.kernels.shading.texel_table import FIRST_LEVEL as FIRST_LEVEL
+from isogi_core.kernels.shading import texel_table
 from isogi_core.model.scene_plan import Layer, ScenePlan
+
+FIRST_LEVEL: int = texel_table.FIRST_LEVEL
+"""Samples of a texel's first level; each further level doubles them."""
 
 VOID = -1
 """Number of samples that marks a texel which cannot hold light."""
