@@ -7,13 +7,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any, Self
 
 import click
 from tqdm import tqdm
 
-from isogi_core.files.scene_file import find_source
+from isogi_core.files.scene_file import Target, find_source
 from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -189,9 +188,7 @@ def left_text(left: TimeLeft) -> str:
     return text
 
 
-def open_scene(
-    target: str | Path | None, settings: Settings | None = None, **overrides: Any
-) -> Scene:
+def open_scene(target: Target, settings: Settings | None = None, **overrides: Any) -> Scene:
     """The scene at ``target``, as ``load_scene`` has it, its volume kept as the ``settings`` say.
 
     Raises SceneError, VolumeError or LightError.

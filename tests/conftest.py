@@ -42,7 +42,16 @@ ROOMS = {
     **dict.fromkeys(["bake", "frame", "kernels", "report"], "light"),
     **dict.fromkeys(["server/exports", "server/prewarm", "server/render"], "light"),
     **dict.fromkeys(
-        ["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"],
+        [
+            "client",
+            "cluster",
+            "faults",
+            "package",
+            "server/api",
+            "server/cli",
+            "server/uploads",
+            "worker",
+        ],
         "live",
     ),
     "stability": "stability",

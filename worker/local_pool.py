@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple
 
+from isogi_core.kernels._compilation import without_main
 from isogi_core.model.scene_plan import ScenePlan
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
@@ -319,7 +320,7 @@ class LocalPool:
             target=run_worker, args=(its_jobs, its_answers, self._start), daemon=True
         )
         # The process alone keeps its ends, so that either side notices when the other is gone.
-        with its_jobs, its_answers:
+        with its_jobs, its_answers, without_main():
             process.start()
         return LocalWorker(process, jobs, answers)
 

@@ -223,8 +223,14 @@ class SceneSource:
     base: Path
 
 
-def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
-    """Read a scene's document, without opening its volume."""
+Target = str | Path | SceneSource | None
+"""A scene as callers name it: a path, a URL, a demo, a document, or None for the default demo."""
+
+
+def find_source(target: Target, overrides: Mapping[str, Any]) -> SceneSource:
+    """Read a scene's document, without opening its volume; ``overrides`` replace keys of it."""
+    if isinstance(target, SceneSource):
+        return replace(target, document={**target.document, **overrides})
     text, lying = split_settings(str(target or DEFAULT_DEMO))
     changes = {key: lying.pop(key) for key in CHANGING_PARAMETERS if key in lying}
     source = source_at(text, {**overrides, **lying})

@@ -4,9 +4,11 @@ on all cores, in separate processes, with progress.
 
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -144,14 +146,36 @@ def compile_in_processes(
         context.Process(target=compile_named, args=[names, niceness], daemon=True)
         for _ in range(processes)
     ]
-    for helper in helpers:
-        helper.start()
+    with without_main():
+        for helper in helpers:
+            helper.start()
     # Wait for the processes, or end them once stopped.
     for helper in helpers:
         while helper.is_alive() and not stopped.is_set():
             helper.join(POLL_SECONDS)
         helper.terminate()
         helper.join()
+
+
+@contextmanager
+def without_main() -> Iterator[None]:
+    """Start processes meanwhile that do not import the main module.
+
+    A process that Python starts imports the main module of its parent again. A user's script
+    without ``if __name__ == "__main__":`` would then run once more in each of them.
+    """
+    main = sys.modules["__main__"]
+    with STARTING:
+        hidden = {name: vars(main).pop(name, None) for name in ("__file__", "__spec__")}
+        main.__spec__ = None
+        try:
+            yield
+        finally:
+            vars(main).update({name: value for name, value in hidden.items() if value is not None})
+
+
+STARTING = threading.Lock()
+"""Held while processes start and the main module is hidden."""
 
 
 def compile_named(names: list[str], niceness: int) -> None:

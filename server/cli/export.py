@@ -15,7 +15,7 @@ from isogi_core.errors import ViewError
 from isogi_core.files.light_files import WRITERS, check_zarr
 from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings as SceneSettings
-from isogi_core.files.scene_file import find_source
+from isogi_core.files.scene_file import Target, find_source
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -62,7 +62,7 @@ class ExportRequest:
 
 
 def export(
-    target: str, request: ExportRequest, knobs: Mapping[str, str], settings: Settings
+    target: Target, request: ExportRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
     """Bake what is lacking, write light to a file, and say what is in it and how good it is.
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import ViewError
+from isogi_core.files.scene_file import Target
 from isogi_core.frame.film import coded, ground_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
@@ -56,7 +57,7 @@ class PageRequest(ReelRequest):
 
 
 def publish(
-    target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings
+    target: Target, request: PageRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
     """Render the pictures that are not there yet, write the page, and say how good they are.
 

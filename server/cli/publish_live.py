@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from isogi_core.errors import ViewError
-from isogi_core.files.scene_file import LEAST_TARGET, find_source
+from isogi_core.files.scene_file import LEAST_TARGET, Target, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.frame.card.blocks import Coding, coding_for, raw_scale
 from isogi_core.frame.rays.control_pixels import TotalError
@@ -94,7 +94,7 @@ class Offer:
 
 
 def publish(
-    target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings
+    target: Target, request: PageRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
     """Bake the light of a range of isovalues, write a page that draws it, and say how large and how
     good it is.

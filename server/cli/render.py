@@ -8,13 +8,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, ViewError
+from isogi_core.files.scene_file import Target
 from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
@@ -59,7 +60,7 @@ REFERENCE_BYTES = 1 << 30
 
 
 def render(
-    target: str,
+    target: Target,
     output: Path,
     knobs: Mapping[str, str],
     settings: Settings,
@@ -81,33 +82,65 @@ def render(
     check_writable(output, pixel * params.width * params.height)
 
     with working(scene, settings) as engine:
-        if not is_placed(knobs):
-            [params] = seen_whole(engine.renderer(scene.id), [params], settings)
-        view = view_of(scene, params, settings)
-        frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
-        left = engine.time_left(scene.id, frame, params.max_error)
-        paths = engine.baker.paths
-        # Workers that are still starting when the time is over are no trouble.
-        trouble = ""
-        if not (frame.final or engine.store.read_only):
-            trouble = engine.trouble() or engine.baker.paused()
-    if params.exposure is None:
-        exposure = scene.default_exposure
-    else:
-        exposure = params.exposure
-    write_whole(output, encode(frame, form, exposure, params))
+        drawn = draw(engine, scene, knobs, settings, form, seconds)
+    write_whole(output, drawn.encoded(form))
     return {
         "file": str(output),
         "format": form,
+        **drawn.facts,
+        "seconds": time.monotonic() - started,
+    }
+
+
+class Drawn(NamedTuple):
+    """A picture: its ``frame``, the ``params`` and the ``exposure`` that it is developed with, and
+    ``facts`` of its quality.
+    """
+
+    frame: Frame
+    params: FrameParams
+    exposure: float
+    facts: dict[str, Any]
+
+    def encoded(self, form: str) -> bytes:
+        """Return the bytes of the picture in a format of FORMATS."""
+        return encode(self.frame, form, self.exposure, self.params)
+
+
+def draw(
+    engine: RenderEngine,
+    scene: Scene,
+    knobs: Mapping[str, str],
+    settings: Settings,
+    form: str = "png",
+    seconds: float | None = None,
+) -> Drawn:
+    """Draw a view of the ``engine``'s ``scene``, named by ``knobs``, for a picture of a ``form``.
+
+    The camera shows the whole surface if no knob places it. Ends when every pixel is final, or
+    after ``seconds`` of baking. Raises ParameterError, ViewError, StoreError and WorkersError.
+    """
+    params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
+    if not is_placed(knobs):
+        [params] = seen_whole(engine.renderer(scene.id), [params], settings)
+    view = view_of(scene, params, settings)
+    frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
+    left = engine.time_left(scene.id, frame, params.max_error)
+    # Workers that are still starting when the time is over are no trouble.
+    trouble = ""
+    if not (frame.final or engine.store.read_only):
+        trouble = engine.trouble() or engine.baker.paused()
+    facts = {
         **frame_facts(frame, left),
         "target_error": params.max_error or scene.target_error,
         "final": frame.coverage["final"],
-        "paths": paths,
+        "paths": engine.baker.paths,
         "stopped": stopped_by(frame),
         "note": why_empty(scene, view) if not frame.surface else "",
         "trouble": trouble,
-        "seconds": time.monotonic() - started,
     }
+    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    return Drawn(frame, params, exposure, facts)
 
 
 def why_empty(scene: Scene, view: View) -> str:

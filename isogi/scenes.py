@@ -1,0 +1,418 @@
+"""Scenes and pictures of the Python interface: see ``isogi.open``."""
+
+import io
+import shutil
+import tempfile
+import tomllib
+import weakref
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from PIL import Image
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.scene_file import SceneSource, find_source
+from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.plan.scene import Scene as CoreScene
+from isogi_core.storage.atomic_file import write_whole
+from server.cli import export as exporting
+from server.cli import publish, publish_live
+from server.cli.render import Drawn, draw, format_of, working
+from server.progress import open_scene as load
+from server.render.engine import RenderEngine
+from server.settings import Settings
+from server.views import with_first_view
+
+if TYPE_CHECKING:
+    from isogi_client import Isogi
+
+Value = float | str | Sequence[float]
+"""A parameter of a view: a number, a word, or numbers such as ``target=(10, 20, 5)``."""
+
+EVEN = 1e-3
+"""Relative differences of an array's coordinates that count as even."""
+
+
+def open_scene(
+    source: Any,
+    light: str | Path | Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
+    spacing: Sequence[float] | None,
+    store: str | Path | None,
+    workers: int | None,
+    keys: Mapping[str, Any],
+) -> "Scene":
+    """Open a scene: see ``isogi.open``."""
+    given = {key: plain(value) for key, value in keys.items()}
+    folder = None
+    if not isinstance(source, str | Path):
+        folder, source, found = kept_array(source)
+        spacing = spacing or found
+    if spacing is not None:
+        given["spacing"] = [float(length) for length in spacing]
+    given.update(light_keys(light))
+    work: dict[str, Any] = {"store": None if store is None else str(store), "workers": workers}
+    settings = Settings(**{name: value for name, value in work.items() if value is not None})
+    try:
+        return Scene(find_source(source, given), settings, folder)
+    except BaseException:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def kept_array(source: Any) -> tuple[str, str, Sequence[float] | None]:
+    """Write an array to a file of its own; the folder, the file, and the spacing of its voxels if
+    the array tells it.
+
+    Raises VolumeError if it is no array of three dimensions.
+    """
+    spacing = spacing_of(source) if hasattr(source, "coords") and hasattr(source, "dims") else None
+    array = np.asarray(source)
+    if array.ndim != 3 or array.dtype.kind not in "biuf":
+        raise VolumeError(
+            f"isogi opens arrays of three dimensions (z, y, x) and plain numbers; this one has the "
+            f"shape {array.shape} and the type {array.dtype}."
+        )
+    folder = tempfile.mkdtemp(prefix="isogi-array-")
+    path = Path(folder) / "array.npy"
+    np.save(path, array.astype(np.uint8) if array.dtype.kind == "b" else array)
+    return folder, str(path), spacing
+
+
+def spacing_of(array: Any) -> list[float] | None:
+    """Return the spacing (x, y, z) of an xarray from its coordinates; None if it has none.
+
+    Raises VolumeError if the coordinates of a dimension are not even.
+    """
+    steps = []
+    for name in reversed(array.dims):
+        if name not in array.coords or array.sizes[name] < 2:
+            return None
+        places = np.asarray(array.coords[name], np.float64)
+        differences = np.diff(places)
+        step = float(differences.mean())
+        if step == 0.0 or np.abs(differences - step).max() > EVEN * abs(step):
+            raise VolumeError(
+                f"The coordinates '{name}' are not evenly spaced: resample the array, or give "
+                "spacing=(x, y, z)."
+            )
+        steps.append(abs(step))
+    return steps
+
+
+def light_keys(light: Any) -> dict[str, Any]:
+    """Return the keys of a scene file for a ``light``: see ``isogi.open``."""
+    if light is None:
+        return {}
+    if isinstance(light, Mapping):
+        return {"lights": [plain(light)]}
+    if not isinstance(light, str | Path):
+        return {"lights": [plain(each) for each in light]}
+    if str(light) in ENVIRONMENTS:
+        return {"environment": str(light)}
+    return {"environment": str(Path(light).expanduser().resolve())}
+
+
+def plain(value: Any) -> Any:
+    """Return a value as TOML would give it: lists for sequences and arrays, texts for paths."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, Path):
+        return str(value.expanduser().resolve())
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value
+
+
+def texts(view: Mapping[str, Value | None]) -> dict[str, str]:
+    """Return the parameters of a view as the command line takes them; None leaves one out."""
+    return {name: text_of(value) for name, value in view.items() if value is not None}
+
+
+def text_of(value: Value) -> str:
+    """Return a parameter as text: numbers with all their digits, several with commas."""
+    if isinstance(value, str):
+        return value
+    return ",".join(repr(number) for number in np.atleast_1d(value).tolist())
+
+
+class Scene:
+    """A volume with its isosurface, material and light, made by ``isogi.open``.
+
+    Its workers start with the first picture and end with ``close``, at the end of a ``with`` block,
+    or when nobody holds the scene any more. Light that was baked stays in the store.
+    """
+
+    def __init__(self, source: SceneSource, settings: Settings, folder: str | None = None) -> None:
+        """Open a ``source``; ``folder`` holds an array's file, and is removed at the end."""
+        self._source = source
+        self._settings = settings
+        self._work = ExitStack()
+        self._engine: RenderEngine | None = None
+        self._scene: CoreScene = load(source, settings)
+        if folder is not None:
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        weakref.finalize(self, self._work.close)
+
+    @property
+    def isovalue(self) -> float:
+        """The isovalue that is shown if a picture names none, in the units of the file."""
+        return float(self._scene.isovalue)
+
+    @property
+    def isovalues(self) -> tuple[float, float]:
+        """The least and the greatest isovalue."""
+        return self._scene.isovalues
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along z, y and x."""
+        x, y, z = self._scene.volume.size
+        return z, y, x
+
+    @property
+    def spacing(self) -> tuple[float, float, float]:
+        """Distance between voxels along x, y and z, in the unit of the file."""
+        x, y, z = self._scene.volume.spacing
+        return float(x), float(y), float(z)
+
+    def render(
+        self, *, error: float | None = None, time: float | None = None, **view: Value | None
+    ) -> "Picture":
+        """Draw a picture.
+
+        ``view`` takes what ``isogi render`` does: ``isovalue``, ``azimuth``, ``elevation``,
+        ``distance``, ``width``, ``height``, ``yaw``, ``albedo``, ``shading`` and so on. The camera
+        shows the whole surface if nothing places it. The picture is done at the relative ``error``
+        (default: that of the scene, usually 0.02), or after ``time`` seconds with what there is.
+
+        Raises ViewError for parameters, StoreError and WorkersError if light cannot be baked. An
+        interrupt ends the workers, and leaves nothing behind but light.
+        """
+        knobs = texts(view | ({} if error is None else {"max_error": error}))
+        knobs = dict(with_first_view(self._scene, knobs))
+        try:
+            drawn = draw(self._started(), self._scene, knobs, self._settings, seconds=time)
+        except BaseException:
+            self.close()
+            raise
+        return Picture(drawn)
+
+    def export(
+        self,
+        path: str | Path,
+        *,
+        isovalue: float | None = None,
+        error: float | None = None,
+        coefficients: bool = False,
+        **view: Value | None,
+    ) -> Path:
+        """Write the isosurface with its light (``.ply``, ``.glb``, ``.obj``, ``.usdz``), or values
+        and light of the lattice (``.vti``, ``.nrrd``, ``.nii.gz``, ``.ome.zarr``); return the path.
+
+        ``coefficients`` adds the harmonics of the light. ``view`` may turn the light and set the
+        albedo. Raises ViewError, SceneError, VolumeError, StoreError, WorkersError and OSError.
+        """
+        self.close()
+        request = exporting.ExportRequest(
+            Path(path),
+            () if isovalue is None else (repr(float(isovalue)),),
+            None if error is None else repr(error),
+            None,
+            coefficients,
+        )
+        exporting.export(self._source, request, texts(view), self._settings)
+        return Path(path)
+
+    def publish(
+        self,
+        path: str | Path,
+        *,
+        isovalues: tuple[float, float] | None = None,
+        error: float | None = None,
+        caption: str | None = None,
+        megabytes: float | None = None,
+        **view: Value | None,
+    ) -> Path:
+        """Write a page that needs no server: a folder, or one file that ends in ``.html``; return
+        its path.
+
+        With ``isovalues=(first, last)``, or as one file, it draws by the visitor's graphics card,
+        within ``megabytes``. Else it leafs through pictures of the parameters that are given as
+        ``"first:last:step"``, by default around the object. Raises as ``export`` does.
+        """
+        self.close()
+        interactive = isovalues is not None or Path(path).suffix.lower() in publish.PAGE_SUFFIXES
+        knobs = texts(view)
+        if isovalues is not None:
+            first, last = isovalues
+            knobs["isovalue"] = f"{float(first)!r}:{float(last)!r}"
+        request = publish.PageRequest(
+            output=Path(path), target_error=error, megabytes=megabytes, caption=caption
+        )
+        write = publish_live.publish if interactive else publish.publish
+        write(self._source, request, knobs, self._settings)
+        return Path(path)
+
+    def serve(self, **settings: Any) -> "Isogi":
+        """Start a server of this scene and return a client of it; ``close`` of the client ends it.
+
+        ``settings`` are those of ``isogi serve``, such as ``port=8000``. The page is at the
+        client's address. Needs ``pip install 'isogi[client]'``.
+        """
+        from isogi_client import Isogi  # noqa: PLC0415 (an optional dependency)
+
+        self.close()
+        folder = tempfile.mkdtemp(prefix="isogi-scene-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        path = Path(folder) / f"{self._source.name}.toml"
+        path.write_text(toml_of(self._source), encoding="utf-8")
+        given = {"store": self._settings.store, "workers": self._settings.workers, **settings}
+        return Isogi.serving(path, **{key: each for key, each in given.items() if each is not None})
+
+    def close(self) -> None:
+        """End the workers, once they have written their light; the next picture starts others."""
+        self._engine = None
+        self._work.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        """One line, such as ``Scene(engine, 256 × 256 × 128 voxels, isovalue 70)``."""
+        size = " × ".join(map(str, self._scene.volume.size))
+        return f"Scene({self._source.name}, {size} voxels, isovalue {self.isovalue:g})"
+
+    def _started(self) -> RenderEngine:
+        """Return the engine; start it and its workers if there is none."""
+        if self._engine is None:
+            self._engine = self._work.enter_context(working(self._scene, self._settings))
+        return self._engine
+
+
+class Picture:
+    """A picture that was drawn, with its light and its error. Notebooks show it."""
+
+    def __init__(self, drawn: Drawn) -> None:
+        """Hold what was ``drawn``."""
+        self._drawn = drawn
+
+    @property
+    def error(self) -> float:
+        """Relative error of the whole picture, root mean square over the surface: measured by
+        control pixels if light is everywhere, else estimated.
+        """
+        return float(self._drawn.facts["error"])
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of ``error``; None while it is not measured."""
+        return self._drawn.facts["interval"]
+
+    @property
+    def final(self) -> bool:
+        """True if the picture has reached the error that it was to have."""
+        return self._drawn.facts["stopped"] == "target"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What ``isogi render --json`` says of the picture."""
+        return dict(self._drawn.facts)
+
+    @cached_property
+    def radiance(self) -> np.ndarray:
+        """Linear radiance (height, width, 3) float32, row 0 at the top; 0 off the surface."""
+        return np.asarray(self._drawn.frame.radiance)
+
+    @cached_property
+    def positions(self) -> np.ndarray:
+        """Positions of the surface in the world (height, width, 3), in the file's unit; NaN off
+        it.
+        """
+        frame = self._drawn.frame
+        places = frame.positions(0, frame.state.shape[0])
+        return np.where(self.mask[..., None], places, np.nan)
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Estimated relative standard error of each pixel (height, width)."""
+        return np.asarray(self._drawn.frame.total_error)
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """True for pixels that show the surface (height, width)."""
+        return np.asarray(self._drawn.frame.state > 0)
+
+    @cached_property
+    def image(self) -> Image.Image:
+        """The picture as Pillow has it: tone-mapped sRGB."""
+        return Image.open(io.BytesIO(self._png))
+
+    @cached_property
+    def _png(self) -> bytes:
+        return self._drawn.encoded("png")
+
+    def save(self, path: str | Path) -> Path:
+        """Write the picture as ``.png``, ``.jpg``, ``.webp`` or ``.npy`` (linear radiance, mask,
+        state, error and position); return the path.
+
+        Raises ViewError for other suffixes, and OSError.
+        """
+        path = Path(path)
+        write_whole(path, self._drawn.encoded(format_of(path)))
+        return path
+
+    def _repr_png_(self) -> bytes:
+        """The picture, as notebooks show it."""
+        return self._png
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """The picture's pixels, for NumPy and Matplotlib."""
+        return np.asarray(self.image, dtype)
+
+    def __repr__(self) -> str:
+        """One line, such as ``Picture(640 × 480, final, 1.8 % error)``."""
+        height, width = self._drawn.frame.state.shape
+        state = "final" if self.final else "provisional"
+        note = self._drawn.facts["note"]
+        return (
+            f"Picture({width} × {height}, {note or f'{state}, {100.0 * self.error:.2g} % error'})"
+        )
+
+
+def toml_of(source: SceneSource) -> str:
+    """Return a scene's document as the text of a scene file that may lie anywhere: paths of files
+    that are there become absolute.
+    """
+    lines = [f"{key} = {toml_value(value, source.base)}" for key, value in source.document.items()]
+    text = "\n".join(lines) + "\n"
+    if tomllib.loads(text).keys() != source.document.keys():
+        raise SceneError(f"The scene '{source.name}' cannot be written as a file.")
+    return text
+
+
+def toml_value(value: Any, base: Path) -> str:
+    """Return a value of a document as TOML; ``base`` is the folder that its paths begin at."""
+    if isinstance(value, Mapping):
+        parts = ", ".join(f"{key} = {toml_value(each, base)}" for key, each in value.items())
+        return f"{{ {parts} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(toml_value(each, base) for each in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    name, mark, part = str(value).partition("#")
+    if name and (base / name).exists():
+        value = f"{(base / name).resolve()}{mark}{part}"
+    escaped = str(value).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
