@@ -12,11 +12,11 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS, Lobe
 from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.albedo_nodes import mixing_weights
 from isogi_core.plan.bands import evaluate_harmonics, project_environment, sphere_nodes
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED, project_lobes
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.scene import COLOURED_KIND
-from isogi_core.plan.surfaces import mixing_weights
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 

@@ -20,7 +20,7 @@ from isogi_core.model.scene_plan import (
     most_samples,
     texel_target,
 )
-from isogi_core.plan.surfaces import mixing_weights
+from isogi_core.plan.albedo_nodes import mixing_weights
 
 FLOOR = 0.5
 """Share of unoccluded light: texels darker than this are judged by its error, not by that of

@@ -10,6 +10,7 @@ from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.albedo_nodes import mixing_error
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import (
     LONGEST_PATH,
@@ -21,7 +22,6 @@ from isogi_core.plan.budget import (
 from isogi_core.plan.inputs import PlanInputs
 from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
-from isogi_core.plan.surfaces import mixing_error
 
 LOBE_KERNELS = (
     *(

@@ -37,7 +37,8 @@ from isogi_core.model.lights import (
 )
 from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.volume import Volume
-from isogi_core.plan.surfaces import SceneSurfaces, refuse_lamps
+from isogi_core.plan.materials import refuse_lamps
+from isogi_core.plan.surfaces import SceneSurfaces
 from isogi_core.plan.volumes.colours import volume_grids
 from isogi_core.plan.volumes.masks import MaskTable, place
 from isogi_core.plan.volumes.opening import open_beside

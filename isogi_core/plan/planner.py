@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan, most_samples
+from isogi_core.plan.albedo_nodes import choose_nodes, mixing_error
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
@@ -23,7 +24,6 @@ from isogi_core.plan.budget import (
 )
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.left_out import left_out, percent
-from isogi_core.plan.surfaces import choose_nodes, mixing_error
 
 MIN_RADIANCE = 1e-32
 MAX_RADIANCE = 1e32

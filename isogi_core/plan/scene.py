@@ -23,6 +23,7 @@ from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides, found
+from isogi_core.plan.isovalue_levels import find_levels
 from isogi_core.plan.isovalue_presets import (
     Preset,
     SeenNormals,
@@ -34,9 +35,10 @@ from isogi_core.plan.isovalue_presets import (
 )
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
 from isogi_core.plan.lighting import SceneLighting
+from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, SampledRange, find_stops, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
-from isogi_core.plan.surfaces import SceneSurfaces, find_levels, unrefracted
+from isogi_core.plan.surfaces import SceneSurfaces
 
 BAKE_FORMAT = 6
 """Version of baked light: increased when a chunk's content, or the way its light is computed,

@@ -12,19 +12,18 @@ from isogi_core.errors import SceneError
 from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.scene_plan import Layer, LeftOut
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.budget import MIXING
-from isogi_core.plan.left_out import percent
-from isogi_core.plan.scene import INSIDE_KIND
-from isogi_core.plan.surfaces import (
+from isogi_core.plan.albedo_nodes import (
     MAX_NODES,
     choose_nodes,
-    find_levels,
-    levels_around,
     mixing_error,
     mixing_weights,
     spread_nodes,
-    unrefracted,
 )
+from isogi_core.plan.budget import MIXING
+from isogi_core.plan.isovalue_levels import find_levels, levels_around
+from isogi_core.plan.left_out import percent
+from isogi_core.plan.materials import unrefracted
+from isogi_core.plan.scene import INSIDE_KIND
 from tests.frame.conftest import ball
 from tests.loaded import load_scene
 

@@ -1,0 +1,120 @@
+"""The material of a scene's surface, as its file says, and what a scene of it cannot have."""
+
+from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import MATERIAL_NUMBERS, MaterialSettings, Settings
+from isogi_core.model.lights import LARGEST_LIGHT, Colour, Lamp, Light
+from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS, Material
+from isogi_core.model.scene_plan import LeftOut, Saving
+from isogi_core.model.volume import Volume
+
+DEFAULT_FREE_PATH = 0.02
+"""The mean free path of a subsurface that gives none, over the radius of its volume."""
+
+EXCLUDED_SETTINGS = {
+    "glass": {"albedo": "it reflects no diffuse light"}
+    | dict.fromkeys(("clear", "transmission"), "it lets light pass by its index already"),
+    "subsurface": dict.fromkeys(("clear", "transmission"), "it lets light in already"),
+}
+"""What a scene of one of these cannot have, and why."""
+
+BESIDE_BOTH = {
+    "albedos": "its light is baked for one colour",
+    "shine": "it shines by no lobe",
+    "glow": "glow is not seen through it",
+    "surfaces": "it lies alone",
+    "volumes": "it has one colour",
+    "labels": "it has one colour",
+}
+"""What no scene can have whose surface rays pass, and why."""
+
+MIN_SUBSURFACE_ALBEDO = 0.01
+"""Least albedo of a subsurface: what its texels keep is over that."""
+
+
+def read_material(settings: Settings, volume: Volume) -> Material:
+    """What the scene's surface is made of. SceneError where a value has no meaning, or the scene
+    has what it cannot.
+    """
+    kind = settings.choice("material", MATERIALS) or MATERIALS[0]
+    given = settings.source.document
+    index = settings.number("index", WINDOW_GLASS, *INDICES)
+    absorption = _material_colour(settings, "absorption")
+    path = settings.number("mean_free_path", DEFAULT_FREE_PATH * volume.radius, 0.0, LARGEST_LIGHT)
+    for key, of in MATERIAL_NUMBERS.items():
+        if key in given and of != kind:
+            raise SceneError(
+                f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.'
+            )
+    if kind == "diffuse":
+        return DIFFUSE
+    for key, why in (BESIDE_BOTH | EXCLUDED_SETTINGS[kind]).items():
+        if key in given:
+            raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
+    if kind == "glass":
+        return Material(kind, index, absorption)
+    if min(settings.colour("albedo", 0.7)) < MIN_SUBSURFACE_ALBEDO:
+        raise SceneError(
+            "The albedo of a subsurface is what scattering leaves: "
+            f"give {MIN_SUBSURFACE_ALBEDO:g} or more of each colour."
+        )
+    return Material(kind, mean_free_path=path)
+
+
+def material_settings(material: Material) -> MaterialSettings:
+    """The settings of a scene whose surface is of this ``material``, with all of its numbers."""
+    given = {
+        name: getattr(material, name)
+        for name, kind in MATERIAL_NUMBERS.items()
+        if kind == material.kind
+    }
+    if "absorption" in given and len({*given["absorption"]}) == 1:
+        given["absorption"] = given["absorption"][0]
+    return {"material": material.kind, **given}
+
+
+def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:
+    """Raise SceneError where there are lamps that light inside a surface of this ``material``
+    cannot meet.
+    """
+    if material.scatters and any(isinstance(light, Lamp) for light in lights):
+        raise SceneError(
+            "Lamps do not reach inside a subsurface: make them walls with radiance, or an "
+            "environment."
+        )
+
+
+def _material_colour(settings: Settings, key: str) -> Colour:
+    """A number for all three channels, or three; 0 where it is left out."""
+    given = tuple(float(value) for value in settings.listed(key)) or (0.0,)
+    if len(given) not in (1, 3):
+        raise SceneError(
+            f"{key} in the scene '{settings.source.name}' has {len(given)} numbers: give one, "
+            "or three."
+        )
+    red, green, blue = given * 3 if len(given) == 1 else given
+    return red, green, blue
+
+
+def unrefracted(material: Material, lights: tuple[Light, ...], sharp: bool) -> tuple[LeftOut, ...]:
+    """What a surface of this ``material`` leaves out: texels, and caustics of lamps that no ray can
+    meet.
+
+    The environment may be ``sharp``: a sun or another bright part of it is met by few rays.
+    """
+    if not material.refracts:
+        return ()
+    texels = "Glass has no light of its own: what is seen through it is on the walls, or outside."
+    found = [LeftOut("texels of the isosurface", texels, (Saving(100, "percent of all texels"),))]
+    names = sorted({light.name for light in lights if isinstance(light, Lamp)})
+    if names:
+        why = (
+            "No ray that is refracted meets it, so that glass casts a shadow: make it a wall "
+            "with radiance."
+        )
+        found.append(LeftOut(f"caustics of the light '{', '.join(names)}'", why))
+    if sharp:
+        why = (
+            "Few rays that are refracted meet its bright parts: their caustics stay noisy for long."
+        )
+        found.append(LeftOut("a smooth caustic of the environment", why))
+    return tuple(found)
