@@ -19,23 +19,24 @@ from functools import cache
 import numpy as np
 
 MAX_NODES = 6
-"""Most nodes."""
+"""Most nodes of a layer: each takes a channel of every texel."""
 
 ESCAPE_CHANCES = np.geomspace(1e-3, 0.98, 96)
-"""Chances f to leave at each hit that the weights are fitted to: from deep cavities to nearly open
-places.
+"""Chances f to leave at each hit for which the weights are fitted: from deep cavities to nearly
+open places.
 """
 
 EVALUATED_ALBEDOS = 48
-"""Albedos at which the error is evaluated."""
+"""Number of even steps of the albedo at whose ends ``mixing_error`` is evaluated."""
 
 
 @cache
 def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]:
-    """Choose the fewest nodes up to an albedo ``most`` at which paths of ``bounces`` have the
-    ``allowed`` error.
+    """Choose the fewest nodes up to an albedo ``most`` with which light of ``bounces`` has at most
+    the ``allowed`` error.
 
-    The error is relative to all light of a texel. Where it is never reached, MAX_NODES nodes.
+    The error is relative to all light of a texel. If MAX_NODES nodes do not reach it, they are
+    returned.
     """
     tries = (spread_nodes(count, most, bounces) for count in range(1, MAX_NODES + 1))
     return next(
@@ -45,10 +46,10 @@ def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]
 
 
 def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
-    """``count`` nodes up to ``most``, even in the logarithm of 1 - R, as light of deep cavities
-    varies.
+    """Return ``count`` ascending albedos up to ``most``, evenly spaced in the logarithm of 1 - R,
+    as light of deep cavities varies.
 
-    Where paths are short the last nodes are farther from 1.
+    With few ``bounces`` the light varies less near 1, and the last nodes are farther apart from it.
     """
     depth = min(most, 1.0 - 1.0 / (bounces + 1))
     steps = np.arange(1, count + 1) / count
@@ -57,8 +58,8 @@ def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
 
 @cache
 def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
-    """The largest error of light mixed from ``nodes``, over all light of a texel, at any lower
-    albedo.
+    """Return the largest error of light mixed from ``nodes``, relative to all light of a texel,
+    over all lower albedos and ESCAPE_CHANCES.
     """
     kept = reflected_light(np.array(nodes), bounces)
     albedos = nodes[-1] * np.arange(1, EVALUATED_ALBEDOS) / EVALUATED_ALBEDOS
@@ -69,11 +70,13 @@ def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
 
 @cache
 def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.ndarray:
-    """The weights v_j(R) of the light kept at each of the ``nodes`` at an ``albedo``; (nodes,)
-    float64.
+    """Return the weights v_j(R) of the light kept at each of the ``nodes`` for an ``albedo`` R;
+    (nodes,) float64, read-only.
     """
     kept = reflected_light(np.array(nodes), bounces)
     light = reflected_light(np.array([albedo]), bounces)
+    # Fit relative to all light, direct and reflected, so that the error is even over cavities and
+    # open places.
     whole = ESCAPE_CHANCES[:, None] + light
     weights = np.linalg.lstsq(kept / whole, (light / whole)[:, 0], rcond=None)[0]
     weights.flags.writeable = False
@@ -81,8 +84,8 @@ def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.
 
 
 def reflected_light(albedos: np.ndarray, bounces: int) -> np.ndarray:
-    """Σ R^k f (1 - f)^k over k = 1 … ``bounces``, for each of ESCAPE_CHANCES and each of
-    ``albedos``; (chances, albedos).
+    """Return Σ R^k f (1 - f)^k over k = 1 … ``bounces``, for each f of ESCAPE_CHANCES and each
+    R of ``albedos``; (chances, albedos).
     """
     ratio = albedos * (1.0 - ESCAPE_CHANCES)[:, None]
     return np.asarray(ESCAPE_CHANCES[:, None] * ratio * (1.0 - ratio**bounces) / (1.0 - ratio))

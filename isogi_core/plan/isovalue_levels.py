@@ -17,13 +17,13 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.projection import RANGE_BINS, edges_between, extremes_between
 
 LEVEL_VOXELS = 1.0
-"""How far a surface moves from one level to the next, in voxels on the average."""
+"""Distance in voxels that a surface moves on average from one level to the next."""
 
 MAX_READ_VOXELS = 1 << 26
-"""Voxels that are read of a volume, about: of a larger one every so manyth layer."""
+"""Voxels that are read of a volume, about; of a larger one layers are skipped evenly."""
 
 CELLS_PER_VOXEL = 1.5
-"""Cells that a surface meets for each voxel of its area: the mean of |nx| + |ny| + |nz| over all
+"""Cells that a surface meets per voxel of its area: the mean of |nx| + |ny| + |nz| over all
 unit normals n.
 """
 
@@ -31,20 +31,24 @@ unit normals n.
 def find_levels(
     volume: Volume, isovalues: tuple[float, float], named: Iterable[float]
 ) -> tuple[float, ...]:
-    """The levels of a range, ascending in the units of the volume's file: its ends, and those that
-    are ``named``, too.
+    """Return the levels of a range of ``isovalues``, ascending in the units of the volume's file.
 
-    A view of a level mixes nothing.
+    The ends of the range are levels, and so are the isovalues that are ``named``: a view of a level
+    needs no mixing.
     """
     first, last = sorted(isovalues)
     span = float(volume.normalise_isovalue(first)), float(volume.normalise_isovalue(last))
     if span[0] == span[1]:
         return (first,)
+    # Sum the distance that the surface moves, from the first isovalue to each edge of the range's
+    # parts.
     each = mean_ways(volume, (min(span), max(span)))
     ways = np.append(0.0, np.cumsum(each if span[0] < span[1] else each[::-1]))
     edges = np.linspace(first, last, RANGE_BINS + 1)
     found = {first, last}
     found |= {level for level in named if first <= level <= last}
+    # Divide each gap between fixed levels so that the surface moves equally far from level to
+    # level. Parts without any surface are left out, as distance cannot be inverted there.
     onward = np.append(True, np.diff(ways) > 0.0)
     for one, other in pairwise(sorted(found)):
         near, far = np.interp([one, other], edges, ways)
@@ -58,13 +62,15 @@ def find_levels(
 
 
 def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
-    """How far the surface moves through each of RANGE_BINS even parts of a ``span`` of normalised
-    isovalues, in voxels.
+    """Return the distance in voxels that the surface moves through each of RANGE_BINS even parts of
+    a ``span`` of normalised isovalues; (RANGE_BINS,) float64.
 
-    (RANGE_BINS,) float64. A cell is passed at an even speed from its least corner to its greatest
-    one: in 1 / (high - low) voxels for each step of the isovalue, over CELLS_PER_VOXEL, as large as
-    the way is along its normal.
+    The surface crosses a cell at an even speed as the isovalue goes from the cell's least corner to
+    its greatest: in the direction of an axis it moves 1 / (high - low) voxels per unit of the
+    isovalue. CELLS_PER_VOXEL converts the mean over cells to the distance along the normal.
     """
+    # Count the cells that each part meets and sum their speeds, by differences at both ends of a
+    # cell's range.
     sums = np.zeros((2, RANGE_BINS + 1))
     for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // MAX_READ_VOXELS)):
         low, high = extremes_between(edges_between(volume.voxels[z], volume.voxels[z + 1]))
@@ -80,6 +86,7 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
             sums[row] += np.bincount(first, counts, RANGE_BINS + 1) - np.bincount(
                 last, counts, RANGE_BINS + 1
             )
+    # Integrate the differences; parts without a cell have no surface that could move.
     cells, speeds = np.cumsum(sums, axis=1)[:, :RANGE_BINS]
     return np.where(cells > 0.5, CELLS_PER_VOXEL * speeds / np.maximum(cells, 1.0), 0.0)
 
@@ -87,11 +94,11 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
 def levels_around(
     levels: Sequence[float], pinned: Iterable[float], shown: float
 ) -> tuple[tuple[float, float], ...]:
-    """The ``levels`` around an isovalue ``shown``, and what each counts: one of them, or two that
-    it is between.
+    """Return the ``levels`` around an isovalue ``shown`` with the weight of each: one level, or the
+    two that it lies between.
 
-    Where a ``pinned`` surface is there, too, it is ``shown`` itself: light jumps where one surface
-    passes another.
+    If a ``pinned`` surface lies between these two as well, the isovalue itself is returned: light
+    jumps where one surface passes another, and must not be mixed across.
     """
     k = bisect_left(levels, shown)
     if k in (0, len(levels)) or levels[k] == shown:

@@ -8,14 +8,14 @@ from isogi_core.model.scene_plan import LeftOut, Saving
 from isogi_core.model.volume import Volume
 
 DEFAULT_FREE_PATH = 0.02
-"""The mean free path of a subsurface that gives none, over the radius of its volume."""
+"""Mean free path of a subsurface whose scene gives none, over the radius of its volume."""
 
 EXCLUDED_SETTINGS = {
     "glass": {"albedo": "it reflects no diffuse light"}
     | dict.fromkeys(("clear", "transmission"), "it lets light pass by its index already"),
     "subsurface": dict.fromkeys(("clear", "transmission"), "it lets light in already"),
 }
-"""What a scene of one of these cannot have, and why."""
+"""Keys that a scene of each material cannot have, and the reason."""
 
 BESIDE_BOTH = {
     "albedos": "its light is baked for one colour",
@@ -25,21 +25,24 @@ BESIDE_BOTH = {
     "volumes": "it has one colour",
     "labels": "it has one colour",
 }
-"""What no scene can have whose surface rays pass, and why."""
+"""Keys that no scene can have if rays pass its surface, glass or subsurface, and the reason."""
 
 MIN_SUBSURFACE_ALBEDO = 0.01
-"""Least albedo of a subsurface: what its texels keep is over that."""
+"""Least albedo of a subsurface: its texels keep light divided by the albedo."""
 
 
 def read_material(settings: Settings, volume: Volume) -> Material:
-    """What the scene's surface is made of. SceneError where a value has no meaning, or the scene
-    has what it cannot.
+    """Read the material of the scene's surface.
+
+    Raises SceneError if a value has no meaning, a number belongs to another material, or the scene
+    has a key that its material excludes.
     """
     kind = settings.choice("material", MATERIALS) or MATERIALS[0]
     given = settings.source.document
     index = settings.number("index", WINDOW_GLASS, *INDICES)
     absorption = _material_colour(settings, "absorption")
     path = settings.number("mean_free_path", DEFAULT_FREE_PATH * volume.radius, 0.0, LARGEST_LIGHT)
+    # Refuse numbers of other materials, which would change nothing.
     for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
             raise SceneError(
@@ -47,6 +50,7 @@ def read_material(settings: Settings, volume: Volume) -> Material:
             )
     if kind == "diffuse":
         return DIFFUSE
+    # Refuse keys that do not go with this material.
     for key, why in (BESIDE_BOTH | EXCLUDED_SETTINGS[kind]).items():
         if key in given:
             raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
@@ -61,7 +65,7 @@ def read_material(settings: Settings, volume: Volume) -> Material:
 
 
 def material_settings(material: Material) -> MaterialSettings:
-    """The settings of a scene whose surface is of this ``material``, with all of its numbers."""
+    """Return the scene keys that make a surface of this ``material``, with all of its numbers."""
     given = {
         name: getattr(material, name)
         for name, kind in MATERIAL_NUMBERS.items()
@@ -73,8 +77,8 @@ def material_settings(material: Material) -> MaterialSettings:
 
 
 def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:
-    """Raise SceneError where there are lamps that light inside a surface of this ``material``
-    cannot meet.
+    """Raise SceneError if there are lamps and the ``material`` scatters: paths inside it cannot
+    meet lamps.
     """
     if material.scatters and any(isinstance(light, Lamp) for light in lights):
         raise SceneError(
@@ -84,7 +88,9 @@ def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:
 
 
 def _material_colour(settings: Settings, key: str) -> Colour:
-    """A number for all three channels, or three; 0 where it is left out."""
+    """Read one number for all three channels, or three numbers; 0 if the ``key`` is not given.
+    Raises SceneError for any other count.
+    """
     given = tuple(float(value) for value in settings.listed(key)) or (0.0,)
     if len(given) not in (1, 3):
         raise SceneError(
@@ -96,10 +102,10 @@ def _material_colour(settings: Settings, key: str) -> Colour:
 
 
 def unrefracted(material: Material, lights: tuple[Light, ...], sharp: bool) -> tuple[LeftOut, ...]:
-    """What a surface of this ``material`` leaves out: texels, and caustics of lamps that no ray can
-    meet.
+    """List the things that a surface of this ``material`` leaves out: its texels, and caustics of
+    lamps that no ray can meet.
 
-    The environment may be ``sharp``: a sun or another bright part of it is met by few rays.
+    ``sharp`` says that the environment has bright parts, which few rays meet.
     """
     if not material.refracts:
         return ()

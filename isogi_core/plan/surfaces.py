@@ -23,19 +23,23 @@ from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.materials import read_material
 
 BARE_ALBEDOS = (0.0, 1.0)
-"""The albedos that views may ask for where nothing is reflected."""
+"""Range of albedos that views may ask for if no light is reflected: any albedo is then right."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSurfaces:
-    """The surface that slides, and others that are ``pinned``.
+    """The surfaces of a scene: the one that slides with the isovalue, and others that are
+    ``pinned``.
 
-    ``albedo`` is linear RGB. ``albedos`` are the least and the most that views may ask for in its
-    place; None where light is baked for ``albedo`` alone. ``colours`` are those of the surface by
-    data, None where it has the one ``albedo``; that is then their brightest. ``shine`` is None
-    where the surface is diffuse, and views may then ask for none. The share ``clear`` of rays
-    passes straight through the surface that slides, and of the light that falls on one side of it
-    its ``transmission``, linear RGB, leaves the other, diffuse.
+    - ``albedo``: of the sliding surface, linear RGB; the brightest of ``colours`` if there are any.
+    - ``albedos``: least and highest albedo that views may ask for; None if light is baked for
+      ``albedo`` alone.
+    - ``colours``: the albedo by data; None if the surface has one albedo.
+    - ``shine``: None if the surface is diffuse, and views may not ask for shine.
+    - ``material``: of the sliding surface.
+    - ``clear``: share of rays that pass straight through the sliding surface.
+    - ``transmission``: share of the light falling on one side that leaves the other, diffuse,
+      linear RGB.
     """
 
     albedo: Colour
@@ -49,19 +53,21 @@ class SceneSurfaces:
 
     @property
     def several(self) -> bool:
-        """Whether light may meet more than one side of one surface: there are others, or some gets
-        through this one.
+        """Whether light may meet more than one side of one surface: there are pinned surfaces,
+        or light gets through the sliding one.
         """
         return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
 
     @property
     def passed(self) -> bool:
-        """Whether light passes surfaces, or enters one: it is then baked as it falls."""
+        """Whether light passes through some surface or enters it; such light is baked as it
+        falls, and cannot be turned.
+        """
         return self.several or self.material.scatters
 
     @property
     def transmits(self) -> bool:
-        """Whether light gets through any of the surfaces, diffuse."""
+        """Whether any of the surfaces transmits diffuse light."""
         return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
 
     @property
@@ -73,7 +79,7 @@ class SceneSurfaces:
 
     @property
     def met(self) -> tuple[Colour, ...]:
-        """The albedos that paths meet beside the one of a surface that lies alone."""
+        """The albedos that paths meet in addition to the one of a surface that lies alone."""
         pinned = (share for each in self.pinned for share in (each.albedo, each.leaving))
         if self.passed:
             return (*pinned, self.albedo)
@@ -81,8 +87,8 @@ class SceneSurfaces:
 
     @property
     def company(self) -> list[Any]:
-        """What digests hold of surfaces beside each other; nothing where there is one, and no light
-        gets through.
+        """The part of digests that describes several surfaces; empty for one surface that lets
+        no light through.
         """
         others = sorted(each.facts for each in self.pinned)
         if any(self.transmission):
@@ -95,7 +101,7 @@ class SceneSurfaces:
 
     @property
     def matter(self) -> list[Any]:
-        """What digests hold of the surface's material; nothing where it is diffuse."""
+        """The part of digests that describes the surface's material; empty for a diffuse one."""
         material = self.material
         facts = material.kind, material.index, *material.absorption
         if material == DIFFUSE:
@@ -104,14 +110,15 @@ class SceneSurfaces:
 
     @property
     def by_data(self) -> list[Any]:
-        """What digests hold of the surface's colours; nothing where there are none."""
+        """The part of digests that describes the surface's colours; empty if there are none."""
         if self.colours is None:
             return []
         return ["colours", self.colours.digest]
 
     def albedo_for(self, asked: Colour | None) -> Colour:
-        """The albedo that a view has ``asked`` for, else the scene's own. ViewError where no light
-        is baked for it.
+        """Return the albedo that a view has ``asked`` for, or the scene's if it asked for none.
+
+        Raises ViewError if light is not baked for that albedo.
         """
         if asked is not None and self.colours is not None:
             raise ViewError(
@@ -138,15 +145,15 @@ class SceneSurfaces:
         return asked
 
     def leaving_for(self, asked: Colour | None) -> Colour:
-        """What counts of texels' light in a view that has ``asked`` for an albedo. ViewError as
-        ``albedo_for``.
+        """Return the factor on texels' light in a view that has ``asked`` for an albedo: albedo
+        plus transmission. Raises ViewError as ``albedo_for`` does.
         """
         return leaving(self.albedo_for(asked), self.transmission)
 
     def shine_for(self, asked: Shine | None) -> Shine | None:
-        """The shine that a view has ``asked`` for, else the scene's own; None where nothing shines.
+        """Return the shine that a view has ``asked`` for, or the scene's; None if nothing shines.
 
-        ViewError where views of this scene may not ask for any.
+        Raises ViewError if views of this scene may not ask for that shine.
         """
         shine = asked or self.shine
         if shine is None or shine.strength == 0.0:
@@ -166,8 +173,10 @@ class SceneSurfaces:
 def read_surfaces(
     settings: Settings, volume: Volume, colours: SurfaceColours | None, overrides: PlanOverrides
 ) -> SceneSurfaces:
-    """The scene's surfaces. SceneError where a value has no meaning, or the scene has what cannot
-    go together.
+    """Read the surfaces of a scene from its ``settings``.
+
+    ``colours`` are those of the surface by data, if any. Raises SceneError if a value has no
+    meaning, or the scene combines what cannot go together.
     """
     albedo = read_albedo(settings, colours)
     return SceneSurfaces(
@@ -183,8 +192,9 @@ def read_surfaces(
 
 
 def read_albedo(settings: Settings, colours: SurfaceColours | None) -> Colour:
-    """The albedo of the surface; the most that ``colours`` reflect where it has these. SceneError
-    where both are given, or a range of albedos.
+    """Read the albedo of the sliding surface; if it has ``colours``, return the brightest of these.
+
+    Raises SceneError if the scene has colours and also gives an albedo or a range of albedos.
     """
     if colours is None:
         return settings.colour("albedo", 0.7)
@@ -199,8 +209,9 @@ def read_albedo(settings: Settings, colours: SurfaceColours | None) -> Colour:
 def choosable(
     albedo: Colour, colours: SurfaceColours | None, overrides: PlanOverrides
 ) -> tuple[float, float] | None:
-    """The range of albedos that views may ask for; None where light is baked for one. SceneError
-    where the scene's own ``albedo`` is not in it.
+    """Return the range of albedos that views may ask for; None if light is baked for one albedo.
+
+    Raises SceneError if the scene's ``albedo`` lies outside of its range.
     """
     albedos = overrides.albedos
     if albedos is None:
@@ -217,8 +228,8 @@ def choosable(
 
 
 def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:
-    """The scene's shine; None where its surface is diffuse. SceneError where it has no meaning, or
-    none with ``colours``.
+    """Read the scene's shine; None if its surface is diffuse. Raises SceneError if the shine
+    has no meaning, or is metal on a surface with ``colours``.
     """
     table = settings.table("shine")
     if table is None:
@@ -233,8 +244,8 @@ def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | No
 def read_pinned(
     settings: Settings, volume: Volume, colours: SurfaceColours | None
 ) -> tuple[PinnedSurface, ...]:
-    """The scene's [[surfaces]]. SceneError where one has no meaning, or the scene cannot have
-    any.
+    """Read the scene's [[surfaces]]. Raises SceneError if one has no meaning, or the scene
+    cannot have several surfaces.
     """
     found = pinned_surfaces(settings.tables("surfaces"), volume)
     if found:
@@ -243,7 +254,9 @@ def read_pinned(
 
 
 def read_clear(settings: Settings, colours: SurfaceColours | None) -> float:
-    """The share of rays that passes the surface which slides. SceneError as ``read_pinned``."""
+    """Read the share of rays that pass through the sliding surface. Raises SceneError as
+    ``read_pinned`` does.
+    """
     clear = settings.number("clear", 0.0, 0.0, 1.0)
     if clear > 0.0:
         refuse_company(settings, colours, "clear")
@@ -251,10 +264,11 @@ def read_clear(settings: Settings, colours: SurfaceColours | None) -> float:
 
 
 def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColours | None) -> Colour:
-    """The share of light that gets through the surface which slides, of this ``albedo``, diffuse,
+    """Read the share of light that the sliding surface, of this ``albedo``, transmits, diffuse,
     linear RGB.
 
-    SceneError as ``read_pinned``, and where more light would leave than falls on it.
+    Raises SceneError as ``read_pinned`` does, and if more light would leave the surface than falls
+    on it.
     """
     transmission = settings.colour("transmission", 0.0)
     if any(transmission):
@@ -264,7 +278,9 @@ def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColour
 
 
 def refuse_company(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
-    """Raise SceneError where the scene has what several surfaces are not lit with yet."""
+    """Raise SceneError if the scene has a feature that several surfaces cannot be lit with.
+    ``what`` is the key that makes the surfaces several.
+    """
     beside = {"colours by data": colours is not None}
     beside |= {"a shine": settings.table("shine") is not None}
     beside |= {"albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None}
