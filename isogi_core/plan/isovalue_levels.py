@@ -65,9 +65,9 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     """Return the distance in voxels that the surface moves through each of RANGE_BINS even parts of
     a ``span`` of normalised isovalues; (RANGE_BINS,) float64.
 
-    The surface crosses a cell at an even speed as the isovalue goes from the cell's least corner to
-    its greatest: in the direction of an axis it moves 1 / (high - low) voxels per unit of the
-    isovalue. CELLS_PER_VOXEL converts the mean over cells to the distance along the normal.
+    From a cell's least corner to its greatest the surface moves |nx| + |ny| + |nz| voxels along its
+    normal n, CELLS_PER_VOXEL on average, at an even speed. The result is the mean over the cells
+    that each part meets.
     """
     # Count the cells that each part meets and sum their speeds, by differences at both ends of a
     # cell's range.
