@@ -1,5 +1,5 @@
 """Noise of texels' light: its estimate, the error at which a texel is good enough, and the
-samples that takes.
+number of samples that this takes.
 """
 
 import math
@@ -23,8 +23,8 @@ from isogi_core.model.scene_plan import (
 from isogi_core.plan.albedo_nodes import mixing_weights
 
 FLOOR = 0.5
-"""Share of unoccluded light: texels darker than this are judged by its error, not by that of
-their own small light.
+"""Share of unoccluded light: the error of darker texels is relative to this light, not to their
+small one.
 """
 
 DECAYS: Mapping[str, tuple[float, float]] = {
@@ -34,21 +34,21 @@ DECAYS: Mapping[str, tuple[float, float]] = {
     "irradiance": (0.42, 0.42),
     "glow": (0.42, 0.42),
 }
-"""Factors by which twice the samples reduce the variance of band 0, and the excess of the bands
+"""Factors by which doubling the samples reduces the variance of band 0, and the excess of the bands
 above it, by kind of layer.
 
 Points are stratified, and direct light is smooth between its edges, so that it gains most; plain
-random points, and nearly long paths, keep one half. Mean squares of differences of halves over 16
-to 1024 samples, on two views each of the engine, the CT head, the bonsai, the MNI brain, the
-casting and the orbital: within a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band 0 of direct
-light, and 0.22 to 0.30 above it.
+random points, and almost also long paths, have one half. From mean squares of differences of halves
+over 16 to 1024 samples, on two views each of the engine, the CT head, the bonsai, the MNI brain,
+the casting and the orbital: right within a tenth, except 0.35 (orbital) to 0.41 (bonsai) for band 0
+of direct light, and 0.22 to 0.30 above it.
 """
 
 BAND_0 = np.array([0.75, 1 / 12, 1 / 12, 1 / 12])
 """Weights of the coefficients of bands 0 and 1 in the variance of band 0.
 
-Band 0's own difference of two halves is a single number, and says too little; band 1 comes from the
-same paths, and is scaled to band 0 by ``evenness``.
+The difference of two halves in band 0 is a single number, and says too little; band 1 comes from
+the same paths, and is scaled to band 0 by ``evenness``.
 """
 
 
@@ -111,8 +111,8 @@ def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def level(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Return the luminance that each texel's error is relative to: its own, or that of FLOOR;
-    (texels,) float64.
+    """Return the luminance that each texel's error is relative to: the texel's, but at least
+    FLOOR of unoccluded light; (texels,) float64.
     """
     return np.maximum(mean_luminance(light, spec), least_level(spec))
 
@@ -130,7 +130,7 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Return whether each texel is good enough for pictures of a ``target`` error, or void;
+    """Return which texels are good enough for pictures of a ``target`` error, or void;
     (texels,) bool.
     """
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
@@ -148,11 +148,11 @@ class Until(NamedTuple):
 def good_enough(
     error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """Return whether texels of this relative ``error`` need no more samples for a ``target`` error;
+    """Return which texels of this relative ``error`` need no more samples for a ``target`` error;
     bool.
 
-    Their error is within ``texel_target``, or their ``samples`` are spent: the limit of the target,
-    or ``enough`` for the picture that reads them.
+    Their error is within ``texel_target``, or their ``samples`` have reached the limit of the
+    target, or ``enough`` for the picture that reads them.
     """
     spent = samples >= min(most_samples(target), enough)
     return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
@@ -268,9 +268,10 @@ points falls about as n^-2/3.
 class Effort(NamedTuple):
     """Samples that texels need which are not final.
 
-    ``unlit`` texels hold no light yet; they are ``expected`` to take that many samples, 0 if
-    nothing is known of them. The other ``lit`` ones have ``taken`` samples together, and are
-    predicted to take ``left`` more.
+    - ``unlit``: number of texels without light; ``expected``: samples that they are expected to
+      take, 0 if unknown.
+    - ``lit``: number of the others; ``taken``: samples that these have together; ``left``: samples
+      that they are predicted to take in addition.
     """
 
     unlit: int
@@ -284,7 +285,7 @@ class Effort(NamedTuple):
         cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
     ) -> Self:
         """Return the effort of texels by their relative ``error`` and their ``samples``; void
-        ones are left out.
+        texels do not count.
         """
         unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[
             0

@@ -184,8 +184,8 @@ def next_samples(
     """Return the samples of the parts that climb next, (texels,) int; -1 if a texel is final and no
     part lags.
 
-    A part that was lost, or not written before a kill, lags: it takes its samples once more, which
-    are of no use to the other parts.
+    A part lags if it was lost, or not written before a kill: it takes its samples once more, which
+    the other parts do not need.
     """
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
@@ -211,7 +211,9 @@ Sampler = Callable[
     [Sequence[Layer], Place, np.ndarray, BakeSpec, int, int],
     Iterator[tuple[np.ndarray, np.ndarray]],
 ]
-"""Function that draws samples for some layers: see ``sample_transfer``."""
+"""Function that draws samples for some layers of the same paths: layers, place, void, spec,
+samples so far, and number of new ones. It yields sums as ``sample_transfer`` does.
+"""
 
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
@@ -366,8 +368,8 @@ def sample_irradiance(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield sums of the irradiance of fixed light, without squares; a layer with one channel
-    takes the first of three equal ones.
+    """Yield sums of the irradiance of fixed light, and zeros in place of squares; a layer with
+    one channel takes the first of three equal ones.
     """
     prepared = spec.prepared
     sums = np.zeros((len(void), 2, 3))
@@ -392,8 +394,7 @@ def sample_irradiance(
 def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
     """Return the path weights of a ``layer``.
 
-    Light from inside of a scattering material is B/π over the albedo, as frames multiply by the
-    albedo.
+    Light from within a scattering material is kept divided by the albedo, as frames multiply by it.
     """
     scene = spec.prepared.scene
     if scene.surfaces.material.scatters:
@@ -470,8 +471,8 @@ def keeps(spec: BakeSpec) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Remains:
-    """What a cut leaves: the ``box`` of ``box_left``, and the least and greatest value
-    ``beyond`` it.
+    """The part of a volume that a cut leaves: the ``box`` of ``box_left``, and the range of
+    values ``beyond`` it.
     """
 
     box: np.ndarray
@@ -479,7 +480,7 @@ class Remains:
 
     @classmethod
     def of(cls, volume: Volume, left: Ranges) -> Self:
-        """Describe what is left of a ``volume`` of which only some voxels are."""
+        """Describe the rest of a ``volume`` of which the voxels ``left`` remain."""
         box = box_left(left, volume.size)
         return cls(box, values_beyond(volume, box))
 
@@ -512,8 +513,8 @@ def find_kept(
 
 
 def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
-    """Yield the paths that some ``parts`` took: which texels (m,) bool, samples in each half, and
-    bounces.
+    """Yield the paths that ``parts`` took, level by level: which texels (m,) bool took them, their
+    samples in each half, and their bounces.
 
     Paths of parts without reflected light end with their first ray.
     """
@@ -529,8 +530,8 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
 
 
 def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
-    """Return which texels took this number of ``samples`` in any part with ``reflected`` light,
-    or without; (m,) bool.
+    """Return which texels took at least ``samples`` in any part with ``reflected`` light, or
+    without; (m,) bool.
     """
     own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
     return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])

@@ -1,4 +1,6 @@
-"""The material of a scene's surface, as its file says, and what a scene of it cannot have."""
+"""The material of a scene's surface, read from its file, and the keys that a scene of it cannot
+have.
+"""
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import MATERIAL_NUMBERS, MaterialSettings, Settings

@@ -191,8 +191,8 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     """Derive the plan of a scene from its ``inputs``, with the scene's ``overrides`` in place of
     the planner's choices.
 
-    Raises LightError if the lights are beyond what frames can hold, and SceneError if the overrides
-    do not fit the inputs or change nothing.
+    Raises LightError if the lights are too bright or too dim for frames, and SceneError if the
+    overrides do not fit the inputs or change nothing.
     """
     refuse_brightness(inputs)
     # Choose the number of bounces: none if nothing reflects light, or if the scene asks for

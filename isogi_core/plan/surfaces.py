@@ -1,4 +1,6 @@
-"""The surfaces of a scene: what they reflect, let through and shine with, as its file says."""
+"""The surfaces of a scene: albedo, material, shine, transmission and pinned surfaces, read from
+its file.
+"""
 
 from dataclasses import dataclass
 from typing import Any
