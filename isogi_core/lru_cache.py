@@ -173,11 +173,13 @@ class LruCache(Generic[K]):
         """Drop the oldest results until the rest fits: first those of the kind of the
         ``newest``, then any. The last of each stays.
         """
+        # The kind's limit first: drop its oldest results, but not the last.
         if newest in self._kinds and self._kinds[newest] > self._limits[newest]:
             for key in [key for key in self._made if result_kind(key) == newest][:-1]:
                 if self._kinds[newest] <= self._limits[newest]:
                     break
                 self._pop(key)
+        # Then the limit of all results.
         while self._total > self._most and len(self._made) > 1:
             self._pop(next(iter(self._made)))
 

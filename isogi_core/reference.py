@@ -154,6 +154,8 @@ def from_sums(
 ) -> Reference:
     """Make the reference whose replicas have ``count`` samples each, from their ``sums``."""
     height, width = gbuffer.shape
+    # Scatter the pixels of the surface into the picture; the spread of the replicas gives the
+    # variance of their mean.
     mean = np.zeros((height * width, 3), np.float32)
     variance = np.zeros(height * width, np.float32)
     on = np.zeros(height * width, np.bool_)
@@ -174,6 +176,7 @@ def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
     """
     if bounces is None:
         bounces = bounces_for(scene.inputs.reflecting, MAX_LOST_LIGHT / BOUNCES_SHARE)
+    # Roulette follows from the bounces.
     survival = survival_for(scene.inputs.reflecting, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 
@@ -224,6 +227,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     """Read the reference of ``view`` from a file. Raises OSError, and ReportError if the file
     is damaged or of another subject.
     """
+    # Read the file; anything but a complete archive of this format is refused.
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
@@ -237,6 +241,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
         raise ReportError(
             f"{path} is no whole reference ({error}): remove it, or name another file."
         ) from None
+    # Refuse a reference of another subject, and say what the file holds.
     if kept["subject"] != subject_of(scene, view):
         described = (
             "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
@@ -274,6 +279,7 @@ class Goal:
             return max(self.samples, reference.samples)
         if self.noise is None:
             return None
+        # Noise falls as samples^(-1 / NOISE_DECAY), and rounds double the samples.
         wanted = reference.samples * max(reference.noise / self.noise, 1.0) ** NOISE_DECAY
         return int(2 ** math.ceil(math.log2(wanted)))
 

@@ -224,6 +224,7 @@ class BakeSpec:
         numbers = [
             number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW_KIND
         ]
+        # Direct light is without lobes, and so is a group of its own.
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [
             group for group in (straight, tuple(i for i in numbers if i not in straight)) if group
@@ -323,11 +324,14 @@ class BakeSpec:
         and so their errors add.
         """
         if isinstance(layer, GlowLayer):
+            # All glows count as the brightest of them.
             brightest = self.glow_weights(layer).reshape(layer.glows, -1).sum(axis=1).max()
             return np.array([(layer.glows * brightest) ** 2])
+        # Sum the energy of the light in each band; frames read no band beyond the light's order.
         bands = np.arange(min(layer.order, self.term_of(layer).order))
         light = self.term_of(layer).luminance.sum(axis=0)[: len(bands) ** 2]
         energy = np.add.reduceat(light**2, bands**2)
+        # Growth of the variance with the band, 1 on average over the bands above 0.
         growth = bands**2 / max(
             (np.arange(1, layer.order) ** 2).sum() / max(layer.order - 1, 1), 1.0
         )
@@ -386,6 +390,8 @@ class BakeSpec:
         """Return the rules of ``shares`` and ``squares`` for a surface with colours, in rows
         with harmonics of these ``orders``.
         """
+        # First a row for each channel of each layer, then a row for the square of each layer's
+        # luminance.
         mixes = [np.eye(layer.channels, 3) for layer in layers]
         squares = [np.pad(self.mix(layer), (0, 3 - layer.channels))[None] for layer in layers]
         reflected = np.array([float(layer.reflected) for layer in layers])

@@ -233,10 +233,12 @@ def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
     """
     terms = spec.terms
     transfer = [light.columns([term]).astype(np.float64) for term in terms]
+    # Second moment of one path: the transfer of the squared light.
     second = sum(
         t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True)
     )
     mean = np.zeros(len(light))
+    # Subtract the square of the mean, over all pairs of terms.
     for (t, one), (u, other) in product(zip(transfer, terms, strict=True), repeat=2):
         each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
         mean += np.einsum(
@@ -313,6 +315,7 @@ def samples_needed(
     (texels,) float64.
     """
     most = min(most_samples(target), enough)
+    # Predict by the rate of stratified points, and round up to a level.
     needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
@@ -328,6 +331,7 @@ def efforts(
     """Return ``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64;
     ``chunks`` holds each texel's chunk.
     """
+    # Sum over the chunks: unlit texels, samples taken and left of those not final.
     unlit = samples == 0
     waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
     left = samples_left(error[waiting], samples[waiting], target, enough)

@@ -237,6 +237,7 @@ def add(
     layer = part.layer
     samples = int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
+    # Estimate the noise of the new samples, and blend it with the noise so far.
     noise = noise_of_new(halves, second, total - samples, layer, spec)
     noise = blend_noise(part.noise[rows], samples, noise, DECAYS[layer.kind])
     part.coefficients[rows] = round_light(
@@ -289,6 +290,7 @@ def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None =
     if shown is None:
         locate_texels(prepared.field, prepared.step, *place, void)
         return place, void
+    # Projected texels lie on the isosurface that is shown, all at one isovalue.
     verdicts = np.empty(m, np.uint8)
     project_texels(prepared.field, prepared.step, shown, *place[:3], verdicts)
     place[3][:] = shown
@@ -379,6 +381,7 @@ def sample_irradiance(
     rules = PathRules(
         np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival
     )
+    # Trace texels of near isovalues together; a surface alone in the open has a faster kernel.
     for bricks, rows in by_isovalue(place[3], void, prepared):
         met = prepared.met(prepared.scene.surfaces.albedo, bricks)
         if isinstance(met, Open):
@@ -414,6 +417,7 @@ def sample_glow(
     prepared = spec.prepared
     plan = spec.plan
     some = SampleRange(samples // 2, count // 2)
+    # The kernel multiplies by albedos along the path: of the weights only their number counts.
     rules = PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
     sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
@@ -523,6 +527,7 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
     while first < most:
         last = next_level(first)
         some = SampleRange(first // 2, (last - first) // 2)
+        # Paths with bounces include the first ray of those without.
         long, short = (took(parts, last, reflected) for reflected in (True, False))
         yield long, some, bounces
         yield short & ~long, some, 0

@@ -45,6 +45,7 @@ SILENT = 255
 
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
     """Return ``light`` (…, n²) as the layer keeps it, float32."""
+    # The first coefficients are kept as floats, the rest as bytes.
     fine = light_floats(light[..., : layer.floats] / layer.scale, layer).astype(np.float32)
     coarse = decoded_light(light_codes(light[..., layer.floats :] / layer.scale))
     return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
@@ -66,6 +67,7 @@ def light_codes(light: np.ndarray) -> np.ndarray:
     size = np.abs(np.asarray(light, np.float64))
     with np.errstate(divide="ignore"):
         codes = 1.0 + np.rint(-CODES_PER_HALVING * np.log2(size))
+    # Light too small for a code becomes 0; light above the scale takes the first code.
     codes = np.where(codes > SMALLEST, 0.0, np.maximum(codes, 1.0)).astype(np.uint8)
     return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
 

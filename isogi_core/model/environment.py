@@ -289,6 +289,7 @@ class Lamps:
         coefficients = np.zeros((3, order**2))
         if self.any:
             directions, irradiances = self.seen_from(centre, radius)
+            # A lamp at the centre has no direction: spread it over all, as band 0.
             beside = directions.any(axis=1)
             project_lamps(order, directions[beside], irradiances[beside], coefficients)
             coefficients[:, 0] += irradiances[~beside].sum(axis=0) / math.sqrt(4.0 * math.pi)
@@ -301,6 +302,7 @@ class Lamps:
         Lamps within ``radius`` count as that far away, as most of the lit volume is farther away.
         """
         directions, irradiances = self.seen_from(centre, radius)
+        # A surface faces one of the lamps, and receives the others by the cosine between both.
         cosines = np.maximum(directions @ directions.T, 0.0)
         np.fill_diagonal(cosines, 1.0)
         return float((cosines @ (irradiances @ LUMINANCE_WEIGHTS)).max(initial=0.0)) / math.pi
@@ -317,6 +319,7 @@ def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIEN
         np.array([row[2] for row in rows], np.float64).reshape(-1, 2, 3),
         np.array([row[3] for row in rows], np.float64).reshape(-1, 3),
     )
+    # Lamps are given in the world, kernels take them in the box.
     if orientation.placed:
         arrays = _in_box(arrays, orientation)
     digest = hashlib.blake2b(digest_size=16)
@@ -406,6 +409,7 @@ class Environment:
         """
         x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
         height, width = self.image.shape[:2]
+        # Look the pixel of each direction up; the image is constant over a pixel.
         row = np.arctan2(np.hypot(x, y), z) * (height / np.pi)
         column = np.arctan2(y, x) * (width / (2.0 * np.pi)) % width
         i = np.minimum(row.astype(np.int64), height - 1)

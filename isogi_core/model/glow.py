@@ -94,6 +94,7 @@ class Glow:
         """
         orientation = volume.orientation
         extent = np.array(volume.extent)
+        # Spheres and boxes are given in the world; the region of a mask in voxels.
         if self.sphere is not None:
             middle = np.array(orientation.point_to_box(triple(self.sphere[:3])))
             half = np.full(3, self.sphere[3])
@@ -189,6 +190,8 @@ class Glowing:
             self.round.tolist(),
             self.ranges.tolist(),
         ]
+        # Parts that a scene does not have are left out, so that digests of other scenes stay as
+        # they are.
         if self.masked.any():
             places += [self.masked.tolist()]
         places += (
@@ -233,6 +236,7 @@ def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
     A voxel reaches half a voxel to each side, but not out of the volume. Raises SceneError if the
     mask is empty.
     """
+    # Project the mask onto the three axes, and take the first and last voxel along each.
     there = [(layer >> number) & 1 == 1 for layer in bits]
     planes = np.logical_or.reduce(there)
     sides = planes.any(axis=0), planes.any(axis=1), np.array([layer.any() for layer in there])

@@ -287,6 +287,7 @@ def pinned_surfaces(tables: list[Mapping[str, Any]], volume: "Volume") -> tuple[
             f"{MOST_PINNED}."
         )
     found = tuple(pinned_from_mapping(table, volume) for table in tables)
+    # Isovalues that differ in the file may be equal once normalised.
     levels = [volume.normalise_isovalue(each.isovalue) for each in found]
     if len(set(levels)) < len(levels):
         raise SceneError("Two [[surfaces]] have the same isovalue: leave one of them out.")

@@ -124,6 +124,8 @@ class Room:
         if there is none.
         """
         for k, (corner, (u, v)) in enumerate(zip(self.corners, self.edges, strict=True)):
+            # The point is in the wall if it is near its plane, and both coordinates along the edges
+            # are from 0 to 1.
             away = np.subtract(point, corner)
             normal = np.cross(u, v)
             shares = away @ u / (u @ u), away @ v / (v @ v)
@@ -218,6 +220,7 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
 
     All walls are lit on their inner sides. Seen from +y, red is on the left and green on the right.
     """
+    # Place a cube around the box, with its floor a little below.
     low, high = np.array(volume.world_bounds, np.float64)
     longest = float((high - low).max())
     side = ROOM_WIDTH * longest
@@ -230,6 +233,7 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     ) -> Wall:
         return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
 
+    # Floor, ceiling, back, left and right wall; then the luminaire, which looks down.
     rim = 0.5 * (1.0 - LAMP) * side
     hung = z + (1.0 - HANG) * side
     return (

@@ -424,6 +424,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
             tally += np.bincount(codes_of(plane).ravel(), minlength=len(tally))
             z += 1
             progress(z, COPY_STAGES * len(grid))
+    # Range and holes follow from the values that occur.
     there = are_measured(values, marks)
     found = values[there & (tally > 0)]
     if not len(found):
@@ -451,6 +452,7 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:
+            # Collect range and count of the measured values, plane by plane.
             there = plane[are_measured(plane, marks)]
             count += there.size
             if there.size:

@@ -93,6 +93,7 @@ def _read_term(term: str) -> Plane:
     named = match[1]
     sign = -1.0 if match[2] == ">" else 1.0
     limit = float(match[3])
+    # Scale the plane to a unit normal.
     normal = AXIS_NORMALS.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
     if (
@@ -199,6 +200,7 @@ def orthographic(camera: Camera, radius: float) -> Camera:
     its rays, also behind the eye of the perspective camera.
     """
     away = math.dist(camera.eye, camera.target)
+    # Move the eye back along the view, and narrow the field of view in proportion.
     afar = ORTHOGRAPHIC_RADII * radius
     _, _, (x, y, z) = camera.basis()
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(camera.fov) / 2.0) * away / afar))

@@ -283,6 +283,7 @@ class Volume:
         Columns go along the first of the other two axes, rows down the second: its end is at the
         top.
         """
+        # Interpolate between the two planes of voxels around it.
         planes = np.moveaxis(self.voxels, 2 - axis, 0)
         first = min(int(at), len(planes) - 1)
         values = planes[first].astype(np.float64)
@@ -306,6 +307,7 @@ class Volume:
         if len(self.counts) == bins and self.span:
             return self
         if tally is not None:
+            # The tally has all that is needed: count distinct voxels by their numbers.
             inner = np.abs(tally[0]) <= CORE_LIMIT
             voxels, weights = (each[inner] for each in tally)
             span = float(voxels.min()), float(voxels.max())

@@ -38,6 +38,7 @@ def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]
     The error is relative to all light of a texel. If MAX_NODES nodes do not reach it, they are
     returned.
     """
+    # Try one node first, then one more at a time.
     tries = (spread_nodes(count, most, bounces) for count in range(1, MAX_NODES + 1))
     return next(
         (nodes for nodes in tries if mixing_error(nodes, bounces) <= allowed),
@@ -51,6 +52,8 @@ def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
 
     With few ``bounces`` the light varies less near 1, and the last nodes are farther apart from it.
     """
+    # Short paths do not resolve deep cavities: spread nodes as if the highest albedo were at most
+    # 1 - 1 / (bounces + 1), then stretch them to ``most``.
     depth = min(most, 1.0 - 1.0 / (bounces + 1))
     steps = np.arange(1, count + 1) / count
     return tuple((most * (1.0 - (1.0 - depth) ** steps) / depth).tolist())
@@ -61,6 +64,8 @@ def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
     """Return the largest error of light mixed from ``nodes``, relative to all light of a texel,
     over all lower albedos and ESCAPE_CHANCES.
     """
+    # Compare mixed with true light at even albedos, for cavities of every chance to leave; direct
+    # light f is part of all light.
     kept = reflected_light(np.array(nodes), bounces)
     albedos = nodes[-1] * np.arange(1, EVALUATED_ALBEDOS) / EVALUATED_ALBEDOS
     light = reflected_light(albedos, bounces)

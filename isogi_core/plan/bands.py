@@ -185,6 +185,7 @@ def truncation_error(
     """
     if not energy[0] > 0.0:
         return 0.0
+    # Sum the energy that the cut bands would have transferred.
     lost = float(_TRANSFER[kind][order:] @ energy[order:]) + _beyond(energy, kind)
     if kind == "indirect":
         reflected = albedo / MEASURED_ALBEDO
@@ -217,12 +218,16 @@ def _beyond(energy: np.ndarray, kind: Kind) -> float:
     """
     per_coefficient = energy / (2.0 * np.arange(MAX_ORDER) + 1.0)
     near, far = float(per_coefficient[4:7].mean()), float(per_coefficient[7:10].mean())
+    # A light without energy in the last bands has none beyond.
     if far == 0.0:
         return 0.0
+    # Power falls between the centres of both groups of bands, x = 5.5 and x = 8.5.
     if far < near:
         slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST_SLOPE)
     else:
         slope = 0.0
+    # Extrapolate light and transfer to x = MAX_ORDER, and integrate their product, a power of x, to
+    # infinity.
     light = 2.0 * MAX_ORDER * far * (MAX_ORDER / 8.5) ** slope
     transfer = _TRANSFER[kind][-1] * (MAX_ORDER / (MAX_ORDER - 0.5)) ** -DECAY[kind]
     return float(light * transfer * MAX_ORDER / (DECAY[kind] - slope - 2.0))

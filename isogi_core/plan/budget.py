@@ -106,6 +106,7 @@ def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0
         half = HALF_SUM
     else:
         half = HALF_ONE
+    # Rounding of half floats and of the bytes of each layer are independent.
     return math.sqrt(half**2 + sum(byte_error(layer, inputs, lobes) ** 2 for layer in layers))
 
 
@@ -132,6 +133,7 @@ def bounces_for(albedo: Colour, target_error: float) -> int:
         return 0
     if brightest >= 1.0:
         return LONGEST_PATH
+    # Solve R^(bounces + 1) <= target · BOUNCES_SHARE.
     return min(
         max(math.ceil(math.log(target_error * BOUNCES_SHARE) / math.log(brightest)) - 1, 0),
         LONGEST_PATH,

@@ -67,12 +67,15 @@ def least_shown(volume: Volume) -> float | None:
     low, high = volume.core
     if low < 0.0 or not 0.0 < high < math.inf or np.dtype(volume.dtype).kind != "f":
         return None
+    # Judge by the positive values among evenly sampled voxels.
     flat = volume.voxels.reshape(-1)
     some = flat[:: max(flat.size // MAX_SAMPLED, 1)].astype(np.float64)
     values = volume.offset + volume.scale * some
     positive = values[(values > 0.0) & (values <= high)]
     if not len(positive):
         return None
+    # Keep an even axis if values do not span decades without the tenth of them at either end, or
+    # if they fill it well.
     few, many = np.quantile(positive, (0.1, 0.9))
     if many < few * 10.0**MIN_DECADES or many > CROWDED_END * high:
         return None

@@ -78,6 +78,7 @@ def _own_value(volume: Volume, share: float) -> float:
     most a hundredth of the core's span.
     """
     low, high = volume.core
+    # Interpolate without the difference of the ends, which could overflow.
     value = low * (1.0 - share) + high * share
     hundredth = high / 100.0 - low / 100.0
     if hundredth > 0.0:
@@ -120,11 +121,13 @@ def _count_edges(
 
     ``density`` is the inverse length of an edge: in proportion to the area that it stands for.
     """
+    # Edges between equal values cross no surface; outliers and holes do not count.
     there = (a != b) & (np.abs(a) <= CORE_LIMIT) & (np.abs(b) <= CORE_LIMIT)
     low, high = np.minimum(a[there], b[there]), np.maximum(a[there], b[there])
     scale = TRIED_ISOVALUES / ((span[1] - span[0]) or 1.0)
     gradient = (high - low) * density
     for ends, sign in ((low, density), (high, -density)):
+        # The first isovalue that an edge crosses is the first middle of a bin at or above its end.
         places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, TRIED_ISOVALUES).astype(
             np.int64
         )
@@ -328,6 +331,7 @@ def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
     """Return outward unit normals (n, 3) of the cells that an isosurface passes, among about
     CELLS_WAITED_FOR evenly spread cells.
     """
+    # Skip layers and rows alike, so that about CELLS_WAITED_FOR cells are read.
     step = max(math.ceil(math.sqrt(volume.voxels.size / CELLS_WAITED_FOR)), 1)
     found = [np.empty((0, 3))]
     for z in range(0, len(volume.voxels) - 1, step):
@@ -339,6 +343,7 @@ def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
         )
     slopes = np.concatenate(found)
     lengths = np.linalg.norm(slopes, axis=1)
+    # A gradient of 0, or next to a hole, has no direction.
     sound = np.isfinite(lengths) & (lengths > 0.0)
     return np.asarray(slopes[sound] / lengths[sound, None])
 
@@ -354,6 +359,8 @@ def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
         tint = np.array(albedo) / max(albedo)
     else:
         tint = np.ones(3)
+    # White is the brightness of the front at BRIGHT_SHARE, but at least FALL of that in the
+    # brightest direction.
     front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT_SHARE)
     white = max(front, FALL * float(brightness(light, tint, BALL_DIRECTIONS).max()))
     if white > 0.0:

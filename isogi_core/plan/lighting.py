@@ -166,6 +166,7 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
     """
     if not any(glow.mask for glow in glows):
         return NO_BITS
+    # Place each mask in the volume's grid, and set its bit layer by layer.
     require_memory(volume.voxels.size, "Masks of glows take a byte a voxel,", "leave them out")
     whole, straight = volume_grids(settings, volume)
     bits = np.zeros(volume.shape, np.uint8)
@@ -186,6 +187,7 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bo
     if the scene then asks for light that turns.
     """
     rotating = settings.flag("rotating", not (lamps.any or room.any or passed))
+    # Refuse light that the scene asks to turn, but that is baked in place.
     for what, there in (("walls", room.any), ("lamps", lamps.any)):
         if rotating and there:
             raise SceneError(

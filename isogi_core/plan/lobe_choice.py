@@ -166,12 +166,14 @@ def outlines(radiance: np.ndarray) -> Iterator[Outline]:
     Edges that give the same region give one outline. Nothing is yielded if the peak does not stand
     out from the mean.
     """
+    # A peak that hardly exceeds the mean luminance is no lobe.
     seen = radiance @ LUMINANCE_WEIGHTS
     known = {0}
     angles = solid_angles(*seen.shape)
     peak = int(seen.argmax())
     if not seen.flat[peak] > MIN_CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
         return
+    # Try edges from half of the peak's luminance down, each with the connected region above it.
     for share in EDGE_SHARES:
         region = grow_lobe(seen > share * seen.flat[peak], peak, angles[:, 0])
         if len(region) not in known:
@@ -242,6 +244,8 @@ def lobe_of(radiance: np.ndarray, region: np.ndarray, level: np.ndarray) -> Lobe
     The mean direction of a disc of half angle a has the length (1 + cos a)/2, which gives a.
     """
     moments = moments_of(region, *radiance.shape[:2])
+    # Only light above the surroundings belongs to the lobe; its moments give flux and mean
+    # direction.
     excess = np.maximum(radiance.reshape(-1, 3)[region] - level, 0.0)
     flux = moments[:, 3] @ excess
     vector = (excess @ LUMINANCE_WEIGHTS) @ moments[:, :3]

@@ -113,6 +113,7 @@ def unrefracted(material: Material, lights: tuple[Light, ...], sharp: bool) -> t
         return ()
     texels = "Glass has no light of its own: what is seen through it is on the walls, or outside."
     found = [LeftOut("texels of the isosurface", texels, (Saving(100, "percent of all texels"),))]
+    # Only shadow rays find lamps, and these do not pass glass.
     names = sorted({light.name for light in lights if isinstance(light, Lamp)})
     if names:
         why = (

@@ -434,6 +434,7 @@ def errors_of(
     layer may keep more bands than the plan's order; these are not read, and so do not count.
     """
     chosen = overrides.bounces is None and plan.representation != "vicinity"
+    # Frames read the bands below the plan's order alone.
     read = tuple(replace(layer, order=min(layer.order, plan.order)) for layer in plan.layers)
     errors = (
         ("harmonics", harmonics_error(read, inputs, plan.lobes)),

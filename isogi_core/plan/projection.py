@@ -288,6 +288,7 @@ def sample_range(
     (low, high) = isovalues
     if way == "uniform":
         return SampledRange(tuple((low * (1.0 - shares) + high * shares).tolist()))
+    # Place levels by the adaptive rule, and round them for display.
     shares, softened = adaptive_shares(volume, isovalues, shares, most)
     levels = shortened((low * (1.0 - shares) + high * shares).tolist(), isovalues)
     return SampledRange(levels, softened, volume.voxels.size > most)

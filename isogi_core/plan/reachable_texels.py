@@ -185,6 +185,7 @@ def void_texels(field: Field, shape: Shape, places: np.ndarray) -> np.ndarray:
     """Return which texels at flat ``places`` of the lattice can hold no light, see
     ``locate_texels``; bool.
     """
+    # Voxels per texel along x, y, z.
     step = np.array(
         [(n - 1) / (m - 1) for n, m in zip(field.voxels.shape[::-1], shape[::-1], strict=True)]
     )
@@ -216,6 +217,7 @@ def surface_texels(
         slab = voxels[first : last + 1]
         return reduce(np.logical_or, [surface_cells(slab, low, high) for low, high in ranges])
 
+    # Divide each layer of chunks into its chunks, and list the marked texels of each.
     for layer, shown in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
         for y in range(0, shape[1], chunk):
             for x in range(0, shape[2], chunk):

@@ -318,6 +318,7 @@ class Scene:
             levels = len(self.levels)
         else:
             levels = 0
+        # Several surfaces leave out light between levels, or surfaces deep in a pixel.
         if self.surfaces.pinned or self.surfaces.clear > 0.0:
             beside = unshared(len(self.surfaces.pinned), levels, self.plan)
         else:
@@ -392,6 +393,7 @@ class Scene:
             self.bounces,
             self.plan.survival,
         ]
+        # Walls reflect glow, but their light is not part of it.
         if lighting.room.any:
             walls = ["walls", lighting.room.dark_digest]
         else:

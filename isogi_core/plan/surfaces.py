@@ -122,6 +122,7 @@ class SceneSurfaces:
 
         Raises ViewError if light is not baked for that albedo.
         """
+        # Refuse an albedo that the scene's light does not allow.
         if asked is not None and self.colours is not None:
             raise ViewError(
                 f"The surface has its albedo from '{self.colours.scale.name}' in this scene: "
@@ -138,6 +139,7 @@ class SceneSurfaces:
                 "albedo is fixed in this scene: leave it out, or give the scene a range, "
                 "albedos = [0, 0.9]."
             )
+        # The albedo must lie in the range that nodes of reflected light cover.
         lowest, highest = self.albedos
         if not all(lowest <= share <= highest for share in asked):
             given = ",".join(f"{share:g}" for share in asked)
@@ -217,6 +219,7 @@ def choosable(
     """
     albedos = overrides.albedos
     if albedos is None:
+        # Light without bounces does not depend on the albedo.
         if overrides.bounces == 0 and max(albedo) > 0.0 and colours is None:
             return BARE_ALBEDOS
         return None

@@ -100,6 +100,7 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
         else:
             last = "is no series in time: leave time out"
         raise SceneError(f"time = {time}: the volume '{scene.volume.name}' {last}.")
+    # The step of the variant replaces one that the name of the file may choose.
     place, chosen = split_part(str(scene.source.document["volume"]))
     rest = "&".join(
         value if key == "part" else f"{key}={value}"
@@ -148,6 +149,7 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
     document = put_hidden(scene.source.document, hidden)
     if like is None:
         return remade(scene, document, None, name)
+    # Share the volume and the colours of the labels.
     coloured = replace(
         scene,
         surfaces=replace(scene.surfaces, colours=like.surfaces.colours),

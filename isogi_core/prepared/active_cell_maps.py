@@ -59,6 +59,7 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
     is divided by CORE_GROUPS quantiles of its values.
     """
     values = sample_values(voxels).astype(np.float64)
+    # Divide each group that holds nearly all values; keep the others.
     levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
     return np.unique(
         [
@@ -74,6 +75,7 @@ def parted(values: np.ndarray, low: float, high: float) -> list[float]:
     distinct values, ascending.
     """
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
+    # Few values, or a moderate share of them, need no division.
     if len(inner) <= max(CROWDED_SHARE * len(values), CORE_GROUPS):
         return [low]
     ranks = np.arange(CORE_GROUPS) * len(inner) // CORE_GROUPS
@@ -126,6 +128,8 @@ class ActiveCellMaps:
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
+        # Maps of a volume that is large next to the budget take seconds, and are kept in scratch
+        # files.
         self._dear = USUAL_BLOCK_BYTES * self._bricks > UNMAPPED_SHARE * budget()
         self._take = get_scratch if self._dear else np.empty
         measured = survey("ranges", lambda: measure_ranges(voxels))
@@ -136,6 +140,7 @@ class ActiveCellMaps:
         self._most = most
         self._sizes = dict[tuple[int, int], int]()
         self._lock = threading.Lock()
+        # Groups start narrow, and widen as more isovalues are asked for.
         self._asked = np.zeros(len(self.levels) - 1, np.bool_)
         self._width = NARROW_LEVELS
         self._grouped: tuple[np.ndarray, np.ndarray] | None = None
@@ -159,6 +164,7 @@ class ActiveCellMaps:
 
     def _between(self, lowest: float, highest: float, run: Run) -> ActiveCells:
         """Return the map of a range of isovalues, widened to levels."""
+        # Find the levels around the range.
         first = int(np.searchsorted(self.levels, lowest, "right")) - 1
         last = max(int(np.searchsorted(self.levels, highest)), first + 1)
         return self._kept.get((first, last), lambda: self._make(first, last, run))
@@ -196,6 +202,7 @@ class ActiveCellMaps:
         if self._dear and len(before):
             first = int(before[0])
             last = int(before[-1])
+            # Extend the noted range by its width on the side that it grows to.
             width = last + 1 - first
             if places.min() < first:
                 self._asked[max(first - width, 0) : first] = True
@@ -320,6 +327,7 @@ def find_codes(volume: Volume) -> VoxelCodes:
     ends = sorted(float(volume.normalise_isovalue(value)) for value in volume.value_range)
     gain = 1.0 / abs(volume.scale)
     if np.issubdtype(np.dtype(volume.dtype), np.integer) and not volume.holes:
+        # Take the smallest type that holds the range, if it gives every voxel exactly.
         for kind in INTEGER_CODES:
             codes = VoxelCodes(kind, gain, ends[0], None, volume.shape)
             if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(
@@ -353,6 +361,7 @@ class IdleVoxels:
         """Return the layers from ``first`` to before ``last`` with all idle voxels of one side
         set to the same value; voxels without a value stay.
         """
+        # Read the layers that cells of these layers need as well.
         a = max(first - VOXELS_AFTER, 0)
         b = min(last + VOXELS_AFTER, len(self._voxels))
         slab = self._voxels[a:b]
@@ -362,6 +371,7 @@ class IdleVoxels:
         needed = surface_cells(slab, low, high)
         for axis in range(3):
             needed = voxels_read(needed, axis)
+        # Set idle voxels of each side to its value; those that are needed stay.
         own = slab[first - a : last - a]
         idle = ~needed[first - a : last - a]
         sided = np.where(idle & (own <= low), np.float32(below), own)
@@ -373,6 +383,7 @@ def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:
     than cells along that axis.
     """
     marks = np.moveaxis(cells, axis, 0)
+    # A marked cell marks the voxels before it and after it; drop those beyond the volume.
     wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)
     for shift in range(VOXELS_BEFORE + VOXELS_AFTER + 1):
         wide[shift : shift + len(marks)] |= marks

@@ -129,6 +129,7 @@ def outermost_points(field: Field, isovalue: Isovalue) -> np.ndarray:
         z, y = np.nonzero(kept)
         found.append(np.column_stack([cells[z, y], y, z]))
     cells = np.concatenate(found)
+    # Return the points at which the surface crosses the edges of these cells.
     corners = _corners_of(field.voxels, cells)
     places, crossed = edge_crossings(corners, float(isovalue))
     return np.asarray((cells[:, None] + places)[crossed])
@@ -357,6 +358,7 @@ def _tip(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
 
     ``values`` (4, n) fall from corner to corner; ``corners`` are (4, n, 3).
     """
+    # The tip above the cut is a smaller tetrahedron, with the product of the shares as its volume.
     shares = values[0] / (values[0] - values[1:])
     sides = shares[..., None] * (corners[1:] - corners[0])
     return 0.5 * _length(np.cross(sides[1] - sides[0], sides[2] - sides[0])), float(
@@ -378,11 +380,13 @@ def _wedge(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
     """
     (a, b) = values[:2]
     (c, d) = values[2:]
+    # Places of the crossings on the four edges between the upper corners a, b and the lower c, d.
     ac, ad, bc, bd = a / (a - c), a / (a - d), b / (b - c), b / (b - d)
     points = [
         corners[i] + share[:, None] * (corners[j] - corners[i])
         for i, j, share in ((0, 2, ac), (0, 3, ad), (1, 2, bc), (1, 3, bd))
     ]
+    # The cut is a planar quadrilateral: half the product of its diagonals.
     area = 0.5 * _length(np.cross(points[3] - points[0], points[2] - points[1]))
     return area, float((ac * ad * (1.0 - bd) + ac * (1.0 - bc) * bd + bc * bd).sum())
 

@@ -209,6 +209,7 @@ class PreparedScene:
     def glows(self) -> Glows:
         """The glows of the scene, as rays gather them."""
         given = self.scene.lighting.glowing
+        # Kernels take columns, one for each glow.
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
         # An infinite range tells the kernel that all of a region glows, which a mask contradicts:
@@ -283,6 +284,7 @@ class PreparedScene:
         """
         environment = self.scene.lighting.environment
         arrays = self.scene.lighting.lamps.arrays
+        # The luminaires of walls are the last lamps.
         if luminaires := len(self.scene.lighting.room.lamps):
             arrays = LampArrays(*(each[:-luminaires] for each in arrays))
         return Surroundings(

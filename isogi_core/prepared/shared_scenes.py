@@ -83,6 +83,7 @@ class SharedScenes:
     def _shared(self, owner: Volume | Scene, content: Callable[[], Any]) -> SharedFile:
         """Return the file of an ``owner``, written once, and closed when the owner is deleted."""
         if owner not in self._files:
+            # The file lives in memory, and as long as its descriptor is open.
             number = os.memfd_create("isogi", os.MFD_CLOEXEC)
             weakref.finalize(owner, os.close, number)
             key = secrets.token_bytes(KEY_BYTES)

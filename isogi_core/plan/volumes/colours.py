@@ -125,6 +125,7 @@ def read_colour_table(table: Settings) -> ColourTable:
             f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or "
             "'curvature': give one."
         )
+    # Colours are a named map, or a list; by default a map that suits the quantity.
     named = table.choice("map", tuple(COLOUR_MAPS))
     listed = source.document.get("colours")
     if listed is not None:
@@ -285,6 +286,7 @@ def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
         grid = Grid.of(volume.voxels, volume.spacing)
         return grid, grid
     grid, _ = open_own(settings)
+    # Another spacing would move the volume in the world, but not the file of colours.
     if spacing and grid.affine is not None:
         raise SceneError(
             "spacing moves the volume away from its colours: leave it out, or add axes = 'raw'."
@@ -308,6 +310,7 @@ def coloured(
     codes = np.empty(shape, np.uint8)
     values = np.empty(shape[1:], np.float32)
     steps = np.full(3, float(step))
+    # Fill a layer at a time with values, and keep their codes.
     for z in range(shape[0]):
         layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
         codes[z] = codes_of(factor * values.astype(np.float64), span)

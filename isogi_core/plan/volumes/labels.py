@@ -164,6 +164,7 @@ class Segmentation:
                     f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave "
                     "labels out."
                 )
+            # Values ascend, so that the largest in size is at an end.
             large = next(
                 (
                     int(value)
@@ -193,6 +194,8 @@ class Segmentation:
             raise SceneError(
                 f"The segmentation has no voxel of label {lacking.value}: it has {there}."
             )
+        # Colours of the palette follow the places of all labels, so that hiding one does not change
+        # the others.
         found = tuple(
             _label(place, tables.get(value, LabelTable(value)), named.get(value, LabelName(value)))
             for place, value in enumerate(values)
@@ -369,6 +372,7 @@ def solid_of_labels(grid: Grid, listed: tuple[LabelTable, ...], settings: Settin
                 "it out."
             )
     found = Segmentation(grid, listed)
+    # Note on the volume which labels are hidden, and that the file alone made it a segmentation.
     hidden = [label.name for label in found.labels if not label.shown]
     notes: tuple[str, ...] = (BY_ITSELF,) if "labels" not in settings.source.document else ()
     if hidden:

@@ -173,6 +173,7 @@ class Masked:
         z = 0
         kept = False
         for slab in self.grid.slabs():
+            # Write to a copy: the slab may belong to its source.
             filled = np.array(slab)
             for layer in filled:
                 inside = np.logical_and.reduce(
@@ -227,12 +228,14 @@ def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
         raise SceneError(
             f"The {what} is in {grid.unit} and the volume in {whole.unit}: convert one."
         )
+    # A file that says nothing of its place takes that of the other, if both have the same voxels.
     silent = grid.affine is None or whole.affine is None
     if silent and grid.shape == whole.shape:
         grid = replace(grid, affine=whole.affine, spacing=volume.spacing)
     elif (grid.affine is None) != (whole.affine is None):
         reason = f"Of the {what} and the volume, one does not say where it lies"
         raise SceneError(f"{reason}: give both the same voxels, or axes = 'raw'.")
+    # Go from the volume's voxels to the world, and from there to the grid's voxels.
     theirs = _to_world(grid)
     ours = _to_world(volume)
     if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
@@ -323,6 +326,7 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
     except ViewError as error:
         raise SceneError(f"cut = '{text}' cannot be read. {error}") from None
     left = [range(n) for n in volume.size]
+    # Each plane shortens the range of voxels along its axis.
     for plane in planes:
         axis = _axis_of(plane, text)
         place = -plane[3] / plane[axis] / volume.spacing[axis]

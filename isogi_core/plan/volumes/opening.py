@@ -286,6 +286,7 @@ def make_copy(
         progress=progress, tally=found.tallied()
     )
     facts |= {"counts": known.counts, "span": known.span}
+    # Discard the copy of a file that was written to meanwhile.
     if grid.stamp() != before:
         raise VolumeError(
             f"The volume '{name}' changed while it was read: try again once it is written."

@@ -76,6 +76,7 @@ def _smoothed_layers(
     reach = len(weights) // 2
     layers = (_flattened(layer, weights, marks) for slab in grid.slabs() for layer in usable(slab))
     window: deque[Flattened] = deque(maxlen=len(weights))
+    # Slide a window of layers along z; its middle is complete once the window is full.
     for layer in _going_on(layers, reach):
         window.append(layer)
         if len(window) == len(weights):
@@ -89,6 +90,8 @@ def _flattened(layer: np.ndarray, weights: np.ndarray, marks: np.ndarray) -> Fla
         return Flattened(
             _along(_along(layer.astype(weights.dtype), weights, 1), weights, 0), None, None
         )
+    # Smooth the values with 0 in holes, and the marks of the others likewise: their quotient is the
+    # mean of values alone.
     known = np.where(there, layer, 0).astype(weights.dtype)
     both = [
         _along(_along(each, weights, 1), weights, 0)
