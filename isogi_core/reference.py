@@ -299,15 +299,9 @@ def grow_reference(
     """
     begun = time.monotonic()
     reference = former
-    if former is not None:
-        before = former.samples
-    else:
-        before = 0
+    before = former.samples if former is not None else 0
     while reference is None or not goal.met(reference):
-        if reference is not None:
-            taken = reference.samples
-        else:
-            taken = 0
+        taken = reference.samples if reference is not None else 0
         # Double the paths, but take no more than the goal asks for.
         wanted = min(max(2 * taken, FIRST_ROUND_PATHS), goal.samples or MAX_PIXEL_PATHS)
         # Take only as many as fit into the time that is left, at the speed of the rounds so far.

@@ -337,7 +337,7 @@ class BakeSpec:
         )
         return np.array([energy @ (1.0 - growth), energy @ growth])[: layer.noises]
 
-    def judged(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
+    def luminance_sums(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
         """Return the sums of a layer's luminance from sums of its channels, ``halves`` (…,
         channels, n²): the spread of these estimates its noise; (…, n²).
 

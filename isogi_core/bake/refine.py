@@ -252,7 +252,7 @@ def noise_of_new(
     """Estimate the noise of a layer from the sums of ``count`` new samples: see
     ``noise_of_halves``.
     """
-    seen = spec.judged(halves, layer)
+    seen = spec.luminance_sums(halves, layer)
     if layer.order > 1 or layer.kind in ("irradiance", GLOW_KIND):
         return noise_of_halves(seen, count, layer.order)
     even = evenness(seen.sum(axis=1) / count, second / count, count)

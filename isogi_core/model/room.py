@@ -204,11 +204,11 @@ FLOOR_GAP = 0.05
 side.
 """
 
-LAMP = 1.0 / 3.0
-HANG = 0.005
+LAMP_SIDE = 1.0 / 3.0
+LAMP_GAP = 0.005
 """Side of its luminaire, and distance of that below the ceiling, over the side of the room."""
 
-LAMP_RADIANCE = 0.25 * math.pi / LAMP**2
+LAMP_RADIANCE = 0.25 * math.pi / LAMP_SIDE**2
 """Radiance of the luminaire, with which a white surface in the middle of the room that faces it
 has about radiance 1.
 """
@@ -234,8 +234,8 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
         return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
 
     # Floor, ceiling, back, left and right wall; then the luminaire, which looks down.
-    rim = 0.5 * (1.0 - LAMP) * side
-    hung = z + (1.0 - HANG) * side
+    rim = 0.5 * (1.0 - LAMP_SIDE) * side
+    hung = z + (1.0 - LAMP_GAP) * side
     return (
         wall((x, y, z), along[0], along[1], WHITE_ALBEDO),
         wall((x, y, z + side), along[1], along[0], WHITE_ALBEDO),
@@ -244,8 +244,8 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
         wall((x, y, z), along[1], along[2], GREEN_ALBEDO),
         wall(
             (x + rim, y + rim, hung),
-            LAMP * along[1],
-            LAMP * along[0],
+            LAMP_SIDE * along[1],
+            LAMP_SIDE * along[0],
             (0.0, 0.0, 0.0),
             LAMP_RADIANCE,
         ),

@@ -14,7 +14,7 @@ from isogi_core.model.scene_plan import GLOW_KIND, Layer
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.inputs import PlanInputs
 
-HARMONICS = math.sqrt(0.5)
+HARMONICS_SHARE = math.sqrt(0.5)
 """Share of the target for bands that are cut off, for direct and for reflected light each.
 
 Both together are then within the target, as independent errors add in quadrature.
@@ -26,7 +26,7 @@ EVEN_LIGHT_SHARE = 0.25
 BOUNCES_SHARE = 0.5
 """Share of the target for bounces that are cut off."""
 
-MIXING = 0.25
+MIXING_SHARE = 0.25
 """Share of the target for mixing light of an albedo from that of the albedo nodes."""
 
 ROUNDING_SHARE = 1.0 / 3.0

@@ -276,7 +276,7 @@ MAX_SHOWN_ALBEDO = 0.75
 highlights keep shape.
 """
 
-FALL = 0.5
+LEAST_FRONT_SHARE = 0.5
 """Least brightness of the front, over that of the brightest side of a ball, that the exposure
 assumes: no turn of the camera ends in white.
 """
@@ -359,10 +359,10 @@ def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
         tint = np.array(albedo) / max(albedo)
     else:
         tint = np.ones(3)
-    # White is the brightness of the front at BRIGHT_SHARE, but at least FALL of that in the
-    # brightest direction.
+    # White is the brightness of the front at BRIGHT_SHARE, but at least LEAST_FRONT_SHARE of that
+    # in the brightest direction.
     front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT_SHARE)
-    white = max(front, FALL * float(brightness(light, tint, BALL_DIRECTIONS).max()))
+    white = max(front, LEAST_FRONT_SHARE * float(brightness(light, tint, BALL_DIRECTIONS).max()))
     if white > 0.0:
         return float(f"{MAX_SHOWN_ALBEDO / max(*albedo, MAX_SHOWN_ALBEDO) / white:.3g}")
     return 1.0

@@ -231,11 +231,9 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         "stands for those that end."
     )
     long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
-    saved = (
-        (Saving(ROULETTE_RAYS, "percent of rays", True),)
-        if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO
-        else ()
-    )
+    saved: tuple[Saving, ...] = ()
+    if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
+        saved = (Saving(ROULETTE_RAYS, "percent of rays", True),)
     yield LeftOut("the rest of paths that end by chance", why, saved)
 
 
@@ -372,7 +370,7 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
         f"The error of interpolation is about {percent(error)} where views start; "
         f"{percent(allowed)} is allowed."
     )
-    if not (allowed):
+    if not allowed:
         why = "The scene forbids them."
     return (
         LeftOut(
@@ -381,7 +379,7 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
     )
 
 
-def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
+def left_out_of_shine(shine: Shine | None) -> tuple[LeftOut, ...]:
     """Return mirrored rays, if the surface has no ``shine``; else baked light of shine, as its
     rays read diffuse light.
     """
@@ -395,7 +393,7 @@ def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
     return (LeftOut("shine", why, (Saving(1, "ray per pixel, or more"),)),)
 
 
-def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
+def left_out_of_several(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Return the parts of several surfaces that are not shown or kept.
 
     These are surfaces behind the first ones in a pixel, and, if some are ``pinned``, their light at
@@ -421,7 +419,7 @@ def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
     return (deep, LeftOut("light of pinned surfaces at each isovalue", why))
 
 
-def untold_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
+def left_out_of_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Return the irradiance of each side by itself, which texels of a transmitting surface do
     not distinguish.
     """

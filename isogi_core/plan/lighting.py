@@ -116,7 +116,7 @@ def read_lighting(
     refuse_lamps(surfaces.material, lights)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     environment = assemble_environment(lights)
-    rotating = may_rotate(settings, lamps, room, surfaces.passed)
+    rotating = may_rotate(settings, lamps, room, surfaces.light_passes)
     # Light that does not turn is kept in the axes of the volume's box, and so is baked without a
     # rotation.
     if volume.orientation.turned and not rotating:

@@ -11,8 +11,8 @@ from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan, 
 from isogi_core.plan.albedo_nodes import choose_nodes, mixing_error
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, choose_order, truncation_error
 from isogi_core.plan.budget import (
-    HARMONICS,
-    MIXING,
+    HARMONICS_SHARE,
+    MIXING_SHARE,
     ROUNDING_SHARE,
     bounces_for,
     branches_for,
@@ -183,7 +183,7 @@ MOST_REFLECTED = 5
 lobes stay in harmonics, while direct light needs a lower order without them.
 """
 
-MUCH = 1.125
+FEWER_LOBES_FACTOR = 1.125
 """Factor on the least possible error of harmonics that is accepted for the sake of fewer lobes."""
 
 
@@ -250,8 +250,8 @@ def lobes_for(inputs: PlanInputs, overrides: PlanOverrides) -> int:
     """Return the least number of lobes with which direct light's harmonics stay within their share
     of the target.
 
-    If no number reaches the share, return the least whose error is at most MUCH times the error
-    with all lobes.
+    If no number reaches the share, return the least whose error is at most FEWER_LOBES_FACTOR times
+    the least possible one.
     """
     if overrides.lobes is not None:
         return overrides.lobes
@@ -261,7 +261,7 @@ def lobes_for(inputs: PlanInputs, overrides: PlanOverrides) -> int:
         truncation_error(inputs.energy_beside(n), overrides.order or MOST_BANDS, "direct")
         for n in counts
     ]
-    allowed = max(HARMONICS * inputs.target_error, MUCH * min(errors))
+    allowed = max(HARMONICS_SHARE * inputs.target_error, FEWER_LOBES_FACTOR * min(errors))
     return next(n for n in counts if errors[n] <= allowed)
 
 
@@ -307,11 +307,12 @@ thousandth of its value.
 
 def glow_layers(inputs: PlanInputs, bounces: int) -> tuple[GlowLayer, ...]:
     """Return the layer of glows, as a tuple; an empty one if nothing glows."""
+    if not inputs.glows:
+        return ()
+    # Light that was not reflected, or only by grey surfaces, has the colour that frames give it.
     colours = 1 if inputs.grey or not bounces else 3
-    layer = GlowLayer(
-        GLOW_KIND, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows
-    )
-    return (layer,) if inputs.glows else ()
+    channels = colours * inputs.glows
+    return (GlowLayer(GLOW_KIND, channels=channels, scale=GLOW_SCALE, glows=inputs.glows),)
 
 
 def reflected(order: int, inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> Layer:
@@ -320,7 +321,7 @@ def reflected(order: int, inputs: PlanInputs, overrides: PlanOverrides, bounces:
     """
     if overrides.albedos is None:
         return Layer("indirect", order, 1 if inputs.grey else 3)
-    nodes = choose_nodes(max(inputs.albedo), bounces, MIXING * inputs.target_error)
+    nodes = choose_nodes(max(inputs.albedo), bounces, MIXING_SHARE * inputs.target_error)
     return Layer("indirect", order, len(nodes), nodes=nodes)
 
 
@@ -333,8 +334,8 @@ def direct_order(inputs: PlanInputs, lobes: int) -> int:
     """
     energy = inputs.energy_beside(lobes)
     target = inputs.target_error
-    order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
-    if error <= HARMONICS * target:
+    order, error = choose_order(energy, HARMONICS_SHARE * target, "direct", MOST_BANDS)
+    if error <= HARMONICS_SHARE * target:
         return order
     # The share cannot be reached: take more bands if these bring the error within the whole target,
     # or nearly so.

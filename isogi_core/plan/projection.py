@@ -153,7 +153,7 @@ def measure_stiffness(
     )
 
 
-INTERPOLATION = 0.5
+INTERPOLATION_SHARE = 0.5
 """Share of the target error that interpolation between texels may take: a quarter of its variance.
 
 The true error may be three times the expected one, see MAX_ERROR_FACTOR, while projecting without
@@ -228,7 +228,7 @@ def plan_projection(field: Field, span: Span, start: Isovalue, target: float) ->
     levels = np.append(np.linspace(*span, SURVEYED_LEVELS), start)
     found = measure_stiffness(field, levels, most=MAX_SURVEYED_CELLS)
     errors = np.array([found.expectation(place).likely for place in range(len(found.levels))])
-    return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION * target)
+    return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION_SHARE * target)
 
 
 RANGE_BINS = 1024

@@ -33,7 +33,13 @@ from isogi_core.plan.isovalue_presets import (
     front_of,
     suggested_presets,
 )
-from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
+from isogi_core.plan.left_out import (
+    left_out_of_several,
+    left_out_of_shine,
+    left_out_of_sides,
+    unprojected,
+    unseen,
+)
 from isogi_core.plan.lighting import SceneLighting
 from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, SampledRange, find_stops, plan_projection
@@ -313,22 +319,20 @@ class Scene:
         """All things that are left out: by the plan, texels that are never lit or not
         projected, light of pinned surfaces between levels, and shine.
         """
-        texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        if self.surfaces.pinned:
-            levels = len(self.levels)
-        else:
-            levels = 0
+        surfaces = self.surfaces
+        found = [*self.plan.left_out]
+        found += unseen(self.texels, self.plan)
+        found += unprojected(self.projection, self.start)
         # Several surfaces leave out light between levels, or surfaces deep in a pixel.
-        if self.surfaces.pinned or self.surfaces.clear > 0.0:
-            beside = unshared(len(self.surfaces.pinned), levels, self.plan)
-        else:
-            beside = ()
-        if self.surfaces.transmits:
-            beside += untold_sides(self.plan)
-        beside += unrefracted(
-            self.surfaces.material, self.lighting.lights, self.lighting.environment.sharp
-        )
-        return (*self.plan.left_out, *texels, *beside, *unshining(self.surfaces.shine))
+        if surfaces.pinned or surfaces.clear > 0.0:
+            levels = len(self.levels) if surfaces.pinned else 0
+            found += left_out_of_several(len(surfaces.pinned), levels, self.plan)
+        if surfaces.transmits:
+            found += left_out_of_sides(self.plan)
+        sharp = self.lighting.environment.sharp
+        found += unrefracted(surfaces.material, self.lighting.lights, sharp)
+        found += left_out_of_shine(surfaces.shine)
+        return tuple(found)
 
     def with_settings(self, **changes: Any) -> "Scene":
         """Return the scene with ``changes`` of its settings; its plan stays."""
@@ -359,18 +363,26 @@ class Scene:
         # All layers depend on the volume, the lattice and the settings of rays.
         *kept, nodes = astuple(layer)
         parts = [BAKE_FORMAT, self.volume.digest, self.settings.lattice, *kept, *self.departures]
-        parts += [] if shown is None else ["shown", shown]
+        if shown is not None:
+            parts += ["shown", shown]
         # Reflected light also depends on the albedos that paths meet, and on their rules.
         if layer.reflected:
-            parts += [["nodes", *nodes] if nodes else surfaces.albedo[: layer.channels]]
+            if nodes:
+                parts += [["nodes", *nodes]]
+            else:
+                parts += [surfaces.albedo[: layer.channels]]
             parts += [self.bounces, self.plan.survival]
             if self.plan.branches > 1:
                 parts += ["branches", self.plan.branches]
         # Irradiance has met the scene's lights, walls and other surfaces.
         if layer.kind == "irradiance":
             parts += [*lighting.sources, surfaces.albedo, *lighting.walls]
-            parts += [*surfaces.company, *(surfaces.matter if surfaces.material.scatters else [])]
-        return digest_of(parts + (surfaces.by_data if layer.reflected else []))
+            parts += surfaces.several_facts
+            if surfaces.material.scatters:
+                parts += surfaces.material_facts
+        if layer.reflected:
+            parts += surfaces.colour_facts
+        return digest_of(parts)
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
         """Return the digest of a layer of glow: of the places of glows and of all surfaces that
@@ -386,21 +398,13 @@ class Scene:
             *astuple(layer),
             *self.departures,
         ]
-        parts += [
-            "shown",
-            shown,
-            surfaces.albedo[: layer.colours],
-            self.bounces,
-            self.plan.survival,
-        ]
+        parts += ["shown", shown]
+        parts += [surfaces.albedo[: layer.colours], self.bounces, self.plan.survival]
+        parts += [lighting.glowing.digest]
         # Walls reflect glow, but their light is not part of it.
         if lighting.room.any:
-            walls = ["walls", lighting.room.dark_digest]
-        else:
-            walls = []
-        return digest_of(
-            [*parts, lighting.glowing.digest, *walls, *surfaces.company, *surfaces.by_data]
-        )
+            parts += ["walls", lighting.room.dark_digest]
+        return digest_of([*parts, *surfaces.several_facts, *surfaces.colour_facts])
 
     def wall_digest(self, *state: Any) -> str:
         """Return the digest (hex) of everything that the light of walls depends on, and of the
@@ -408,10 +412,11 @@ class Scene:
         """
         surfaces = self.surfaces
         lighting = self.lighting
-        lights = [*lighting.sources, lighting.room.digest, *lighting.glow]
-        paths = [self.bounces, self.plan.survival, self.settings.normals, self.settings.offset]
-        parts = [BAKE_FORMAT, self.volume.digest, *lights, *paths]
-        return digest_of([*parts, *surfaces.company, *surfaces.matter, *surfaces.by_data, *state])
+        parts = [BAKE_FORMAT, self.volume.digest]
+        parts += [*lighting.sources, lighting.room.digest, *lighting.glow]
+        parts += [self.bounces, self.plan.survival, self.settings.normals, self.settings.offset]
+        parts += [*surfaces.several_facts, *surfaces.material_facts, *surfaces.colour_facts]
+        return digest_of([*parts, *state])
 
     @property
     def departures(self) -> list[Any]:
@@ -444,25 +449,18 @@ class Scene:
         lighting = self.lighting
         # Parts that a scene does not have are left out, so that digests of other scenes stay as
         # they are.
-        projected = self.settings.projected
-        if projected is None:
-            settled = []
-        else:
-            settled = ["projected", projected]
+        parts = [self.bake_digest, *lighting.sources]
+        parts += [surfaces.albedo, self.plan.order, self.plan.lobes, self.target_error]
+        if self.settings.projected is not None:
+            parts += ["projected", self.settings.projected]
         orientation = self.volume.orientation
         if orientation.placed:
-            placed = [orientation.rotation, orientation.origin]
-        else:
-            placed = []
-        lit = [surfaces.albedo, self.plan.order, self.plan.lobes, self.target_error]
+            parts += [orientation.rotation, orientation.origin]
+        parts += lighting.walls
         if surfaces.shine:
-            shine = ["shine", *astuple(surfaces.shine)]
-        else:
-            shine = []
-        beside = [*lighting.walls, *shine, *surfaces.by_data, *surfaces.company, *surfaces.matter]
-        return digest_of(
-            [self.bake_digest, *lighting.sources, *lit, *settled, *placed, *beside, *lighting.glow]
-        )
+            parts += ["shine", *astuple(surfaces.shine)]
+        parts += [*surfaces.colour_facts, *surfaces.several_facts, *surfaces.material_facts]
+        return digest_of([*parts, *lighting.glow])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Return a camera around the middle of the volume, in the volume's box. Angles are in

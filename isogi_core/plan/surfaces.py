@@ -61,7 +61,7 @@ class SceneSurfaces:
         return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
 
     @property
-    def passed(self) -> bool:
+    def light_passes(self) -> bool:
         """Whether light passes through some surface or enters it; such light is baked as it
         falls, and cannot be turned.
         """
@@ -83,12 +83,12 @@ class SceneSurfaces:
     def met(self) -> tuple[Colour, ...]:
         """The albedos that paths meet in addition to the one of a surface that lies alone."""
         pinned = (share for each in self.pinned for share in (each.albedo, each.leaving))
-        if self.passed:
+        if self.light_passes:
             return (*pinned, self.albedo)
         return tuple(pinned)
 
     @property
-    def company(self) -> list[Any]:
+    def several_facts(self) -> list[Any]:
         """The part of digests that describes several surfaces; empty for one surface that lets
         no light through.
         """
@@ -102,7 +102,7 @@ class SceneSurfaces:
         return []
 
     @property
-    def matter(self) -> list[Any]:
+    def material_facts(self) -> list[Any]:
         """The part of digests that describes the surface's material; empty for a diffuse one."""
         material = self.material
         facts = material.kind, material.index, *material.absorption
@@ -111,7 +111,7 @@ class SceneSurfaces:
         return ["material", *facts, 1.0 / material.mean_free_path]
 
     @property
-    def by_data(self) -> list[Any]:
+    def colour_facts(self) -> list[Any]:
         """The part of digests that describes the surface's colours; empty if there are none."""
         if self.colours is None:
             return []
@@ -254,7 +254,7 @@ def read_pinned(
     """
     found = pinned_surfaces(settings.tables("surfaces"), volume)
     if found:
-        refuse_company(settings, colours, "[[surfaces]]")
+        refuse_with_several(settings, colours, "[[surfaces]]")
     return found
 
 
@@ -264,7 +264,7 @@ def read_clear(settings: Settings, colours: SurfaceColours | None) -> float:
     """
     clear = settings.number("clear", 0.0, 0.0, 1.0)
     if clear > 0.0:
-        refuse_company(settings, colours, "clear")
+        refuse_with_several(settings, colours, "clear")
     return clear
 
 
@@ -277,12 +277,12 @@ def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColour
     """
     transmission = settings.colour("transmission", 0.0)
     if any(transmission):
-        refuse_company(settings, colours, "transmission")
+        refuse_with_several(settings, colours, "transmission")
         refuse_gain(albedo, transmission, f"The surface of the scene '{settings.source.name}'")
     return transmission
 
 
-def refuse_company(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
+def refuse_with_several(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
     """Raise SceneError if the scene has a feature that several surfaces cannot be lit with.
     ``what`` is the key that makes the surfaces several.
     """

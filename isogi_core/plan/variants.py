@@ -304,13 +304,17 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     document: dict[str, Any] = {
         key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS
     }
-    document |= {key: value for key, value in own.table.items() if key != "name"} | lying(
-        scene, side
-    )
-    document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
+    document |= {key: value for key, value in own.table.items() if key != "name"}
+    document |= solid_keys(scene, side)
+    if side.number:
+        document["isovalues"] = [own.isovalue] * 2
+    else:
+        document["isovalues"] = list(scene.isovalues)
     if others:
-        document |= {"surfaces": [each.table for each in others]}
-    return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
+        document["surfaces"] = [each.table for each in others]
+    if side.inner:
+        return remade(scene, document, scene.volume.inside_out)
+    return remade(scene, document, scene.volume)
 
 
 def distinct_surfaces(
@@ -323,7 +327,7 @@ def distinct_surfaces(
     return tuple(found.values())
 
 
-def lying(scene: Scene, side: Side) -> dict[str, Any]:
+def solid_keys(scene: Scene, side: Side) -> dict[str, Any]:
     """Return the keys that say which side of the isovalue is solid in the scene of a ``side``,
     so that another process that opens it gets the same scene.
     """

@@ -63,14 +63,14 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
     levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
     return np.unique(
         [
-            *chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)),
+            *chain.from_iterable(divide_group(values, *ends) for ends in pairwise(levels)),
             NEAR_ZERO_LEVEL,
             np.inf,
         ]
     )
 
 
-def parted(values: np.ndarray, low: float, high: float) -> list[float]:
+def divide_group(values: np.ndarray, low: float, high: float) -> list[float]:
     """Return the levels of one group from ``low`` to before ``high``; ``values`` are all
     distinct values, ascending.
     """
@@ -107,7 +107,7 @@ it.
 """
 
 
-def anew(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
+def measure_now(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
     """Return the result of ``measure``; the survey that keeps nothing."""
     return measure()
 
@@ -120,7 +120,9 @@ class ActiveCellMaps:
     as all isovalues here are.
     """
 
-    def __init__(self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = anew) -> None:
+    def __init__(
+        self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = measure_now
+    ) -> None:
         """Find the ranges of the blocks of ``voxels`` by a ``survey``; keep maps of at most
         ``most`` bytes.
 
@@ -228,7 +230,7 @@ class ActiveCellMaps:
 
     def _widen(self) -> None:
         """Widen groups until the maps of all that were asked for fit into the limit."""
-        while self._together() > self._most and self._width < len(self._asked):
+        while self._asked_bytes() > self._most and self._width < len(self._asked):
             self._width = self._width + 1
             self._grouped = None
 
@@ -251,7 +253,7 @@ class ActiveCellMaps:
         ]
         return np.array(spans)
 
-    def _together(self) -> int:
+    def _asked_bytes(self) -> int:
         """Return the bytes of the maps of all groups that were asked for; USUAL_BLOCK_BYTES
         stand in for sizes that are not known.
         """

@@ -31,8 +31,8 @@ from isogi_core.prepared.active_cell_maps import (
     ActiveCellMaps,
     Survey,
     VoxelCodes,
-    anew,
     find_codes,
+    measure_now,
 )
 from isogi_core.runs import Run, serially
 
@@ -190,7 +190,7 @@ class PreparedScene:
         if self.scene.meets is Through:
             return Through(self.field, cells, *self.passable)
         if self.scene.meets is Among:
-            return Among(self.field, self.company(cells, run), self._room)
+            return Among(self.field, self.surfaces_around(cells, run), self._room)
         if self.scene.meets is InRoom:
             return InRoom(self.field, cells, self.room(albedo))
         return Open(self.field, cells)
@@ -202,7 +202,7 @@ class PreparedScene:
         room = self.room(albedo)
         dark = room._replace(radiances=np.zeros_like(room.radiances))
         if self.scene.glow_meets is Among:
-            return Among(self.field, self.company(cells), dark)
+            return Among(self.field, self.surfaces_around(cells), dark)
         return InRoom(self.field, cells, dark)
 
     @cached_property
@@ -255,7 +255,7 @@ class PreparedScene:
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
 
-    def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
+    def surfaces_around(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
         """Return all surfaces of the scene, as paths meet them around an isosurface whose
         active ``cells`` are given.
         """
@@ -303,7 +303,7 @@ def survey_of(volume: Volume) -> Survey:
     large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
     if large:
         return partial(get_survey, f"{volume.digest}-{SURVEY_VERSION}")
-    return anew
+    return measure_now
 
 
 SURVEY_VERSION = 1

@@ -19,7 +19,7 @@ from isogi_core.plan.albedo_nodes import (
     mixing_weights,
     spread_nodes,
 )
-from isogi_core.plan.budget import MIXING
+from isogi_core.plan.budget import MIXING_SHARE
 from isogi_core.plan.isovalue_levels import find_levels, levels_around
 from isogi_core.plan.left_out import percent
 from isogi_core.plan.materials import unrefracted
@@ -193,7 +193,9 @@ def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(
     direct, indirect = scene.plan.layers
     assert scene.plan.representation == representation and scene.surfaces.albedos == (0.0, 0.9)
     assert (direct.kind, indirect.kind, scene.plan.channels) == ("direct", "indirect", 1)
-    assert indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING * 0.02) == scene.plan.nodes
+    assert (
+        indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING_SHARE * 0.02) == scene.plan.nodes
+    )
     assert indirect.channels == len(indirect.nodes) == 3
     fixed = load_scene("demo:orbital", lights=[light], albedo=0.9)
     assert (scene.bounces, scene.plan.survival) == (fixed.bounces, fixed.plan.survival), (

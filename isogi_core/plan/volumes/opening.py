@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -67,70 +67,64 @@ def open_volume(
     labels = find_labels(settings)
     smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
     pieces = settings.count("pieces", MOST_PIECE) or 0
-    if not name.startswith("demo:"):
-        grid, stem = open_own(settings)
-        moment = grid.moment
-        # Take the values as labels, or as values without the file's fill value.
-        segmented = labels is not None or are_labels(grid, settings)
-        if segmented:
-            grid = solid_of_labels(grid, labels or (), settings)
-        elif "missing" not in settings.source.document:
-            grid = without_fill(grid)
-        # Bring the grid to right angles, then smooth, drop small pieces and mask: each wraps the
-        # grid, and voxels are read once, at the end.
-        straight = on_right_angles(grid, spacing)
-        if tables and spacing and grid.affine is not None:
-            raise SceneError(
-                "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
-            )
-        if smooth and segmented:
-            raise SceneError(
-                f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
-            )
-        if smooth:
-            straight = smoothed(straight, smooth, missing)
-            # Missing values are holes by now.
-            missing = ()
-        if pieces and segmented:
-            raise SceneError(
-                f"The volume '{stem}' shows labels: hide labels, and leave pieces out."
-            )
-        if pieces:
-            straight = without_small_pieces(straight, pieces, solid, missing)
-        masks = [
-            place(table, open_beside(settings, table.file), grid, straight) for table in tables
-        ]
-        if masks:
-            straight = cut_out(straight, masks, solid, missing)
-        # Read the voxels, and note if values look like labels that nobody declared.
-        volume = volume_of(straight, solid, stem, missing, progress)
-        if segmented:
-            count = 0
-        else:
-            count = look_like_labels(volume)
-        straight = replace(
-            straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ()))
+    if name.startswith("demo:"):
+        altered = bool(spacing or missing or chosen or raw or tables or pieces)
+        altered = altered or labels is not None or solid != "above"
+        return open_demo(name, smooth, altered, chosen)
+    grid, stem = open_own(settings)
+    moment = grid.moment
+    # Take the values as labels, or as values without the file's fill value.
+    segmented = labels is not None or are_labels(grid, settings)
+    if segmented:
+        grid = solid_of_labels(grid, labels or (), settings)
+    elif "missing" not in settings.source.document:
+        grid = without_fill(grid)
+    # Bring the grid to right angles, then smooth, drop small pieces and mask: each wraps the
+    # grid, and voxels are read once, at the end.
+    straight = on_right_angles(grid, spacing)
+    if tables and spacing and grid.affine is not None:
+        raise SceneError(
+            "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
         )
-        return replace(
-            volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented
+    if smooth and segmented:
+        raise SceneError(
+            f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
         )
-    if name.removeprefix("demo:") not in DEMOS:
-        raise VolumeError(
-            f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
-        )
-    # A demo has no file that these settings could concern.
-    given = spacing or missing or chosen or raw or tables or pieces
-    if given or labels is not None or solid != "above":
-        made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(
-            f"'{key}'"
-            for key in (
-                *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
-                *chosen,
-            )
-        )
-        raise SceneError(f"{name} {made}: leave out {named}.")
+    if smooth:
+        straight = smoothed(straight, smooth, missing)
+        # Missing values are holes by now.
+        missing = ()
+    if pieces and segmented:
+        raise SceneError(f"The volume '{stem}' shows labels: hide labels, and leave pieces out.")
+    if pieces:
+        straight = without_small_pieces(straight, pieces, solid, missing)
+    masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
+    if masks:
+        straight = cut_out(straight, masks, solid, missing)
+    # Read the voxels, and note if values look like labels that nobody declared.
+    volume = volume_of(straight, solid, stem, missing, progress)
+    count = 0 if segmented else look_like_labels(volume)
+    if count:
+        straight = replace(straight, notes=(*straight.notes, PROPOSED.format(count=count)))
+    return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
+
+
+def open_demo(name: str, smooth: float, altered: bool, chosen: Iterable[str]) -> Volume:
+    """Return the demo ``name``, smoothed by a Gaussian of ``smooth`` voxels.
+
+    Raises VolumeError if there is none of this name, and SceneError if the scene has ``altered`` it
+    by settings of files, or ``chosen`` a part of it.
+    """
     key = name.removeprefix("demo:")
+    if key not in DEMOS:
+        raise VolumeError(
+            f"There is no {name}: choose one of {', '.join('demo:' + demo for demo in DEMOS)}."
+        )
+    if altered:
+        made = "is made with spacing 1, solid above and nothing missing"
+        keys = ("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces", *chosen)
+        named = ", ".join(f"'{each}'" for each in keys)
+        raise SceneError(f"{name} {made}: leave out {named}.")
     if smooth:
         return make_volume(smoothed(Grid.of(DEMOS[key].build()), smooth).whole(), name=key)
     return demo_volume(key)

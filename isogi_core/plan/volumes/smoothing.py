@@ -77,7 +77,7 @@ def _smoothed_layers(
     layers = (_flattened(layer, weights, marks) for slab in grid.slabs() for layer in usable(slab))
     window: deque[Flattened] = deque(maxlen=len(weights))
     # Slide a window of layers along z; its middle is complete once the window is full.
-    for layer in _going_on(layers, reach):
+    for layer in _with_repeated_ends(layers, reach):
         window.append(layer)
         if len(window) == len(weights):
             yield _summed(window, weights, reach)[None]
@@ -111,7 +111,7 @@ def _along(layer: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
     return smooth
 
 
-def _going_on(layers: Iterator[Flattened], reach: int) -> Iterator[Flattened]:
+def _with_repeated_ends(layers: Iterator[Flattened], reach: int) -> Iterator[Flattened]:
     """Yield the ``layers`` with the first and the last repeated ``reach`` times."""
     last = next(layers)
     yield from [last] * reach
