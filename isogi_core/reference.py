@@ -117,9 +117,7 @@ def trace_reference(
             gbuffer, np.zeros((len(gbuffer.points), REFERENCE_REPLICAS, 3)), 0, 0.0, subject
         )
     if former.subject != subject:
-        raise ReportError(
-            "The reference to go on from is of another scene or view: begin a new one."
-        )
+        raise ReportError("The reference to continue is of another scene or view: begin a new one.")
     # Trace the samples that each replica still lacks, and add them to a copy of the sums.
     taken = former.samples // REFERENCE_REPLICAS
     wanted = -(-samples // REFERENCE_REPLICAS)
@@ -139,7 +137,7 @@ def refuse_several(scene: Scene) -> None:
     """
     if scene.surfaces.material.refracts:
         raise ReportError(
-            "A reference is of light that a surface keeps, and glass keeps none: render it "
+            "A reference needs light that a surface keeps, and glass keeps none: render it "
             "path_traced."
         )
     if scene.surfaces.several:
@@ -239,7 +237,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
             kept = {each.name: file[each.name] for each in REFERENCE_FIELDS}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ReportError(
-            f"{path} is no whole reference ({error}): remove it, or name another file."
+            f"{path} is no complete reference ({error}): remove it, or name another file."
         ) from None
     # Refuse a reference of another subject, and say what the file holds.
     if kept["subject"] != subject_of(scene, view):
@@ -247,9 +245,9 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
             "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
             "{normals} normals, {offset:g} off"
         )
-        own = described.format(**about, **about["view"])
+        kept_view = described.format(**about, **about["view"])
         raise ReportError(
-            f"{path} is of another scene, view or way of tracing ({own}): name another file."
+            f"{path} is of another scene, view or way of tracing ({kept_view}): name another file."
         )
     return Reference(
         **{name: value if value.ndim else value.item() for name, value in kept.items()}

@@ -77,15 +77,15 @@ class BakeSpec:
         if albedo == self.albedo:
             return self
         if albedo == self.prepared.scene.surfaces.albedo:
-            return self._own
-        return self._seen(albedo)
+            return self._of_scene
+        return self._with_albedo(albedo)
 
     @cached_property
-    def _own(self) -> "BakeSpec":
+    def _of_scene(self) -> "BakeSpec":
         """The spec of the scene's albedo; it is kept, as most views have it."""
-        return self._seen(self.prepared.scene.surfaces.albedo)
+        return self._with_albedo(self.prepared.scene.surfaces.albedo)
 
-    def _seen(self, albedo: Colour) -> "BakeSpec":
+    def _with_albedo(self, albedo: Colour) -> "BakeSpec":
         """Make the spec of an ``albedo``; it shares all parts that do not depend on the albedo."""
         seen = replace(self, seen=albedo)
         vars(seen).update(light=self.light, beside=self.beside, _lights=self._lights)
@@ -114,7 +114,7 @@ class BakeSpec:
 
     @cached_property
     def coloured(self) -> bool:
-        """Whether paths carry the colours of the surfaces that they hit to harmonics."""
+        """True if paths carry the colours of the surfaces that they hit to harmonics."""
         return COLOURED_KIND in self.kinds
 
     @property
@@ -224,17 +224,17 @@ class BakeSpec:
         numbers = [
             number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW_KIND
         ]
-        # Direct light is without lobes, and so is a group of its own.
+        # Direct light is without lobes, and so a separate group.
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [
             group for group in (straight, tuple(i for i in numbers if i not in straight)) if group
         ]
         return tuple(
-            (group, self._beside(group, self.lobes if group == straight else ()))
+            (group, self._light_met_by(group, self.lobes if group == straight else ()))
             for group in groups
         )
 
-    def _beside(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
+    def _light_met_by(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
         """Return the light that ``layers`` meet, without some ``lobes``; (3, n²)."""
         order = min(max(self.plan.layers[i].order for i in layers), self.order)
         return np.asarray(self.light[:, : order**2] - project_lobes(lobes, order))
@@ -275,7 +275,7 @@ class BakeSpec:
         not in the plan belongs to the terms of its kind, or to the first one.
         """
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
-        found = [term for term, own in zip(self.terms, kinds, strict=True) if layer.kind in own]
+        found = [term for term, kept in zip(self.terms, kinds, strict=True) if layer.kind in kept]
         return found[-1] if found else self.terms[0]
 
     @property
@@ -408,11 +408,11 @@ class BakeSpec:
             self.plan.branches,
         )
 
-    def _stacked(self, own: Sequence[np.ndarray]) -> np.ndarray:
+    def _stacked(self, tables: Sequence[np.ndarray]) -> np.ndarray:
         """Stack tables of weights, padded with zeros to the same number of columns."""
-        longest = max(shares.shape[1] for shares in own)
+        longest = max(shares.shape[1] for shares in tables)
         return np.vstack(
-            [np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in own]
+            [np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in tables]
         )
 
     def _shares(self, layer: Layer) -> np.ndarray:

@@ -331,7 +331,7 @@ def efforts(
     """Return ``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64;
     ``chunks`` holds each texel's chunk.
     """
-    # Sum over the chunks: unlit texels, samples taken and left of those not final.
+    # Sum the columns of Effort over each chunk; samples expected of unlit texels are not known.
     unlit = samples == 0
     waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
     left = samples_left(error[waiting], samples[waiting], target, enough)

@@ -218,12 +218,12 @@ samples so far, and number of new ones. It yields sums as ``sample_transfer`` do
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
     """Group parts by their sampler: transfer layers that share harmonics, irradiance, and glow."""
-    own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
-    if lit := [part for part in parts if part.layer.kind not in own]:
+    samplers: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
+    if lit := [part for part in parts if part.layer.kind not in samplers]:
         yield sample_transfer, lit
     for part in parts:
-        if part.layer.kind in own:
-            yield own[part.layer.kind], [part]
+        if part.layer.kind in samplers:
+            yield samplers[part.layer.kind], [part]
 
 
 def add(
@@ -465,7 +465,7 @@ KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
 
 
 def keeps(spec: BakeSpec) -> bool:
-    """Return whether light of a ``spec`` of a whole volume may be kept if the volume is cut."""
+    """Return True if light of a ``spec`` of a whole volume may be kept if the volume is cut."""
     return (
         spec.shown is None
         and spec.kinds <= KEEPABLE_KINDS
@@ -538,8 +538,8 @@ def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
     """Return which texels took at least ``samples`` in any part with ``reflected`` light, or
     without; (m,) bool.
     """
-    own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
-    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])
+    taken = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
+    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *taken])
 
 
 def strays_of(
@@ -549,6 +549,6 @@ def strays_of(
     something outside of ``confines``.
     """
     strays = np.zeros(len(rows), np.bool_)
-    for cells, own in by_isovalue(place[3], ~rows, spec.prepared):
-        find_strays(spec.prepared.field, cells, place, own, samples, confines, strays)
+    for cells, some in by_isovalue(place[3], ~rows, spec.prepared):
+        find_strays(spec.prepared.field, cells, place, some, samples, confines, strays)
     return strays

@@ -188,18 +188,18 @@ class Part:
         """Copy some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
-    def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
-        """Place the texels, which lie at ``own`` places, among all at the ascending ``places``;
+    def among(self, at: np.ndarray, places: np.ndarray) -> "Part":
+        """Place the texels, which lie at the places ``at``, among all at the ascending ``places``;
         the others are dark.
         """
         whole = Part.dark(self.layer, len(places))
-        whole.put(np.searchsorted(places, own), self)
+        whole.put(np.searchsorted(places, at), self)
         return whole
 
     def channel(self, number: int) -> "Part":
         """Return the texels with channel ``number`` of their coefficients alone."""
-        own = np.ascontiguousarray(self.coefficients[:, number : number + 1])
-        return Part(self.layer, self.samples, self.noise, own)
+        one = np.ascontiguousarray(self.coefficients[:, number : number + 1])
+        return Part(self.layer, self.samples, self.noise, one)
 
     def put(self, which: np.ndarray, part: "Part") -> None:
         """Write the rows of ``part`` to some rows of this one."""
@@ -247,7 +247,7 @@ class Light:
 
     @property
     def void(self) -> np.ndarray:
-        """Whether each texel cannot hold light; (m,) bool."""
+        """True for each texel that cannot hold light; (m,) bool."""
         return np.any([part.samples == VOID for part in self.parts], axis=0)
 
     def agree_on_void(self) -> None:

@@ -62,7 +62,7 @@ def spread_colours(colours: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Label:
     """A part of a segmentation: its ``value`` in the volume, its ``name``, its albedo
-    ``colour``, and whether it is ``shown``.
+    ``colour``; ``shown`` is False for a hidden one.
     """
 
     value: int
@@ -133,7 +133,7 @@ class SurfaceColours:
 
     @property
     def grey(self) -> bool:
-        """Whether no place changes the colour of light."""
+        """True if no place changes the colour of light."""
         return bool((self.table[:, 1:] == self.table[:, :1]).all())
 
     @cached_property

@@ -181,11 +181,14 @@ def _sun_disc(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray)
     air (appendix A.1 of the paper; ozone, gases and water vapour attenuate it little and are left
     out).
     """
+    # Attenuate the beam: relative optical mass, turbidity of the aerosol, and optical
+    # depth of both kinds of scattering.
     zenith = 90.0 - light.sun_elevation
     mass = 1.0 / (math.cos(math.radians(zenith)) + 0.15 * (93.885 - zenith) ** -1.253)
     beta = 0.04608 * light.turbidity - 0.04586
     depth = 0.008735 * _WAVELENGTHS**-4.08 + beta * _WAVELENGTHS**-1.3
     irradiance = SUN_ILLUMINANCE * np.exp(-mass * depth)
+    # Spread the irradiance over the directions within the disc; a coarse image may have none there.
     away = np.linalg.norm(directions - sun_direction(light), axis=-1)
     disc = away <= max(SUN_RADIUS, 1.5 * float(away.min()))
     return np.where(disc[:, None], irradiance / np.sum(solid_angles[disc]), 0.0)
@@ -251,7 +254,7 @@ class Lamps:
 
     @property
     def any(self) -> bool:
-        """Whether there is any lamp."""
+        """True if there is any lamp."""
         return len(self.arrays.kinds) > 0
 
     def seen_from(self, point: Vector, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -290,9 +293,9 @@ class Lamps:
         if self.any:
             directions, irradiances = self.seen_from(centre, radius)
             # A lamp at the centre has no direction: spread it over all, as band 0.
-            beside = directions.any(axis=1)
-            project_lamps(order, directions[beside], irradiances[beside], coefficients)
-            coefficients[:, 0] += irradiances[~beside].sum(axis=0) / math.sqrt(4.0 * math.pi)
+            away = directions.any(axis=1)
+            project_lamps(order, directions[away], irradiances[away], coefficients)
+            coefficients[:, 0] += irradiances[~away].sum(axis=0) / math.sqrt(4.0 * math.pi)
         return coefficients
 
     def brightest(self, centre: Vector, radius: float) -> float:
@@ -418,7 +421,7 @@ class Environment:
 
     @cached_property
     def sharp(self) -> bool:
-        """Whether shadow rays towards bright parts pay: see ``SHARP_VARIANCE``."""
+        """True if shadow rays towards bright parts pay: see ``SHARP_VARIANCE``."""
         seen = self._luminance
         shares = solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
         mean = float((shares * seen).sum())

@@ -43,7 +43,7 @@ class FirstView:
 
     @property
     def placed(self) -> bool:
-        """Whether the camera's place is given; it is then not fitted to the surface."""
+        """True if the camera's place is given; it is then not fitted to the surface."""
         return self.distance is not None or self.target is not None
 
 

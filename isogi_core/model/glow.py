@@ -61,12 +61,11 @@ class Glow:
             raise SceneError("A glow has a box and a sphere: give one of them.")
         if self.box is None and self.sphere is None and self.values == ALL_VALUES and not self.mask:
             raise SceneError(
-                "A glow says nowhere what glows: give it a box, a sphere, a range of values or "
-                "a mask."
+                "A glow has no place: give it a box, a sphere, a range of values or a mask."
             )
         if self.labels and not self.mask:
             raise SceneError(
-                "A glow has labels of no mask: add mask, the file that they are in, or leave "
+                "A glow has labels and no mask: add mask, the file that they are in, or leave "
                 "them out."
             )
         if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
@@ -140,17 +139,17 @@ class Glowing:
 
     @property
     def any(self) -> bool:
-        """Whether anything glows."""
+        """True if anything glows."""
         return bool(self.glows)
 
     @property
     def round(self) -> np.ndarray:
-        """Whether each glow is a ball, (k,) bool."""
+        """True for each glow that is a ball, (k,) bool."""
         return np.array([glow.sphere is not None for glow in self.glows], bool)
 
     @property
     def masked(self) -> np.ndarray:
-        """Whether each glow has a mask, (k,) bool."""
+        """True for each glow that has a mask, (k,) bool."""
         return np.array([bool(glow.mask) for glow in self.glows], bool)
 
     @property
@@ -261,7 +260,7 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
     if values[0] > high or values[1] < low:
         raise SceneError(
             f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to "
-            f"{high:g}: none glows."
+            f"{high:g}: no voxel glows."
         )
     one, other = (float(volume.normalise_isovalue(value)) for value in values)
     return min(one, other), max(one, other)

@@ -63,17 +63,17 @@ class Material:
 
     @property
     def refracts(self) -> bool:
-        """Whether rays pass through it; its surface then keeps no texels."""
+        """True if rays pass through it; its surface then keeps no texels."""
         return self.kind == "glass"
 
     @property
     def scatters(self) -> bool:
-        """Whether light enters and leaves elsewhere."""
+        """True if light enters and leaves elsewhere."""
         return self.kind == "subsurface"
 
     @property
     def passable(self) -> bool:
-        """Whether rays enter at all."""
+        """True if rays enter at all."""
         return self.refracts or self.scatters
 
 
@@ -209,13 +209,13 @@ class PinnedSurface:
             through = {"transmission": list(self.transmission)}
         else:
             through = {}
-        own = {
+        table = {
             "isovalue": self.isovalue,
             "albedo": list(self.albedo),
             "clear": self.clear,
             "name": self.name,
         }
-        return own | through
+        return table | through
 
 
 def leaving(albedo: Colour, transmission: Colour) -> Colour:
@@ -283,8 +283,8 @@ def pinned_surfaces(tables: list[Mapping[str, Any]], volume: "Volume") -> tuple[
     """
     if len(tables) > MOST_PINNED:
         raise SceneError(
-            f"The scene has {len(tables)} [[surfaces]] beside the one that slides: give "
-            f"{MOST_PINNED}."
+            f"The scene has {len(tables)} [[surfaces]] next to the one that slides: give "
+            f"at most {MOST_PINNED}."
         )
     found = tuple(pinned_from_mapping(table, volume) for table in tables)
     # Isovalues that differ in the file may be equal once normalised.

@@ -56,7 +56,7 @@ class Wall:
 
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
-        """Its light as area lights, one for each lit side; empty if it gives off none."""
+        """Light of the wall as area lights, one for each lit side; empty if it gives off none."""
         u, v = self.edges
         both = (
             AreaLight(self.corner, u, v, self.radiance),
@@ -93,7 +93,7 @@ class Room:
 
     @property
     def any(self) -> bool:
-        """Whether there is any wall."""
+        """True if there is any wall."""
         return bool(self.walls)
 
     @property
@@ -177,7 +177,7 @@ def _edges(name: str, value: Any) -> tuple[Vector, Vector]:
 def _sides(name: str, value: Any) -> int:
     """Read 1 or 2."""
     if value not in (1, 2) or isinstance(value, bool):
-        raise SceneError(f"{name} are {value!r}: 1 or 2 of them are lit.")
+        raise SceneError(f"{name} are {value!r}: give 1 or 2, as many as are lit.")
     return int(value)
 
 

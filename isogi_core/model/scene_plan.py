@@ -84,7 +84,7 @@ class Layer:
 
     @property
     def reflected(self) -> bool:
-        """Whether it holds reflected light, and so depends on albedo and bounces."""
+        """True if it holds reflected light, and so depends on albedo and bounces."""
         return self.kind != "direct"
 
     @property
@@ -192,7 +192,7 @@ class ScenePlan:
 
     @property
     def half(self) -> bool:
-        """Whether all coefficients are kept as half floats or bytes."""
+        """True if all coefficients are kept as half floats or bytes."""
         return all(layer.half for layer in self.layers)
 
     @property

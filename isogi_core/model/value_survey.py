@@ -135,6 +135,7 @@ def find_core(values: np.ndarray) -> tuple[float, float]:
     outlier: values may fall by powers of ten.
     """
     first, last = grow_span(values)
+    # Keep all values if the core itself would lose some.
     if grow_span(values[first : last + 1]) != (0, last - first):
         first = 0
         last = len(values) - 1

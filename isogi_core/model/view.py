@@ -77,18 +77,12 @@ def read_window(text: str) -> Window:
 
 def _read_term(term: str) -> Plane:
     """Read one term as a plane. Raises ViewError."""
-    if len(term) <= 200:
-        match = TERM_PATTERN.fullmatch(term)
-    else:
-        match = None
+    # The pattern is tried on terms of a sensible length alone.
+    match = TERM_PATTERN.fullmatch(term) if len(term) <= 200 else None
     if match is None:
-        if len(term) <= 40:
-            shown = term
-        else:
-            shown = f"{term[:39]}…"
+        shown = term if len(term) <= 40 else f"{term[:39]}…"
         raise ViewError(
-            "A plane takes away, such as x>40 or 0,1,-1<12.5, with ; between planes; "
-            f"'{shown}' is none."
+            f"A plane is written as x>40 or 0,1,-1<12.5, with ; between planes; '{shown}' is none."
         )
     named = match[1]
     sign = -1.0 if match[2] == ">" else 1.0
@@ -102,7 +96,7 @@ def _read_term(term: str) -> Plane:
     ):
         raise ViewError(
             f"The plane '{term}' has no direction, or is too far away: give a longer normal or "
-            "a less limit."
+            "a smaller limit."
         )
     # Normalise the plane so that points to keep are on its positive side; adding 0 turns -0 into 0.
     x, y, z = (sign * each / length + 0.0 for each in normal)
@@ -155,7 +149,7 @@ class Camera:
         """Return unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
-        # Scale up to about 1, so that no product of its parts underflows.
+        # Scale ``up`` to a length of about 1, so that no product of its parts underflows.
         up = np.ldexp(self.up, -int(np.frexp(max(map(abs, self.up)))[1]))
         right = np.cross(forward, up)
         right = right / np.linalg.norm(right)
@@ -334,7 +328,7 @@ class View:
             raise ViewError("The isovalue is not a finite number.")
         if self.width < 1 or self.height < 1:
             raise ViewError(
-                f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at "
+                f"A picture of {self.width} × {self.height} pixels is empty: ask for at "
                 "least 1 × 1."
             )
         if self.shading not in VIEW_SHADINGS:

@@ -57,12 +57,12 @@ class Orientation:
 
     @property
     def turned(self) -> bool:
-        """Whether the box's axes are not the world's."""
+        """True if the box's axes are not the world's."""
         return self.rotation != STRAIGHT
 
     @property
     def straight(self) -> bool:
-        """Whether the box's axes lie along the world's, in any order and direction."""
+        """True if the box's axes lie along the world's, in any order and direction."""
         parts = np.abs(self.matrix)
         return bool(np.isclose(parts, np.round(parts), atol=1e-6).all())
 
@@ -125,7 +125,7 @@ class Orientation:
 
     @property
     def placed(self) -> bool:
-        """Whether a point of the box has other coordinates in the world."""
+        """True if a point of the box has other coordinates in the world."""
         return self.turned or self.origin != (0.0, 0.0, 0.0)
 
 

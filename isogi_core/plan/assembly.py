@@ -86,8 +86,8 @@ def build_scene(
 
 
 def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume]:
-    """Open the volume that a scene names, before it is cut. Return it with the settings, which
-    then say whether it is a segmentation.
+    """Open the volume that a scene names, before it is cut. Return the settings, which then
+    name a segmentation as such, and the volume.
     """
     whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
@@ -145,7 +145,11 @@ def plan_inputs(
     target_error: float,
 ) -> PlanInputs:
     """Collect the facts of a scene that its plan depends on."""
-    own = leaving(surfaces.albedo, surfaces.transmission)
+    # Light is planned for the highest albedo that views may ask for.
+    if overrides.albedos is None:
+        albedo = leaving(surfaces.albedo, surfaces.transmission)
+    else:
+        albedo = (overrides.albedos[1],) * 3
     colours = surfaces.colours
     return PlanInputs(
         lighting.environment,
@@ -153,7 +157,7 @@ def plan_inputs(
         volume.centre,
         volume.radius,
         lighting.rotating,
-        own if overrides.albedos is None else (overrides.albedos[1],) * 3,
+        albedo,
         target_error,
         (*lighting.room.albedos, *surfaces.met),
         coloured=colours is not None and not colours.grey,
@@ -185,8 +189,8 @@ def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
     if labels is not None:
         if table is not None:
             raise SceneError(
-                f"Labels of the scene '{settings.source.name}' have colours: leave the other "
-                "volume out."
+                f"Labels of the scene '{settings.source.name}' have colours already: leave the "
+                "other volume out."
             )
         return colours_of_labels(labels, settings, whole)
     if table is None:

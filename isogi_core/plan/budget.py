@@ -77,8 +77,8 @@ light / energy of direct light) of ``branches_for``. Measured after 64 samples o
 """
 
 BRANCHED = 6
-"""Order of the harmonics whose energies decide whether paths branch: as many bands as light
-that turns usually keeps.
+"""Order of the harmonics whose energies decide on branches: as many bands as light that turns
+usually keeps.
 """
 
 MOST_BRANCHES = 4
@@ -116,8 +116,7 @@ def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
     """
     if layer.coarse is None:
         return 0.0
-    # The light in these bands is the difference between the errors of cutting before and after
-    # them.
+    # The light in these bands follows from the squared errors of cutting before and after them.
     below, above = (
         cut_error(replace(layer, order=n), inputs, lobes) for n in (layer.coarse, layer.order)
     )
@@ -159,7 +158,7 @@ def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
     + v_r / b)(1 + p b), which is least at b = √(v_r / (p v_d)). Noise is alike in all bands, and
     v_r grows in proportion to p, so that v_r / (p v_d) is BRANCHING · R² times the ratio of the
     energies that reflected and direct light meet. Band 0 is left out: its variance comes from
-    whether the first ray hits at all, which branches do not change. Light gains most from branches
+    hits and misses of the first ray, which branches do not change. Light gains most from branches
     if its lobes are taken out.
 
     All lobes of the light count as taken out, however many the plan takes, and the number of bands

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.model.volume import HISTOGRAM_BINS, Volume
-from isogi_core.plan.inputs import found
+from isogi_core.plan.inputs import find_once
 
 MAX_SAMPLED = 1 << 18
-"""Number of voxels, about, from which is judged whether values span decades."""
+"""Number of voxels, about, that are read to find out if values span decades."""
 
 MIN_DECADES = 2.0
 """Powers of ten that the positive values on a logarithmic axis span at least, without a tenth
@@ -41,7 +41,7 @@ class ShownHistogram(NamedTuple):
 
 def shown_histogram(volume: Volume) -> ShownHistogram:
     """Return the histogram of a ``volume``, computed once and kept."""
-    return found(volume, "histogram", lambda: _shown_histogram(volume))
+    return find_once(volume, "histogram", lambda: _shown_histogram(volume))
 
 
 def _shown_histogram(volume: Volume) -> ShownHistogram:

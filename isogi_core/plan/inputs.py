@@ -19,7 +19,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
 
-FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+RESULTS: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
 """Results that were computed from environments and volumes in use, by subject; scenes with the
 same environment or volume share them.
 """
@@ -27,12 +27,12 @@ same environment or volume share them.
 Input = TypeVar("Input")
 
 
-def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
+def find_once(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
     """Return the kept result of ``find`` for a ``subject``, or compute and keep it.
 
     ``what`` names the result, and holds everything besides the subject that it depends on.
     """
-    known = FOUND.setdefault(subject, {})
+    known = RESULTS.setdefault(subject, {})
     if what not in known:
         known[what] = find()
     kept: Input = known[what]
@@ -58,13 +58,13 @@ class PlanOverrides:
 class PlanInputs:
     """The facts of a scene that its plan depends on.
 
-    - ``environment``, ``lamps``, ``rotating``: the lights, and whether views may turn them.
+    - ``environment``, ``lamps``: the lights; ``rotating``: True if views may turn them.
     - ``centre``, ``radius``: the ball around the volume, in world units.
     - ``albedo``: the highest that views may ask for, linear RGB.
     - ``target_error``: relative error of pictures.
     - ``walls``: albedos of walls, or of several surfaces.
-    - ``by_data``, ``coloured``: whether the surface has its albedo by data, at most ``albedo``, and
-      whether some of its colours are not grey.
+    - ``by_data``: True if the surface has its albedo by data, at most ``albedo``; ``coloured``:
+      True if some of these colours are not grey.
     - ``glows``: number of glows in the volume.
     """
 
@@ -87,19 +87,19 @@ class PlanInputs:
 
     @property
     def grey(self) -> bool:
-        """Whether reflection leaves the colour of light unchanged."""
+        """True if reflection leaves the colour of light unchanged."""
         alike = all(red == green == blue for red, green, blue in (self.albedo, *self.walls))
         return alike and not self.coloured
 
     @cached_property
     def grey_light(self) -> bool:
-        """Whether all lights are grey."""
+        """True if all lights are grey."""
         lights = (self.environment.image, self.environment.constant, self.lamps.arrays.colours)
         return all(bool((light[..., 1:] == light[..., :1]).all()) for light in lights)
 
     @cached_property
     def constant(self) -> bool:
-        """Whether the scene's light is the same constant from all sides."""
+        """True if the scene's light is the same constant from all sides."""
         return not self.lamps.any and not self.environment.image.any()
 
     @cached_property
@@ -142,11 +142,11 @@ class PlanInputs:
         """The lobes of the environment; none if it does not turn, as it is then baked as it is."""
         find = partial(find_lobes, self.environment, self.harmonics, self.target_error)
         if self.rotating:
-            return found(self.environment, self.target_error, find)
+            return find_once(self.environment, self.target_error, find)
         return ()
 
     @cached_property
     def harmonics(self) -> np.ndarray:
         """SH coefficients of the environment, linear RGB; (3, MAX_ORDER²) float64."""
         project = partial(project_environment, self.environment, MAX_ORDER)
-        return found(self.environment, "harmonics", project)
+        return find_once(self.environment, "harmonics", project)

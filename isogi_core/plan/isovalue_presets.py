@@ -215,7 +215,7 @@ def read_presets(settings: Settings, isovalues: tuple[float, float]) -> tuple[Pr
     entries = settings.tables("presets", MOST_NAMED)
     presets = tuple(_preset(entry, isovalues) for entry in entries)
     if len({preset.name for preset in presets}) < len(presets):
-        raise SceneError("Two presets of the scene have the same name: give each its own.")
+        raise SceneError("Two presets of the scene have the same name: give them different ones.")
     return presets
 
 
@@ -228,9 +228,7 @@ def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
     """Read one table of presets; raises SceneError as ``read_presets`` does."""
     if set(entry) != {"name", "isovalue"}:
         given = ", ".join(sorted(map(str, entry))) or "nothing"
-        raise SceneError(
-            f"A preset of the scene has {given}: give it name and isovalue, and no more."
-        )
+        raise SceneError(f"A preset of the scene has {given}: give it name and isovalue alone.")
     name = entry["name"]
     isovalue = entry["isovalue"]
     if (

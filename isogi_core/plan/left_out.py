@@ -134,7 +134,7 @@ def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         else:
             what = f"lobe {plan.lobes + 1}"
         why = (
-            "As light of their own they would bring the error of direct light's harmonics "
+            "Lit by shadow rays they would bring the error of direct light's harmonics "
             f"from {percent(errors[0])} to"
         )
         yield LeftOut(
@@ -154,14 +154,14 @@ def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 
 SINGLE_CHANNELS = {
-    "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
+    "direct": ("direct light", "Light that was not reflected has no colour of the surface."),
     "indirect": (
         "reflected light",
         "The albedo is grey, so that reflected light keeps its colour.",
     ),
     "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
-    GLOW_KIND: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
+    GLOW_KIND: ("what glows", "The albedo is grey: glows have the colours that frames give them."),
 }
 """Name of a layer's light by its kind, and the reason for which one channel is enough."""
 
@@ -175,10 +175,7 @@ def one_albedo(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
             cost = f", which takes {more:g} bytes a texel more than that of one grey albedo"
         else:
             cost = ""
-        why = (
-            f"Reflected light carries the colours of what it met{cost}: it is baked for "
-            "these alone."
-        )
+        why = f"Reflected light carries the colours of surfaces{cost}: it is baked for these alone."
         yield LeftOut("albedos that views choose", why)
 
 
@@ -188,8 +185,8 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
         if 0 < len(layer.nodes) < plan.bounces:
             albedos = ", ".join(f"{node:.2g}" for node in layer.nodes)
             error = mixing_error(layer.nodes, plan.bounces)
-            mixed = f"Light of any other albedo is mixed of that of {albedos}"
-            why = f"{mixed}, at an error of {percent(error)} where all hits are alike."
+            mixed = f"Light of any other albedo is mixed from that of {albedos}"
+            why = f"{mixed}, at an error of {percent(error)} if all hits are alike."
             yield LeftOut(
                 "light after each bounce",
                 why,
@@ -227,7 +224,7 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     if plan.survival == 1.0:
         return
     why = (
-        f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and "
+        f"From its second hit on a path continues with probability {plan.survival:.2g}, and "
         "stands for those that end."
     )
     long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
@@ -268,7 +265,7 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Yield facts of a texel that can be recovered without being stored."""
-    why = "A texel lies on the surface of the volume's own value there."
+    why = "A texel lies on the isosurface of the volume's value at it."
     yield LeftOut("isovalue of each texel", why, (Saving(FLOAT_BYTES, "bytes per texel"),))
     codes = sum(layer.noises + 1 for layer in plan.layers)
     why = "A byte holds noise to 5 %, and sample counts, which are powers of two, exactly."
@@ -340,12 +337,12 @@ def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     left = (
         (
             "unseen",
-            "No isovalue that may be asked for has a surface at them.",
+            "No isovalue that views may show has a surface at them.",
             texels.total - texels.shown,
         ),
         (
             "void",
-            "They have no gradient, no side of their own in a thin wall, or no room in a crease.",
+            "They have no gradient, no separate side in a thin wall, or no room in a crease.",
             texels.void,
         ),
     )
@@ -355,7 +352,7 @@ def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
         if count
     ]
     if empty:
-        why = "None of their texels is ever shown: they are neither asked for nor written."
+        why = "None of their texels is ever shown: they are neither baked nor written."
         found.append(LeftOut("empty chunks", why, (Saving(empty, "chunks"), kept)))
     return tuple(found)
 
@@ -424,8 +421,8 @@ def left_out_of_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
     not distinguish.
     """
     why = (
-        "A texel keeps what leaves its own side: some of its paths start on the other, by "
-        "what gets through."
+        "A texel keeps the light that leaves its side: some of its paths start on the other "
+        "side, in proportion to the transmission."
     )
     return (
         LeftOut(

@@ -54,7 +54,7 @@ class SceneLighting:
     - ``lights``: as the scene names them.
     - ``environment``: the sum of all lights that are infinitely far away.
     - ``lamps``: the other lights, and the luminaires of the ``room``.
-    - ``rotating``: whether views may turn the light.
+    - ``rotating``: True if views may turn the light.
     - ``glowing``: glows in the volume.
     """
 
@@ -92,8 +92,7 @@ class SceneLighting:
             return asked
         if self.glowing.any:
             raise ViewError(
-                f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's own, not "
-                f"{asked:g}."
+                f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's, not {asked:g}."
             )
         raise ViewError(
             "glow is for scenes in which something glows: leave it out, or give the scene a "
@@ -181,7 +180,7 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bool:
-    """Return whether views may turn the light: as the scene says, by default True.
+    """Return True if views may turn the light, as the scene says, or by default.
 
     It is False if there are lamps or walls, or if light has ``passed`` surfaces. Raises SceneError
     if the scene then asks for light that turns.
@@ -196,7 +195,7 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bo
             )
     if rotating and passed:
         raise SceneError(
-            "Light that passes surfaces is baked as it falls: leave out rotating = true."
+            "Light that passes through surfaces is baked in place: leave out rotating = true."
         )
     return rotating
 

@@ -264,6 +264,7 @@ def moments_of(places: np.ndarray, height: int, width: int) -> np.ndarray:
     """
     theta = np.pi / height * (places // width + np.array([[0], [1]]))
     phi = 2.0 * np.pi / width * (places % width + np.array([[0], [1]]))
+    # Each component is an integral over θ, of sin²θ or sinθ cosθ, times one over φ.
     up = np.diff(theta / 2.0 - np.sin(2.0 * theta) / 4.0, axis=0)
     x = up * np.diff(np.sin(phi), axis=0)
     y = -up * np.diff(np.cos(phi), axis=0)

@@ -19,7 +19,7 @@ EXCLUDED_SETTINGS = {
 }
 """Keys that a scene of each material cannot have, and the reason."""
 
-BESIDE_BOTH = {
+EXCLUDED_BY_BOTH = {
     "albedos": "its light is baked for one colour",
     "shine": "it shines by no lobe",
     "glow": "glow is not seen through it",
@@ -48,19 +48,19 @@ def read_material(settings: Settings, volume: Volume) -> Material:
     for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
             raise SceneError(
-                f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.'
+                f'{key} belongs to {of}: add material = "{of}" to the scene, or leave {key} out.'
             )
     if kind == "diffuse":
         return DIFFUSE
     # Refuse keys that do not go with this material.
-    for key, why in (BESIDE_BOTH | EXCLUDED_SETTINGS[kind]).items():
+    for key, why in (EXCLUDED_BY_BOTH | EXCLUDED_SETTINGS[kind]).items():
         if key in given:
             raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
     if kind == "glass":
         return Material(kind, index, absorption)
     if min(settings.colour("albedo", 0.7)) < MIN_SUBSURFACE_ALBEDO:
         raise SceneError(
-            "The albedo of a subsurface is what scattering leaves: "
+            "The albedo of a subsurface is the share that scattering leaves: "
             f"give {MIN_SUBSURFACE_ALBEDO:g} or more of each colour."
         )
     return Material(kind, mean_free_path=path)
@@ -111,7 +111,7 @@ def unrefracted(material: Material, lights: tuple[Light, ...], sharp: bool) -> t
     """
     if not material.refracts:
         return ()
-    texels = "Glass has no light of its own: what is seen through it is on the walls, or outside."
+    texels = "Glass keeps no light: the light seen through it is on walls, or comes from outside."
     found = [LeftOut("texels of the isosurface", texels, (Saving(100, "percent of all texels"),))]
     # Only shadow rays find lamps, and these do not pass glass.
     names = sorted({light.name for light in lights if isinstance(light, Lamp)})

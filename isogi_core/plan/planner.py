@@ -65,17 +65,17 @@ def refuse_lights(representation: str, inputs: PlanInputs) -> None:
         )
     if representation == "transfer" and inputs.lamps.any:
         raise SceneError(
-            "representation = 'transfer' is of light from far away, and lamps are near: leave "
+            "representation = 'transfer' needs light from far away, and lamps are near: leave "
             "it out."
         )
     if representation != "irradiance" and inputs.walls:
         raise SceneError(
-            f"representation = '{representation}' is of a surface alone, and there are walls "
-            "or others: leave it out."
+            f"representation = '{representation}' is for a surface alone, and there are walls "
+            "or other surfaces: leave it out."
         )
     if representation == "irradiance" and inputs.rotating:
         raise SceneError(
-            "representation = 'irradiance' is of light that does not turn: set rotating = false."
+            "representation = 'irradiance' is for light that does not turn: set rotating = false."
         )
 
 
@@ -86,11 +86,11 @@ def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -
     for name, order in (("order", overrides.order), ("indirect_order", overrides.indirect_order)):
         if order is not None and representation != "transfer":
             raise SceneError(
-                f"{name} = {order} is of harmonics, and this light needs none: leave it out."
+                f"{name} = {order} concerns harmonics, and this light needs none: leave it out."
             )
     if overrides.indirect_order is not None and not bounces:
         raise SceneError(
-            f"indirect_order = {overrides.indirect_order} is of reflected light, and there is "
+            f"indirect_order = {overrides.indirect_order} concerns reflected light, and there is "
             "none: leave it out."
         )
     if (
@@ -121,16 +121,16 @@ def refuse_reflections(bounces: int, inputs: PlanInputs, overrides: PlanOverride
     """Raise SceneError if an override concerns reflected light and there is none."""
     if overrides.representation == "vicinity" and overrides.bounces:
         raise SceneError(
-            "representation = 'vicinity' is of light before it is reflected: leave out 'bounces'."
+            "representation = 'vicinity' shows light before it is reflected: leave out 'bounces'."
         )
     if overrides.bounces and max(inputs.reflecting) == 0.0:
         raise SceneError(
-            f"bounces = {overrides.bounces} is of reflected light, and albedo 0 has none: "
+            f"bounces = {overrides.bounces} concerns reflected light, and albedo 0 has none: "
             "leave it out."
         )
     if overrides.representation == "constant" and not bounces:
         raise SceneError(
-            "representation = 'constant' is of reflected light too, and there is none: leave "
+            "representation = 'constant' keeps reflected light too, and there is none: leave "
             "it out."
         )
 
@@ -143,7 +143,7 @@ def refuse_albedos(representation: str, bounces: int, overrides: PlanOverrides) 
         given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
         advice = "set rotating = true, bounces = 0, or leave it out"
         raise SceneError(
-            f"{given} is of light that may turn, and this is baked as it stands: {advice}."
+            f"{given} needs light that may turn, and this light is baked in place: {advice}."
         )
 
 
@@ -154,17 +154,8 @@ def refuse_glow(bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> N
     if overrides.albedos is not None and inputs.glows and bounces:
         given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
         raise SceneError(
-            f"{given} is of lights alone, and something glows: set bounces = 0, or leave it out."
+            f"{given} is for lights alone, and something glows: set bounces = 0, or leave it out."
         )
-
-
-def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
-    """Return the ``layers``. Raises SceneError if none of them has a band that is kept in bytes."""
-    if all(layer.coarse is None for layer in layers):
-        raise SceneError(
-            "precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out."
-        )
-    return layers
 
 
 DIRECTED_ORDER = 2
@@ -346,14 +337,14 @@ def direct_order(inputs: PlanInputs, lobes: int) -> int:
 
 
 def indirect_order(inputs: PlanInputs, direct: int, lobes: int, most: int) -> int:
-    """Return the order of reflected light, at most ``most``: the least with which both kinds of
-    light together are within the target.
+    """Return the order of reflected light, at most ``most``, next to direct light of the order
+    ``direct`` without ``lobes``.
 
-    ``direct`` is the order of direct light next to ``lobes``. If direct light alone misses the
-    target, return the least order that adds at most half of direct light's error and still turns
-    with the light: as independent errors add in quadrature, the sum is then an eighth above direct
-    light's error. Under uffizi orders 6 and 2 have an error of 5.1 %, 6 and 3 of 3.5 %, 6 and 4 of
-    3.3 %, in 59, 64 and 71 bytes.
+    It is the least with which both kinds of light together are within the target. If direct light
+    alone misses the target, it is the least with half of direct light's error or less that still
+    turns with the light: as independent errors add in quadrature, the sum is then an eighth above
+    direct light's error. Under uffizi orders 6 and 2 have an error of 5.1 %, 6 and 3 of 3.5 %, 6
+    and 4 of 3.3 %, in 59, 64 and 71 bytes.
     """
     target = inputs.target_error
     error = truncation_error(inputs.energy_beside(lobes), direct, "direct")
@@ -390,7 +381,12 @@ def rounded(
     if overrides.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, inputs, lobes))
     if overrides.precision == "bytes":
-        return refuse_no_bytes(next(precisions(layers)))
+        kept = next(precisions(layers))
+        if all(layer.coarse is None for layer in kept):
+            raise SceneError(
+                "precision = 'bytes' is for higher bands, and there are none: leave it out."
+            )
+        return kept
     return tuple(replace(layer, half=overrides.precision == "half") for layer in layers)
 
 
@@ -453,15 +449,15 @@ def notes_on(plan: ScenePlan, inputs: PlanInputs) -> tuple[str, ...]:
     notes = []
     if "harmonics" in above:
         if inputs.rotating:
-            advice = " Where it need not turn, rotating = false bakes the light as it is."
+            advice = " If it need not turn, rotating = false bakes it in place."
         else:
             advice = ""
         sharp = f"The light is too sharp for harmonics of order {plan.order}"
         notes.append(f"{sharp}: expect an error of {above['harmonics']}, {target}{advice}")
     if "bounces" in above:
         notes.append(
-            f"Paths end after {plan.bounces} bounces: what is lost is {above['bounces']} at "
-            f"most, {target}"
+            f"Paths end after {plan.bounces} bounces: at most {above['bounces']} of the "
+            f"light is lost, {target}"
         )
     return tuple(notes)
 

@@ -132,11 +132,11 @@ def measure_stiffness(
     lock = threading.Lock()
 
     def piece(first: int, last: int) -> None:
-        own = np.zeros_like(counts)
+        part = np.zeros_like(counts)
         for begin in begins[first:last]:
-            count_stiffness(field, ascending, begin, min(begin + thick, layers), own)
+            count_stiffness(field, ascending, begin, min(begin + thick, layers), part)
         with lock:
-            np.add(counts, own, out=counts)
+            np.add(counts, part, out=counts)
 
     run(piece, len(begins), 1)
     # The kernel counts by differences: a cell adds at the first level that passes it, and subtracts
@@ -193,7 +193,7 @@ class ProjectionPlan:
 
     @property
     def any(self) -> bool:
-        """Whether texels are projected at any isovalue."""
+        """True if texels are projected at any isovalue."""
         return bool((self.errors > self.allowed).any())
 
     def error(self, isovalue: Isovalue) -> float:
@@ -363,7 +363,7 @@ def least_gradients(
     per unit of the world; (RANGE_BINS,) float64.
 
     The gradient of a cell is that in its middle. It counts at all isovalues between the cell's
-    least and greatest corner; a part that no cell has a surface in is inf. The voxels are read
+    least and greatest corner. A part is inf if no cell has a surface in it. The voxels are read
     once, two layers at a time. If there are more than ``most`` cells, evenly spread rows are read:
     the result is then an upper bound of gMin.
     """
@@ -425,6 +425,8 @@ def slopes_between(
     """Return the gradient in the middle of the cells between ``edges`` along x: its x, y and z,
     (rows, nx - 1) each.
     """
+    # Average the differences over the four edges of a cell along each axis: a and b lie in the
+    # lower layer of voxels, c and d in the upper one.
     a, b, c, d = (each.astype(np.float64) for each in edges)
     along = a + b + c + d
     across = b - a + d - c

@@ -140,9 +140,9 @@ def shown_blocks(cells: Cells, extent: Shape, shape: Shape, size: int) -> Iterat
         high = min(a + size, top)
         begin = first[low]
         marks = cells(begin, first[high - 1] + count[high - 1])
-        own = [(first[low:high] - begin, count[low:high]), *spans[1:]]
+        part = [(first[low:high] - begin, count[low:high]), *spans[1:]]
         # Mark the lattice cells that overlap a marked cell, then all of their corners.
-        held = any_within(marks, [each for each, _ in own], [each for _, each in own])
+        held = any_within(marks, [each for each, _ in part], [each for _, each in part])
         yield widened(widened(widened(held, 2), 1), 0, before=a == 0, after=a + size > top)
 
 
@@ -168,14 +168,15 @@ def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndarray]) -> np.ndarray:
-    """Return whether any mark is set in each box of ``counts`` marks from ``firsts`` on, both
-    given by axis; outside of the array none is set.
+    """Return True for each box that holds a set mark. A box has ``counts`` marks from
+    ``firsts`` on, both given by axis; outside of the array no mark is set.
     """
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1
         # The boxes are single marks along this axis.
         if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
             continue
+        # Combine the k-th mark of each box, for each k; shorter boxes repeat their last mark.
         steps = (np.minimum(first + np.minimum(k, count - 1), most) for k in range(count.max()))
         marks = reduce(np.logical_or, map(partial(marks.take, axis=axis), steps))
     return marks

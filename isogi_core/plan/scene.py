@@ -22,7 +22,7 @@ from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, Sc
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
-from isogi_core.plan.inputs import PlanInputs, PlanOverrides, found
+from isogi_core.plan.inputs import PlanInputs, PlanOverrides, find_once
 from isogi_core.plan.isovalue_levels import find_levels
 from isogi_core.plan.isovalue_presets import (
     Preset,
@@ -90,7 +90,7 @@ class SceneSettings:
     - ``lattice``: texels per voxel along each axis; ``chunk``: texels along each side of a chunk.
     - ``normals``: one of NORMAL_KINDS; ``offset``: distance in voxels above a surface at which rays
       start.
-    - ``projected``: whether texels are projected onto the isosurface of a view at rest; None leaves
+    - ``projected``: True if texels are projected onto the isosurface of a view at rest; None leaves
       that to ``plan.projection``.
     - ``presets``: isovalues that the scene names.
     - ``projection``: one of PROJECTIONS, for views that ask for none; ``first``: the first view.
@@ -142,7 +142,7 @@ class Scene:
 
     @property
     def many_albedos(self) -> bool:
-        """Whether paths meet more than one albedo: those of walls, or of colours."""
+        """True if paths meet more than one albedo: those of walls, or of colours."""
         return self.lighting.room.any or self.surfaces.colours is not None
 
     @property
@@ -207,7 +207,7 @@ class Scene:
         """The normals of the surface as first seen, from which the exposure is found."""
         inside = self.lighting.room.any
         find = partial(find_seen, self.volume, self.start, front_of(self.volume, inside))
-        return self.exposed_for or found(self.volume, ("seen", self.start, inside), find)
+        return self.exposed_for or find_once(self.volume, ("seen", self.start, inside), find)
 
     @property
     def front(self) -> tuple[float, float]:
@@ -259,7 +259,7 @@ class Scene:
     def texels(self) -> TexelCount:
         """The number of texels of the lattice, and of those that some view can show."""
         facts = self.lattice_shape, *self.span, self.settings.chunk
-        return found(
+        return find_once(
             self.volume,
             ("texels", *facts, *self._rays),
             partial(count_texels, self._bare_field, *facts),
@@ -272,7 +272,7 @@ class Scene:
             return ProjectionPlan.settled(self.span, self.settings.projected)
         facts = self.span, self.start, self.target_error
         find = partial(plan_projection, self._bare_field, *facts)
-        return found(self.volume, ("projection", *facts, *self._rays), find)
+        return find_once(self.volume, ("projection", *facts, *self._rays), find)
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -280,7 +280,7 @@ class Scene:
         them mix their light.
         """
         facts = self.isovalues, (self.isovalue, *(each.isovalue for each in self.settings.presets))
-        return found(self.volume, ("levels", *facts), partial(find_levels, self.volume, *facts))
+        return find_once(self.volume, ("levels", *facts), partial(find_levels, self.volume, *facts))
 
     @property
     def _rays(self) -> tuple[str, float]:
@@ -302,17 +302,19 @@ class Scene:
         in its volume. A segmentation gets none that it does not name.
         """
         colours = self.surfaces.colours
-        own = self.settings.presets
-        if own or (colours is not None and colours.scale.labels):
-            return own
+        named = self.settings.presets
+        if named or (colours is not None and colours.scale.labels):
+            return named
         find = partial(find_boundaries, self.volume, self.isovalues)
-        return found(self.volume, ("presets", self.isovalues), lambda: suggested_presets(find()))
+        return find_once(
+            self.volume, ("presets", self.isovalues), lambda: suggested_presets(find())
+        )
 
     @property
     def stops(self) -> SampledRange:
         """Isovalues at which the page's slider stops: evenly spaced surfaces."""
         find = partial(find_stops, self.volume, self.isovalues)
-        return found(self.volume, ("stops", self.isovalues), find)
+        return find_once(self.volume, ("stops", self.isovalues), find)
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:

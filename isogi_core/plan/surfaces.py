@@ -55,21 +55,21 @@ class SceneSurfaces:
 
     @property
     def several(self) -> bool:
-        """Whether light may meet more than one side of one surface: there are pinned surfaces,
+        """True if light may meet more than one side of one surface: there are pinned surfaces,
         or light gets through the sliding one.
         """
         return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
 
     @property
     def light_passes(self) -> bool:
-        """Whether light passes through some surface or enters it; such light is baked as it
+        """True if light passes through some surface or enters it; such light is baked as it
         falls, and cannot be turned.
         """
         return self.several or self.material.scatters
 
     @property
     def transmits(self) -> bool:
-        """Whether any of the surfaces transmits diffuse light."""
+        """True if any of the surfaces transmits diffuse light."""
         return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
 
     @property
@@ -92,22 +92,20 @@ class SceneSurfaces:
         """The part of digests that describes several surfaces; empty for one surface that lets
         no light through.
         """
-        others = sorted(each.facts for each in self.pinned)
+        if not self.several:
+            return []
+        facts = ["surfaces", sorted(each.facts for each in self.pinned), self.clear]
         if any(self.transmission):
-            through = ["transmission", *self.transmission]
-        else:
-            through = []
-        if self.several:
-            return ["surfaces", others, self.clear, *through]
-        return []
+            facts += ["transmission", *self.transmission]
+        return facts
 
     @property
     def material_facts(self) -> list[Any]:
         """The part of digests that describes the surface's material; empty for a diffuse one."""
         material = self.material
-        facts = material.kind, material.index, *material.absorption
         if material == DIFFUSE:
             return []
+        facts = [material.kind, material.index, *material.absorption]
         return ["material", *facts, 1.0 / material.mean_free_path]
 
     @property
@@ -226,8 +224,7 @@ def choosable(
     if not albedos[0] <= min(albedo) <= max(albedo) <= albedos[1]:
         given = f"albedos = [{albedos[0]:g}, {albedos[1]:g}]"
         raise SceneError(
-            f"{given} leaves out the scene's own albedo, {min(albedo):g} to {max(albedo):g}: "
-            "widen it."
+            f"{given} leaves out the scene's albedo, {min(albedo):g} to {max(albedo):g}: widen it."
         )
     return albedos
 
@@ -238,10 +235,9 @@ def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | No
     """
     table = settings.table("shine")
     if table is None:
-        shine = None
-    else:
-        shine = shine_from_mapping(table)
-    if shine is not None and shine.kind == "metal" and colours is not None:
+        return None
+    shine = shine_from_mapping(table)
+    if shine.kind == "metal" and colours is not None:
         raise SceneError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
     return shine
 
@@ -286,10 +282,12 @@ def refuse_with_several(settings: Settings, colours: SurfaceColours | None, what
     """Raise SceneError if the scene has a feature that several surfaces cannot be lit with.
     ``what`` is the key that makes the surfaces several.
     """
-    beside = {"colours by data": colours is not None}
-    beside |= {"a shine": settings.table("shine") is not None}
-    beside |= {"albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None}
-    for each, there in beside.items():
+    excluded = {
+        "colours by data": colours is not None,
+        "a shine": settings.table("shine") is not None,
+        "albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None,
+    }
+    for each, there in excluded.items():
         if there:
             raise SceneError(
                 f"The scene '{settings.source.name}' has {what} and {each}: leave one of them out."

@@ -78,8 +78,8 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
 
     A ``volume`` that is cut in this way is used if it is given. Raises SceneError and VolumeError.
     """
-    own = scene.source.document.get("cut")
-    both = f"{own};{cut}" if own else cut
+    former = scene.source.document.get("cut")
+    both = f"{former};{cut}" if former else cut
     # Each cut by itself may leave something, and both together nothing.
     voxels_left(scene.volume, both)
     left = volume or cut_away(scene.volume, cut)
@@ -292,22 +292,22 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
         return scene
     # The surface of the side slides in its scene, and all others are pinned there.
     every = surfaces_of(scene, shown)
-    own = every[side.number]
+    sliding = every[side.number]
     if side.number:
         others = every
     else:
         others = scene.surfaces.pinned
     # Of surfaces at one isovalue only the first counts.
-    others = distinct_surfaces((own, *others), scene)[1:]
+    others = distinct_surfaces((sliding, *others), scene)[1:]
     # Write the document of that scene: the keys of its surface, its solid side, its range and the
     # other surfaces.
     document: dict[str, Any] = {
         key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS
     }
-    document |= {key: value for key, value in own.table.items() if key != "name"}
+    document |= {key: value for key, value in sliding.table.items() if key != "name"}
     document |= solid_keys(scene, side)
     if side.number:
-        document["isovalues"] = [own.isovalue] * 2
+        document["isovalues"] = [sliding.isovalue] * 2
     else:
         document["isovalues"] = list(scene.isovalues)
     if others:

@@ -126,12 +126,12 @@ class ActiveCellMaps:
         """Find the ranges of the blocks of ``voxels`` by a ``survey``; keep maps of at most
         ``most`` bytes.
 
-        Maps that are large next to the budget of voxels lie in files, as voxels do.
+        Maps that take much of the memory budget lie in files, as voxels do.
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
-        # Maps of a volume that is large next to the budget take seconds, and are kept in scratch
-        # files.
+        # Maps that take much of the memory budget also take seconds to make; they are kept in
+        # scratch files.
         self._dear = USUAL_BLOCK_BYTES * self._bricks > UNMAPPED_SHARE * budget()
         self._take = get_scratch if self._dear else np.empty
         measured = survey("ranges", lambda: measure_ranges(voxels))
@@ -374,10 +374,10 @@ class IdleVoxels:
         for axis in range(3):
             needed = voxels_read(needed, axis)
         # Set idle voxels of each side to its value; those that are needed stay.
-        own = slab[first - a : last - a]
+        asked = slab[first - a : last - a]
         idle = ~needed[first - a : last - a]
-        sided = np.where(idle & (own <= low), np.float32(below), own)
-        return np.asarray(np.where(idle & (own > high), np.float32(above), sided), np.float32)
+        sided = np.where(idle & (asked <= low), np.float32(below), asked)
+        return np.asarray(np.where(idle & (asked > high), np.float32(above), sided), np.float32)
 
 
 def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:

@@ -206,11 +206,11 @@ def _quads(cells: np.ndarray, inside: np.ndarray, shape: tuple[int, ...]) -> np.
     for axis in range(3):
         # Each edge along this axis belongs to the cell that it is the first edge of.
         crossed = np.flatnonzero(inside[:, 0] != inside[:, 1 << axis])
-        beside = keys[crossed, None] + RING[axis] @ stride
+        around = keys[crossed, None] + RING[axis] @ stride
         # Find the four cells around the edge; on the border of the volume, or next to a hole, some
         # are missing, and so is the quadrilateral.
-        place = np.minimum(np.searchsorted(keys, beside), len(keys) - 1)
-        whole = (keys[place] == beside).all(axis=1) & (
+        place = np.minimum(np.searchsorted(keys, around), len(keys) - 1)
+        whole = (keys[place] == around).all(axis=1) & (
             cells[crossed][:, np.arange(3) != axis] > 0
         ).all(axis=1)
         found = place[whole]

@@ -293,12 +293,11 @@ class PreparedScene:
 
 
 def survey_of(volume: Volume) -> Survey:
-    """Return the survey of a ``volume``: one that measures in memory, or for a volume that is large
-    next to the budget one that keeps results in files by its digest, so that this machine measures
-    once.
+    """Return the survey of a ``volume``, which measures arrays on its voxels.
 
-    Reading all voxels of 1024³ takes each process seconds, and pushes out of memory the pages that
-    its rays need.
+    For a volume that takes much of the memory budget the survey keeps results in files by the
+    volume's digest, so that this machine measures once: reading all voxels of 1024³ takes each
+    process seconds, and pushes out of memory the pages that its rays need.
     """
     large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
     if large:

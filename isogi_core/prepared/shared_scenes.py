@@ -69,8 +69,8 @@ class SharedScenes:
         """Share a scene with its volume and all that was measured of its voxels. Return None if it
         cannot be shared.
 
-        Volumes that are large next to the budget are not: they lie in files already, which each
-        process maps.
+        Volumes that take much of the memory budget are not shared: they lie in files already, which
+        each process maps.
         """
         scene = prepared.scene
         if scene.volume.voxels.nbytes > UNMAPPED_SHARE * budget():

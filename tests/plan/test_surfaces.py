@@ -241,7 +241,7 @@ def test_unreflected_light_is_of_any_albedo() -> None:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"albedos": [0.5, 0.9]}, "leaves out the scene's own albedo"),
+        ({"albedos": [0.5, 0.9]}, "leaves out the scene's albedo"),
         ({"albedos": [0.3, 0.3]}, "two ascending numbers from 0 to 1"),
         ({"albedos": [0.0, 1.5]}, "two ascending numbers from 0 to 1"),
         ({"albedos": 0.9}, "a list of 2 numbers"),

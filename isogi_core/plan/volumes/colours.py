@@ -128,11 +128,10 @@ def read_colour_table(table: Settings) -> ColourTable:
     # Colours are a named map, or a list; by default a map that suits the quantity.
     named = table.choice("map", tuple(COLOUR_MAPS))
     listed = source.document.get("colours")
+    colours: tuple[Colour, ...] = ()
     if listed is not None:
-        own = own_colours(listed, source.name)
-    else:
-        own = ()
-    if named and own:
+        colours = listed_colours(listed, source.name)
+    if named and colours:
         raise SceneError(f"The scene '{source.name}' gives a map and colours: leave one out.")
     table.known.add("colours")
     span = table.span("range", -math.inf, math.inf)
@@ -144,11 +143,11 @@ def read_colour_table(table: Settings) -> ColourTable:
     else:
         usual = "viridis"
     return ColourTable(
-        file, of, name, named or (None if own else usual), own, span, capped(outside)
+        file, of, name, named or (None if colours else usual), colours, span, capped(outside)
     )
 
 
-def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
+def listed_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
     """Read a list of two or more albedos of a ``scene``. Raises SceneError."""
     whole = isinstance(listed, list) and 2 <= len(listed) <= VALUES
     if not whole or not all(map(is_albedo, listed)):
@@ -174,7 +173,7 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
     factor on filled values.
     """
     if table.of is not None:
-        return table.of, *own_layers(table.of, volume)
+        return table.of, *layers_of(table.of, volume)
     voxels, matrix = placed_file(table.file, settings, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
@@ -183,7 +182,7 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
     return stem_of(Path(table.file), {}), _sample, 1.0
 
 
-def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
+def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
     """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``,
     and the factor on its values.
     """
@@ -345,10 +344,10 @@ def usual_span(
         layer(float(z), np.ones(3), values)
         # A voxel is at the surface if a neighbour along x or y is on the other side.
         inside = volume.voxels[z] > isovalue
-        beside = np.zeros_like(inside)
-        beside[:, :-1] |= inside[:, 1:] != inside[:, :-1]
-        beside[:-1] |= inside[1:] != inside[:-1]
-        near.append(values[beside & ~np.isnan(values)])
+        border = np.zeros_like(inside)
+        border[:, :-1] |= inside[:, 1:] != inside[:, :-1]
+        border[:-1] |= inside[1:] != inside[:-1]
+        near.append(values[border & ~np.isnan(values)])
         everywhere.append(values[~np.isnan(values)][::7])
     found = np.concatenate(near)
     if len(found) < MIN_PERCENTILE_VALUES:
@@ -444,6 +443,7 @@ def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
     for axis in range(3):
         before = np.moveaxis(codes, axis, 0)
         after = before.copy()
+        # Shift in place of a window: each step extends the reach by one to both sides.
         for step in range(1, min(SMOOTHING_REACH, len(before) - 1) + 1):
             extreme(after[step:], before[:-step], out=after[step:])
             extreme(after[:-step], before[step:], out=after[:-step])

@@ -161,8 +161,8 @@ class Segmentation:
             wrong = distinct[~whole]
             if len(wrong):
                 raise VolumeError(
-                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave "
-                    "labels out."
+                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers: correct it, "
+                    "or leave labels out."
                 )
             # Values ascend, so that the largest in size is at an end.
             large = next(

@@ -239,7 +239,7 @@ def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
     theirs = _to_world(grid)
     ours = _to_world(volume)
     if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
-        raise SceneError(f"The axes of the {what} lie in one plane: mend its affine.")
+        raise SceneError(f"The axes of the {what} lie in one plane: correct its affine.")
     return np.asarray((np.linalg.inv(theirs) @ ours)[:3])
 
 

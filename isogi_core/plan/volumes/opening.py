@@ -249,8 +249,8 @@ def stem_of(path: Path, inside: dict[str, str]) -> str:
 def volume_of(
     grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress
 ) -> Volume:
-    """Make the volume of a ``grid``: in memory if it is small next to the budget, else as a
-    mapped copy.
+    """Make the volume of a ``grid``: in memory if it takes a small share of the memory budget,
+    else as a mapped copy.
     """
     check(grid, solid)
     size = grid.size * np.dtype(np.float32).itemsize
