@@ -110,7 +110,7 @@ class GlowLayer(Layer):
 
     @property
     def colours(self) -> int:
-        """How many of its channels are colours of the same light."""
+        """Number of channels of one glow, its colours."""
         return self.channels // self.glows
 
     def lights(self, radiances: np.ndarray) -> list[np.ndarray]:

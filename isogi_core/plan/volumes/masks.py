@@ -88,8 +88,8 @@ class Mask:
 
     @cached_property
     def _inside(self) -> np.ndarray:
-        """Which of the mask's voxels are inside, (nz, ny, nx) bool. Raises VolumeError if they
-        are too many.
+        """True for the voxels of the mask that are inside, (nz, ny, nx) bool. Raises
+        VolumeError if they are too many.
         """
         require_memory(self.grid.size, f"The mask '{self.table.file}' takes", "give a coarser one")
         is_inside = (

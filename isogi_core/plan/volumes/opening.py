@@ -86,16 +86,12 @@ def open_volume(
         raise SceneError(
             "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
         )
-    if smooth and segmented:
-        raise SceneError(
-            f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
-        )
+    if segmented:
+        refuse_for_labels(stem, smooth, pieces)
     if smooth:
         straight = smoothed(straight, smooth, missing)
         # Missing values are holes by now.
         missing = ()
-    if pieces and segmented:
-        raise SceneError(f"The volume '{stem}' shows labels: hide labels, and leave pieces out.")
     if pieces:
         straight = without_small_pieces(straight, pieces, solid, missing)
     masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
@@ -107,6 +103,16 @@ def open_volume(
     if count:
         straight = replace(straight, notes=(*straight.notes, PROPOSED.format(count=count)))
     return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
+
+
+def refuse_for_labels(stem: str, smooth: float, pieces: int) -> None:
+    """Raise SceneError if labels of the volume ``stem`` are to be smoothed, or to lose pieces."""
+    if smooth:
+        raise SceneError(
+            f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
+        )
+    if pieces:
+        raise SceneError(f"The volume '{stem}' shows labels: hide labels, and leave pieces out.")
 
 
 def open_demo(name: str, smooth: float, altered: bool, chosen: Iterable[str]) -> Volume:
