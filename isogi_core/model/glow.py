@@ -193,9 +193,9 @@ class Glowing:
         # they are.
         if self.masked.any():
             places += [self.masked.tolist()]
-        places += (
-            ["even"] if np.isfinite(self.ranges).any() else []
-        )  # of values that go evenly between steps
+        # Within a range of values, glow changes evenly between the steps along a ray.
+        if np.isfinite(self.ranges).any():
+            places += ["even"]
         found = hashlib.blake2b(repr(places).encode(), digest_size=16)
         found.update(np.ascontiguousarray(self.bits).data)
         return found.hexdigest()

@@ -233,7 +233,9 @@ def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
     needed = [each.name for each in fields(light) if each.default is MISSING]
     table = {key: value for key, value in mapping.items() if key != "type"}
     given = read_table(table, f"A {kind} light", readers, needed)
-    return light(**given | ({"file": base / given["file"]} if "file" in given else {}))
+    if "file" in given:
+        given = {**given, "file": base / given["file"]}
+    return light(**given)
 
 
 _KINDS: dict[str, tuple[type[Light], TableReaders]] = {

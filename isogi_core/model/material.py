@@ -205,17 +205,15 @@ class PinnedSurface:
     @property
     def table(self) -> dict[str, Any]:
         """The surface as a ``[[surfaces]]`` table."""
-        if any(self.transmission):
-            through = {"transmission": list(self.transmission)}
-        else:
-            through = {}
-        table = {
+        table: dict[str, Any] = {
             "isovalue": self.isovalue,
             "albedo": list(self.albedo),
             "clear": self.clear,
             "name": self.name,
         }
-        return table | through
+        if any(self.transmission):
+            table["transmission"] = list(self.transmission)
+        return table
 
 
 def leaving(albedo: Colour, transmission: Colour) -> Colour:

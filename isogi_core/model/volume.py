@@ -325,10 +325,7 @@ class Volume:
         Its voxels are 1 - v. Turned twice it is the volume itself.
         """
         digest = hashlib.blake2b(f"{self.digest} inside out".encode(), digest_size=16).hexdigest()
-        if self.solid == "above":
-            solid = "below"
-        else:
-            solid = "above"
+        solid = "below" if self.solid == "above" else "above"
         voxels = np.float32(1.0) - self.voxels
         turned = replace(self, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
         # value = offset + scale · v = (offset + scale) - scale · (1 - v).

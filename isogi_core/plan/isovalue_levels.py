@@ -72,7 +72,8 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     # Count the cells that each part meets and sum their speeds, by differences at both ends of a
     # cell's range.
     sums = np.zeros((2, RANGE_BINS + 1))
-    for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // MAX_READ_VOXELS)):
+    step = -(-volume.voxels.size // MAX_READ_VOXELS)
+    for z in range(0, len(volume.voxels) - 1, step):
         low, high = extremes_between(edges_between(volume.voxels[z], volume.voxels[z + 1]))
         met = (high > span[0]) & (low < span[1]) & (high > low)
         low, high = (

@@ -110,10 +110,7 @@ def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
         names = f"bands {layer.order} to {order - 1}"
     else:
         names = f"band {layer.order}"
-    if layer.kind == "indirect":
-        kind = "reflected"
-    else:
-        kind = "direct"
+    kind = "reflected" if layer.kind == "indirect" else "direct"
     why = (
         f"Without them the error of the lit surface is {percent(error)}; the target is "
         f"{percent(inputs.target_error)}."

@@ -202,9 +202,8 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
         lobes = lobes_for(inputs, overrides)
     else:
         lobes = 0
-    layers = rounded(
-        planned_layers(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes
-    )
+    layers = planned_layers(representation, inputs, overrides, bounces, lobes)
+    layers = rounded(layers, inputs, overrides, lobes)
     # Light of glows is a layer next to any other, as frames choose its colour and strength.
     layers += glow_layers(inputs, bounces)
     # The rest of the plan follows from the layers.
