@@ -137,6 +137,7 @@ class BakeSpec:
         Irradiance contains the light already: then this is 1. For vicinity shading it is an even
         light, the mean of all light, lamps included.
         """
+        # Light that texels met already is not multiplied again.
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
         if self.plan.representation == "vicinity":
@@ -211,6 +212,7 @@ class BakeSpec:
         """Return the luminance that leaves a texel for light 1 in each channel of glows;
         (channels,) float64.
         """
+        # A single glow has one term for all its channels, several have a term for each channel.
         each = [term.luminance[:, 0] for term in self._glow_terms()]
         if layer.glows == 1:
             if len(each[0]) == layer.channels:
@@ -242,6 +244,7 @@ class BakeSpec:
     def _term(self, layers: tuple[int, ...], light: np.ndarray) -> Term:
         """Make the term of ``layers`` under a ``light``."""
         luminance = to_luminance(light, self.albedo, self.channels)
+        # Square the light in units of the spec, so that single floats hold it.
         square = square_light(luminance.sum(axis=0) / self.unit)
         if self.plan.representation == "irradiance":
             square = square * self.unit
@@ -274,6 +277,7 @@ class BakeSpec:
         """Return the term that a ``layer`` belongs to; of several, the last. A layer that is
         not in the plan belongs to the terms of its kind, or to the first one.
         """
+        # Find the terms whose layers are of this kind.
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
         found = [term for term, kept in zip(self.terms, kinds, strict=True) if layer.kind in kept]
         return found[-1] if found else self.terms[0]
@@ -479,6 +483,7 @@ def square_light(light: np.ndarray) -> np.ndarray:
     """Return the coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of
     the same order; (n²,) float64.
     """
+    # Evaluate the light at quadrature nodes, square it there, and project it again.
     basis, weights = basis_of(math.isqrt(len(light)))
     return np.asarray(basis @ (weights * (light @ basis) ** 2))
 

@@ -70,6 +70,7 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     It is at least a quarter of that of uniform noise, in case band 0 was estimated too small by
     chance.
     """
+    # Weight the squared noises of band 0 and of the bands above by what they add to the luminance.
     squares = part.noise.astype(np.float64) ** 2
     gains = spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
@@ -171,6 +172,7 @@ def noise_of_halves(
     # The squared difference of two half means estimates the variance of their mean.
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
+    # Scale the share of band 1 to the variance of band 0.
     if squares.shape[1] > 1:
         low += (evenness - 1.0) * (squares[:, 1:4] @ BAND_0[1:])
     if order == 1:
@@ -189,6 +191,8 @@ def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
     texel has none at all. One path more is counted in both, so that a few that agree do not claim
     certainty.
     """
+    # As Y_0 = 1 / √(4π), this is the second moment of X Y_0; the mean over m of that of X Y_1m is
+    # the same.
     square = second / np.sqrt(4.0 * np.pi)
     more = square / samples
     low = np.maximum(square - mean[:, 0] ** 2, 0.0) + more
@@ -206,6 +210,8 @@ def blend_noise(
     """
     if samples == 0:
         return latest
+    # Average both halves' variances; then reduce band 0, and what the bands above have in excess of
+    # it, by their own factors.
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
     return np.asarray(
@@ -244,6 +250,7 @@ def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
         mean += np.einsum(
             "mcn,mdn,cdn->m", t[:, :, : each.shape[2]], u[:, :, : each.shape[2]], each
         )
+    # The rest is the variance of one path; rounding must not make it negative.
     return spec.unit * np.sqrt(
         np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0)
     )

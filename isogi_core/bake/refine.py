@@ -187,6 +187,7 @@ def next_samples(
     A part lags if it was lost, or not written before a kill: it takes its samples once more, which
     the other parts do not need.
     """
+    # A part lags if it has fewer samples than another one of its texel, below the limit.
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
     return np.where(finished(light, spec, target, enough) & ~lags, -1, light.samples)
@@ -255,6 +256,7 @@ def noise_of_new(
     seen = spec.luminance_sums(halves, layer)
     if layer.order > 1 or layer.kind in ("irradiance", GLOW_KIND):
         return noise_of_halves(seen, count, layer.order)
+    # If a single coefficient is kept, band 1 of the same paths makes the estimate more certain.
     even = evenness(seen.sum(axis=1) / count, second / count, count)
     return noise_of_halves(seen, count, layer.order, even)
 
@@ -432,6 +434,8 @@ def sample_glow(
 def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
     """Make the PathStarts of both halves of the texels in some ``rows`` of a place."""
     texels, points, normals, isovalues = place
+    # Each texel starts two independent randomisations, seeded by its place and the number of the
+    # half.
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
     here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
@@ -447,6 +451,7 @@ def by_isovalue(
     Rows keep their order in space within a group: sorted by isovalue, paths took a twentieth
     longer.
     """
+    # Group lit texels by isovalue, and give each group a map that covers it.
     lit = np.flatnonzero(~void)
     groups, spans = prepared.maps.groups(isovalues[lit])
     for group in np.unique(groups):
@@ -548,6 +553,7 @@ def strays_of(
     """Return which of some ``rows`` (m,) bool have a path among these ``samples`` that met
     something outside of ``confines``.
     """
+    # Trace the paths of these texels, in groups of near isovalues, until the first stray of each.
     strays = np.zeros(len(rows), np.bool_)
     for cells, some in by_isovalue(place[3], ~rows, spec.prepared):
         find_strays(spec.prepared.field, cells, place, some, samples, confines, strays)

@@ -91,6 +91,7 @@ def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
     """Return bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), rounded;
     uint8.
     """
+    # No noise has an infinite code, which is cut to SILENT.
     with np.errstate(divide="ignore"):
         codes = np.rint(
             -CODES_PER_HALVING * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale))
@@ -118,6 +119,7 @@ def level_codes(samples: np.ndarray) -> np.ndarray:
     """Return bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1),
     VOID_CODE for VOID; uint8.
     """
+    # Levels are powers of two from FIRST_LEVEL on, so that their logarithm counts them.
     codes = np.log2(np.maximum(samples, FIRST_LEVEL // 2) / (FIRST_LEVEL // 2)).astype(np.uint8)
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
@@ -269,6 +271,8 @@ class Light:
         """Return the sums of the parts of each of the ``terms``, side by side; (m, channels, Σ
         n²) float32.
         """
+        # Sum the layers of each term, with as many channels as the most colourful layer, and cut
+        # them to the light's order.
         channels = max(part.layer.colours for part in self.parts)
         sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
         if len(sums) == 1:
@@ -287,6 +291,7 @@ def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:
     """Return the sum of some parts' coefficients; (m, channels, n²) float32 with the highest
     order of any.
     """
+    # A layer of a lower order adds to the first bands; one with a single channel adds to all.
     n = max(part.coefficients.shape[2] for part in parts)
     total = np.zeros((len(parts[0].samples), channels, n), np.float32)
     for part in parts:

@@ -199,6 +199,7 @@ def solid_angles(height: int, width: int) -> np.ndarray:
     θ_top - cos θ_bottom).
     """
     theta = (np.arange(height) + 0.5) * (np.pi / height)
+    # cos a - cos b = 2 sin((a + b)/2) sin((b - a)/2), which loses no digits in small pixels.
     row = 4.0 * np.pi / width * np.sin(theta) * np.sin(np.pi / (2 * height))
     return np.broadcast_to(row[:, None], (height, width))
 
@@ -492,6 +493,7 @@ def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ``kernels.transport.sampling.sample_piecewise_2d`` takes them. A row without weight is even, and
     never sampled.
     """
+    # Sum the rows, and the pixels within each; both are normalised to end at 1.
     rows = weights.sum(axis=1)
     within = np.where(rows[:, None] > 0.0, weights, 1.0).cumsum(axis=1)
     over = np.append(0.0, rows.cumsum())

@@ -259,6 +259,7 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSur
         )
     if not isinstance(name, str) or not (name == "" or name.isprintable()):
         raise SceneError(f"The surface at {isovalue:g} is named {name!r}: give it a word or a few.")
+    # No more light may leave the surface than falls on it.
     albedo = _colour(table, "albedo", 0.7)
     transmission = _colour(table, "transmission", 0.0)
     refuse_gain(albedo, transmission, f"The surface at {isovalue:g}")

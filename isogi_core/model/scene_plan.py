@@ -228,5 +228,6 @@ def most_samples(target: float) -> int:
     The number is a power of two that grows as the error's -3/2, as the error of stratified points
     falls about as n^-2/3: a target that most texels reach then leaves few behind.
     """
+    # 2048 samples at 2 %, in proportion to error^(-3/2), rounded to a power of two.
     samples = 4096.0 * (0.02 / max(texel_target(target), 1e-6)) ** 1.5
     return min(max(1 << round(math.log2(samples)), MIN_SAMPLES), MAX_SAMPLES)

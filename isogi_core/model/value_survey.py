@@ -80,6 +80,7 @@ def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
     """
     if dtype.kind != "f":
         return float(high - low)
+    # Floats are counted in units of the last place of the larger end.
     unit = float(np.spacing(np.array(max(abs(low), abs(high)), dtype)))
     return high / unit - low / unit
 
@@ -100,6 +101,7 @@ def sample_step(shape: tuple[int, ...]) -> int:
 
     The step shares no divisor with the length of a row, so that every column is sampled.
     """
+    # Take every n-th voxel, with n so large that few enough are read.
     step = max(-(-math.prod(shape) // MAX_SURVEYED_VOXELS), 1)
     while math.gcd(step, shape[2]) > 1:
         step += 1
@@ -171,6 +173,7 @@ def positions(values: np.ndarray) -> np.ndarray:
     difference could overflow.
     """
     if values.dtype.kind in "iu":
+        # Unsigned differences of integers are exact.
         whole = values.astype(values.dtype.newbyteorder("=")).view(f"u{values.itemsize}")
         return whole - whole[0]
     reals = values.astype(np.float64)

@@ -250,6 +250,8 @@ def quaternion_of(matrix: np.ndarray) -> Quaternion:
     rounding everywhere. Source: Bar-Itzhack, "New method for extracting the quaternion from a
     rotation matrix", 2000.
     """
+    # The symmetric matrix has the trace at its corner, the skew part next to it, and the symmetric
+    # part below.
     m = np.asarray(matrix, np.float64)
     skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
     symmetric = np.block(

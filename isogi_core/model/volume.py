@@ -49,6 +49,8 @@ class Orientation:
         """Return the orientation of a ``grid`` on right angles."""
         if grid.affine is None:
             return cls(unit=grid.unit, notes=grid.notes, read_as=grid.read_as)
+        # The columns of the affine over the spacing are unit vectors: the rotation. Remainders of
+        # rounding become exact zeros.
         directions = np.array(grid.affine.matrix) / np.array(grid.spacing)
         a, b, c = (triple(row) for row in np.where(np.abs(directions) < 1e-12, 0.0, directions))
         return cls(
@@ -342,6 +344,7 @@ class Volume:
         else:
             counts = self._count(bins)
         low, high = self.core
+        # A constant volume gets a bin width, so that edges differ.
         if low == high:
             low = low - 0.5
             high = high + 0.5
