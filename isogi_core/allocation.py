@@ -1,26 +1,26 @@
-"""How the C library keeps memory that is freed."""
+"""Settings of the C library for memory that is freed."""
 
 import ctypes
 
 MMAP_THRESHOLD = -3
 ARENA_MAX = -8
-"""The numbers of glibc's parameters for what goes back to the system when freed, and for arenas
-(malloc.h: M_…).
+"""Numbers of glibc's parameters for the size from which freed memory goes back to the system,
+and for the number of arenas (malloc.h: M_…).
 """
 
 LARGE_ARRAY_BYTES = 256 << 10
-"""Bytes from which on memory comes from the system, and goes back to it: a view's arrays, not those
-of a draft.
+"""Size in bytes from which memory comes from the system and goes back to it: the arrays of a
+view are larger, those of a draft smaller.
 """
 
 
 def keep_memory_small() -> None:
-    """Have memory that is freed used again, or given back; for all threads that are still to start.
+    """Make glibc reuse freed memory or give it back, for all threads that start later.
 
-    Left to itself glibc gives threads arenas of their own, up to eight a core, each of which keeps
-    the most that its threads ever had at once; threads that hold the interpreter's lock to take
-    memory gain nothing by that. And it gives ever larger arrays a place among small things, which
-    hold on to it. Where the C library is another one, nothing is done.
+    By default each thread gets an arena, up to eight per core, which keeps the most memory that its
+    threads ever held at one time; threads that hold the interpreter's lock while they allocate gain
+    nothing from that. And glibc places ever larger arrays among small objects, which then keep them
+    from being given back. With another C library nothing is done.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -29,9 +29,7 @@ def keep_memory_small() -> None:
 
 
 def give_memory_back() -> None:
-    """Give back to the system what is free between things that are in use, where the C library
-    can.
-    """
+    """Give free memory between objects in use back to the system, if the C library can."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

@@ -1,4 +1,6 @@
-"""Every error that the domain raises on purpose. Each speaks to a person in one sentence."""
+"""All errors that the domain raises on purpose. The message of each is one sentence for a
+person.
+"""
 
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
@@ -8,8 +10,8 @@ if TYPE_CHECKING:
 
 
 def advice(word: str, known: "Iterable[str]") -> str:
-    """End a sentence about an unknown word: by the known word that it resembles, else by all of
-    them.
+    """Return the end of a sentence about an unknown ``word``: the known word that it resembles,
+    else all of them.
     """
     names = list(known)
     close = get_close_matches(word, names, 1)
@@ -21,8 +23,8 @@ def advice(word: str, known: "Iterable[str]") -> str:
 
 
 def readable(name: object) -> str:
-    r"""The ``name`` of a file as text of valid Unicode: a byte that is not UTF-8, as the system may
-    have in a name, becomes ``\xf6``.
+    r"""Return the ``name`` of a file as text of valid Unicode: a byte that is not UTF-8, which
+    names of files may hold, becomes ``\xf6``.
     """
     text = str(name)
     try:
@@ -32,15 +34,15 @@ def readable(name: object) -> str:
 
 
 class IsogiError(Exception):
-    """Base of all errors that say what is wrong, where, and what to do about it."""
+    """Base of all errors. Its message says what is wrong, where, and what to do about it."""
 
     def __str__(self) -> str:
-        """The sentence, in which names of files are readable."""
+        """Return the sentence, in which names of files are readable."""
         return readable(super().__str__())
 
 
 class VolumeError(IsogiError):
-    """A volume is missing, damaged, lying about itself, or of a kind that cannot be rendered."""
+    """A volume is missing, damaged, contradicts itself, or is of a kind that cannot be rendered."""
 
 
 class LightError(IsogiError):
@@ -56,7 +58,7 @@ class ViewError(IsogiError):
 
 
 class UnwritableError(IsogiError):
-    """A file that work is to end in cannot be written."""
+    """The file for the result of some work cannot be written."""
 
 
 class StoreError(IsogiError):
@@ -68,8 +70,8 @@ class NoRoomError(StoreError):
 
 
 class StoreAwayError(StoreError):
-    """The store cannot be used at the moment; what is asked of it later may come. Nothing that it
-    keeps is lost.
+    """The store cannot be used at the moment; later requests may succeed. Nothing that it keeps
+    is lost.
     """
 
 
@@ -82,11 +84,11 @@ class StoreReadOnlyError(StoreAwayError):
 
 
 class StoreUrlError(StoreError):
-    """The name of a store holds what is secret."""
+    """The URL of a store contains a secret."""
 
 
 class ChangedError(StoreError):
-    """Somebody else has written an object meanwhile: read it again."""
+    """Another process has written an object in the meantime: read it again."""
 
 
 class DamagedChunkError(StoreError):
@@ -94,12 +96,14 @@ class DamagedChunkError(StoreError):
 
 
 class SharedMemoryError(IsogiError):
-    """What another process shared is gone."""
+    """Data that another process shared is gone."""
 
 
 class ReportError(IsogiError):
-    """What a report needs (a reference, data of a former run) is damaged, or of something else."""
+    """Data that a report needs (a reference, results of a former run) is damaged, or belongs to
+    another scene or view.
+    """
 
 
 class Cancelled(IsogiError):
-    """Nobody waits for this frame any more; work on it stopped between two tiles."""
+    """Nobody waits for this frame any longer; work on it stopped between two tiles."""

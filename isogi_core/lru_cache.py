@@ -8,18 +8,19 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
 OVERHEAD_BYTES = 4 << 10
-"""Bytes that a result is counted with besides its own: without arrays it takes memory too."""
+"""Bytes that are added for each result: objects without arrays take memory too."""
 
 
 NONE: Mapping[Any, int] = MappingProxyType({})
+"""The limits of a cache that has none for single kinds."""
 
 
 class Sized(Protocol):
-    """What knows how much memory it takes."""
+    """An object that knows how much memory it takes."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes, at this moment."""
+        """Bytes at this moment."""
         ...
 
 
@@ -29,9 +30,10 @@ V = TypeVar("V", bound=Sized)
 
 @dataclass(eq=False)
 class Cell(Generic[V]):
-    """The place of a result: none or one ``value``, made under a ``lock``; and how many ask for it.
+    """The place of a result: ``value`` has at most one entry, made under a ``lock``; ``asking``
+    counts the threads that ask for it.
 
-    ``nbytes`` are those that it was counted with last.
+    ``nbytes`` is the size with which it was last counted.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -41,18 +43,19 @@ class Cell(Generic[V]):
 
 
 class LruCache(Generic[K]):
-    """The newest results of costly functions; two threads that want the same one make it once.
+    """The newest results of costly functions; two threads that ask for the same result make it
+    once.
 
-    Results may grow. What they take is counted when they are made, whenever they are asked for, and
+    Results may grow. Their sizes are counted when they are made, whenever they are asked for, and
     in ``settle``.
     """
 
     def __init__(self, most: int, limits: Mapping[Any, int] = NONE) -> None:
-        """Keep at most ``most`` bytes, OVERHEAD_BYTES for each result among them, the newest in any
-        case.
+        """Keep at most ``most`` bytes, with OVERHEAD_BYTES for each result, but always the newest
+        result.
 
-        ``limits`` are the bytes of results of some kinds: of keys that are tuples, the first entry
-        is the kind.
+        ``limits`` are the most bytes of results of some kinds; the kind of a key that is a tuple is
+        its first entry.
         """
         self._most = most
         self._limits = limits
@@ -62,14 +65,17 @@ class LruCache(Generic[K]):
         self._kinds = dict.fromkeys(limits, 0)
 
     def get(self, key: K, make: Callable[[], V]) -> V:
-        """The result for ``key``, made by ``make`` when it is not kept.
+        """Return the result for ``key``; ``make`` makes it if it is not kept.
 
-        Raises what ``make`` raises; whoever waited for that result then makes it in turn.
+        Raises the errors of ``make``; other threads that waited for the result then try to make it
+        in turn.
         """
+        # Take or add the cell of this key, and mark it as the newest.
         with self._lock:
             cell: Cell[V] = self._made.setdefault(key, Cell())
             cell.asking += 1
             self._made.move_to_end(key)
+        # Only this cell is locked while the result is made: other keys need not wait.
         new = False
         try:
             with cell.lock:
@@ -80,7 +86,7 @@ class LruCache(Generic[K]):
             self._leave(key, cell, new)
 
     def held(self, key: K) -> Any | None:
-        """The result for ``key`` where it is kept; that makes it no newer."""
+        """Return the result for ``key`` if it is kept, else None; this does not make it newer."""
         with self._lock:
             cell = self._made.get(key)
             if cell is not None and cell.value:
@@ -88,14 +94,14 @@ class LruCache(Generic[K]):
             return None
 
     def drop(self, key: K) -> None:
-        """Let go of the result for ``key``, if it is kept."""
+        """Drop the result for ``key``, if it is kept."""
         with self._lock:
             if key in self._made:
                 self._pop(key)
 
     def make_room(self, size: int) -> None:
-        """Let go of the oldest results until one of ``size`` bytes fits beside the rest: before it
-        is made.
+        """Drop the oldest results until one of ``size`` bytes, which is not made yet, fits next
+        to the rest.
         """
         with self._lock:
             self._count_all()
@@ -105,13 +111,13 @@ class LruCache(Generic[K]):
                 self._pop(key)
 
     def settle(self) -> None:
-        """Let go of the oldest results until the rest fits: results may have grown."""
+        """Count all results, which may have grown, and drop the oldest until the rest fits."""
         with self._lock:
             self._count_all()
             self._forget()
 
     def clear(self) -> None:
-        """Keep nothing."""
+        """Drop all results."""
         with self._lock:
             self._made.clear()
             self._kinds = dict.fromkeys(self._limits, 0)
@@ -119,19 +125,18 @@ class LruCache(Generic[K]):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all that is kept, as it was counted last, OVERHEAD_BYTES for each result among
-        them.
-        """
+        """Bytes of all that is kept, as last counted, with OVERHEAD_BYTES for each result."""
         return self._total
 
     def _leave(self, key: K, cell: Cell[Any], new: bool) -> None:
-        """Stop asking for a result, and count it; the place of one that could not be made goes with
-        the last that asks.
+        """Stop asking for a result, and count it. If it is ``new``, older ones make room for it.
 
-        A ``new`` one makes room for itself.
+        The cell of a result that could not be made is removed with the last thread that asks for
+        it.
         """
         with self._lock:
             cell.asking -= 1
+            # The cell was dropped meanwhile.
             if self._made.get(key) is not cell:
                 return
             if not cell.value:
@@ -143,42 +148,44 @@ class LruCache(Generic[K]):
                 self._forget(result_kind(key))
 
     def _count(self, key: K, cell: Cell[Any]) -> None:
-        """Count a result with what it takes now."""
+        """Count a result with its present size."""
         now = OVERHEAD_BYTES + cell.value[0].nbytes
         self._add(key, now - cell.nbytes)
         cell.nbytes = now
 
     def _count_all(self) -> None:
+        """Count all results with their present sizes."""
         for key, cell in self._made.items():
             if cell.value:
                 self._count(key, cell)
 
     def _add(self, key: K, size: int) -> None:
+        """Add ``size`` bytes to the total, and to the kind of a key."""
         self._total += size
         if (kind := result_kind(key)) in self._kinds:
             self._kinds[kind] += size
 
     def _pop(self, key: K) -> None:
-        """Let go of a result."""
+        """Drop a result."""
         self._add(key, -self._made.pop(key).nbytes)
 
     def _forget(self, newest: Hashable = None) -> None:
-        """Let go of the oldest results until the rest fits: those of the ``newest`` one's kind, and
-        all together.
-
-        The last stays.
+        """Drop the oldest results until the rest fits: first those of the kind of the
+        ``newest``, then any. The last of each stays.
         """
+        # The kind's limit first: drop its oldest results, but not the last.
         if newest in self._kinds and self._kinds[newest] > self._limits[newest]:
             for key in [key for key in self._made if result_kind(key) == newest][:-1]:
                 if self._kinds[newest] <= self._limits[newest]:
                     break
                 self._pop(key)
+        # Then the limit of all results.
         while self._total > self._most and len(self._made) > 1:
             self._pop(next(iter(self._made)))
 
 
 def result_kind(key: Hashable) -> Hashable:
-    """The kind of result that a key is of: the first entry of a tuple."""
+    """Return the kind of result that a key belongs to: the first entry of a tuple, else None."""
     if isinstance(key, tuple) and key:
         return key[0]
     return None

@@ -1,4 +1,4 @@
-"""References: a view path-traced from each pixel, with what is known of its own noise, grown round
+"""References: a view path-traced from each pixel, with an estimate of its noise, refined round
 by round.
 """
 
@@ -27,34 +27,36 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 
 REFERENCE_REPLICAS = 8
-"""Independent randomisations of a reference."""
+"""Number of independent randomisations of a reference."""
 
 MAX_LOST_LIGHT = 0.001
-"""Share of the light that the bounces which a reference leaves out may bring, at most."""
+"""Most light, as a share, that the bounces which a reference leaves out may bring."""
 
 FIRST_ROUND_PATHS = 16
-"""Paths per pixel of the first round; each further one doubles what there is."""
+"""Paths per pixel of the first round; each further one doubles the number."""
 
 MAX_PIXEL_PATHS = REFERENCE_REPLICAS << 32
-"""Paths per pixel for which there are random numbers."""
+"""Most paths per pixel for which there are random numbers."""
 
 NOISE_DECAY = 1.75
-"""Samples that a noise takes grow as its inverse to this power: the points are stratified (demos
-under a sky).
+"""The samples that a noise takes grow as its inverse to this power, as points are stratified
+(measured on the demos under a sky).
 """
 
 REFERENCE_FORMAT = 1
-"""Counts up when paths of a reference, or what is kept of them, change."""
+"""Version of references: increased if their paths, or the data in their files, change."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
     """The mean of ``samples`` paths from each pixel, over independent randomisations.
 
-    ``mean`` (h, w, 3) float32 linear RGB, ``variance`` (h, w) float32 that of the mean's luminance,
-    0 off the surface; ``on`` (h, w) bool is where the surface is; ``seconds`` of the processor were
-    spent. It grows from ``sums`` (surface pixels, replicas, 3) float64, and is of what ``subject``
-    names (see ``subject_of``).
+    - ``mean``: (h, w, 3) float32 linear RGB; ``variance``: (h, w) float32 of the mean's luminance,
+      0 off the surface.
+    - ``on``: (h, w) bool, the pixels that show the surface.
+    - ``seconds``: processor time spent.
+    - ``sums``: (surface pixels, replicas, 3) float64, from which it can be continued.
+    - ``subject``: the digest of ``subject_of``.
     """
 
     mean: np.ndarray
@@ -74,8 +76,8 @@ class Reference:
 
     @property
     def noise(self) -> float:
-        """Relative standard error of the whole: root mean square over the surface, over the mean
-        luminance.
+        """Relative standard error of the whole: root mean square over the surface, over the
+        mean luminance.
         """
         if self.on.any():
             light = float((self.mean[self.on] @ LUMINANCE_WEIGHTS).mean())
@@ -87,7 +89,7 @@ class Reference:
 
 
 REFERENCE_FIELDS = fields(Reference)
-"""What a file keeps."""
+"""Fields that a file keeps."""
 
 
 def trace_reference(
@@ -97,13 +99,15 @@ def trace_reference(
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Reference:
-    """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REFERENCE_REPLICAS,
-    or the next one above.
+    """Trace the reference of ``view`` with ``samples`` paths per pixel, rounded up to a multiple of
+    REFERENCE_REPLICAS.
 
-    It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the
-    same. Bounces are those of the renderer's scene. ``progress`` is called with paths as they are
-    traced. Raises ReportError where ``former`` is of something else or the scene has several
-    surfaces, and Cancelled, leaving ``former`` as it is, as the renderer's tiles do.
+    It continues the sequences of a ``former`` reference: its bits do not depend on the number of
+    rounds. Bounces are those of the renderer's scene. ``progress`` is called with the number of
+    paths as they are traced.
+
+    Raises ReportError if ``former`` is of another subject or the scene has several surfaces; and
+    Cancelled, as the renderer's tiles do, leaving ``former`` as it is.
     """
     refuse_several(renderer.prepared.scene)
     subject = subject_of(renderer.prepared.scene, view)
@@ -113,9 +117,8 @@ def trace_reference(
             gbuffer, np.zeros((len(gbuffer.points), REFERENCE_REPLICAS, 3)), 0, 0.0, subject
         )
     if former.subject != subject:
-        raise ReportError(
-            "The reference to go on from is of another scene or view: begin a new one."
-        )
+        raise ReportError("The reference to continue is of another scene or view: begin a new one.")
+    # Trace the samples that each replica still lacks, and add them to a copy of the sums.
     taken = former.samples // REFERENCE_REPLICAS
     wanted = -(-samples // REFERENCE_REPLICAS)
     if wanted <= taken:
@@ -129,12 +132,12 @@ def trace_reference(
 
 
 def refuse_several(scene: Scene) -> None:
-    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one
-    side of one, or one of glass.
+    """Raise ReportError if a ``scene`` has several surfaces, or one of glass: pixels of a
+    reference show one side of one surface that keeps light.
     """
     if scene.surfaces.material.refracts:
         raise ReportError(
-            "A reference is of light that a surface keeps, and glass keeps none: render it "
+            "A reference needs light that a surface keeps, and glass keeps none: render it "
             "path_traced."
         )
     if scene.surfaces.several:
@@ -147,8 +150,10 @@ def refuse_several(scene: Scene) -> None:
 def from_sums(
     gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, subject: str
 ) -> Reference:
-    """The reference whose replicas have ``count`` samples each, of these ``sums``."""
+    """Make the reference whose replicas have ``count`` samples each, from their ``sums``."""
     height, width = gbuffer.shape
+    # Scatter the pixels of the surface into the picture; the spread of the replicas gives the
+    # variance of their mean.
     mean = np.zeros((height * width, 3), np.float32)
     variance = np.zeros(height * width, np.float32)
     on = np.zeros(height * width, np.bool_)
@@ -164,17 +169,18 @@ def from_sums(
 
 
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
-    """The scene with paths of so many ``bounces``; by default with so many that less than
-    MAX_LOST_LIGHT of its light is cut.
+    """Return the scene with paths of ``bounces``; by default with as many as lose less than
+    MAX_LOST_LIGHT.
     """
     if bounces is None:
         bounces = bounces_for(scene.inputs.reflecting, MAX_LOST_LIGHT / BOUNCES_SHARE)
+    # Roulette follows from the bounces.
     survival = survival_for(scene.inputs.reflecting, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 
 
 def subject_of(scene: Scene, view: View) -> str:
-    """Hex name of all that a reference's light depends on."""
+    """Return the hex digest of everything that a reference's light depends on."""
     lights = [scene.lighting.environment.digest, scene.lighting.lamps.digest]
     albedo = scene.surfaces.albedo_for(view.albedo)
     if scene.lighting.room.any:
@@ -190,8 +196,8 @@ def subject_of(scene: Scene, view: View) -> str:
 
 
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
-    """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that
-    says what it is of.
+    """Write a reference of ``view`` as .npz, completely or not at all. Its entry ``about`` is
+    JSON that describes scene and view.
     """
     surface = {"normals": scene.settings.normals, "offset": scene.settings.offset}
     shown = {
@@ -216,9 +222,10 @@ def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -
 
 
 def load_reference(path: Path, scene: Scene, view: View) -> Reference:
-    """The reference of ``view`` in a file; ReportError where that is damaged or of something else,
-    or OSError.
+    """Read the reference of ``view`` from a file. Raises OSError, and ReportError if the file
+    is damaged or of another subject.
     """
+    # Read the file; anything but a complete archive of this format is refused.
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
@@ -230,16 +237,17 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
             kept = {each.name: file[each.name] for each in REFERENCE_FIELDS}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ReportError(
-            f"{path} is no whole reference ({error}): remove it, or name another file."
+            f"{path} is no complete reference ({error}): remove it, or name another file."
         ) from None
+    # Refuse a reference of another subject, and say what the file holds.
     if kept["subject"] != subject_of(scene, view):
         described = (
             "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
             "{normals} normals, {offset:g} off"
         )
-        own = described.format(**about, **about["view"])
+        kept_view = described.format(**about, **about["view"])
         raise ReportError(
-            f"{path} is of another scene, view or way of tracing ({own}): name another file."
+            f"{path} is of another scene, view or way of tracing ({kept_view}): name another file."
         )
     return Reference(
         **{name: value if value.ndim else value.item() for name, value in kept.items()}
@@ -248,8 +256,8 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
 
 @dataclass(frozen=True)
 class Goal:
-    """Where a reference stops to grow, by what comes first: so many ``samples``, a ``noise``, or
-    ``seconds``.
+    """The condition at which a reference stops to grow: the first to be met of ``samples``,
+    ``noise`` and ``seconds``.
     """
 
     samples: int | None = None
@@ -257,18 +265,19 @@ class Goal:
     seconds: float | None = None
 
     def met(self, reference: Reference) -> bool:
-        """Whether a reference has the samples, or is as good as that."""
+        """Return True if a reference has the samples, or at most the noise, of this goal."""
         enough = self.samples is not None and reference.samples >= self.samples
         return enough or (self.noise is not None and reference.noise <= self.noise)
 
     def foresee(self, reference: Reference) -> int | None:
-        """The samples at which a reference is expected to stop, time aside; None where nobody can
-        tell.
+        """Return the samples at which a reference is expected to stop, without regard to time;
+        None if that is unknown.
         """
         if self.samples is not None:
             return max(self.samples, reference.samples)
         if self.noise is None:
             return None
+        # Noise falls as samples^(-1 / NOISE_DECAY), and rounds double the samples.
         wanted = reference.samples * max(reference.noise / self.noise, 1.0) ** NOISE_DECAY
         return int(2 ** math.ceil(math.log2(wanted)))
 
@@ -280,24 +289,20 @@ def grow_reference(
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Iterator[Reference]:
-    """References of 16, 32, … paths per pixel, each grown from the one before or the ``former``, up
-    to the ``goal``.
+    """Yield references of 16, 32, … paths per pixel, each continued from the last or the ``former``
+    one, up to the ``goal``.
 
-    The last one has what fits into the time, by the rounds before; the first is made in any case.
-    Raises what ``trace_reference`` does.
+    The last has as many paths as fit into the time, judged by the rounds before; the first is made
+    in any case. Raises the errors of ``trace_reference``.
     """
     begun = time.monotonic()
     reference = former
-    if former is not None:
-        before = former.samples
-    else:
-        before = 0
+    before = former.samples if former is not None else 0
     while reference is None or not goal.met(reference):
-        if reference is not None:
-            taken = reference.samples
-        else:
-            taken = 0
+        taken = reference.samples if reference is not None else 0
+        # Double the paths, but take no more than the goal asks for.
         wanted = min(max(2 * taken, FIRST_ROUND_PATHS), goal.samples or MAX_PIXEL_PATHS)
+        # Take only as many as fit into the time that is left, at the speed of the rounds so far.
         if goal.seconds is not None and taken > before:
             spent = time.monotonic() - begun
             wanted = min(wanted, taken + fitting(goal.seconds - spent, spent / (taken - before)))
@@ -308,7 +313,7 @@ def grow_reference(
 
 
 def fitting(seconds: float, each: float) -> int:
-    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of
-    REFERENCE_REPLICAS.
+    """Return the number of samples that fit into ``seconds`` if each takes ``each`` seconds, a
+    multiple of REFERENCE_REPLICAS.
     """
     return int(max(seconds, 0.0) / max(each, 1e-9)) // REFERENCE_REPLICAS * REFERENCE_REPLICAS

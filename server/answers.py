@@ -29,8 +29,8 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.histograms import shown_histogram
 from isogi_core.plan.left_out import S1_BYTES
+from isogi_core.plan.materials import material_settings
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.surfaces import material_settings
 from isogi_core.plan.variants import find_materials
 from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene

@@ -1,3 +1,3 @@
-"""Baking: the layers of light that a texel keeps, sample by sample, with the error they still
-have.
+"""Baking: the layers of light that a texel keeps, sample by sample, with the estimated error of
+each.
 """

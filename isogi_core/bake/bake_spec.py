@@ -1,4 +1,6 @@
-"""What is baked for a scene, by which plan, and the light that it is put under."""
+"""Bake specs: the scene and the plan by which light is baked, and the light that the baked
+coefficients are multiplied by.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,23 +14,26 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS, Lobe
 from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.albedo_nodes import mixing_weights
 from isogi_core.plan.bands import evaluate_harmonics, project_environment, sphere_nodes
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED, project_lobes
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.scene import COLOURED_KIND
-from isogi_core.plan.surfaces import mixing_weights
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """The sum of some ``layers`` of a plan, by their numbers, under one unturned ``light`` (3, n²),
-    linear RGB.
+    """The part of a texel's light that meets one ``light``, unturned, (3, n²), linear RGB: the sum
+    of some ``layers``.
 
-    Of a layer that is kept for several albedos, or of several glows, it is the channel ``node``
-    alone. It may be of what ``glows``. ``order`` is that of the light; ``luminance`` (channels, n²)
-    is what is reflected of it, see ``to_luminance``, and ``square`` (n²,) the square of that
-    luminance in the unit of a bake spec, see ``bake.noise``.
+    - ``layers``: their numbers in the plan; ``node``: the one channel that counts, of a layer kept
+      for several albedos or of several glows.
+    - ``order``: of the light.
+    - ``luminance``: (channels, n²), luminance of the reflected light, see ``to_luminance``.
+    - ``square``: (n²,), the square of that luminance in the unit of a bake spec, see
+      ``bake.noise``.
+    - ``glows``: True for light of glows.
     """
 
     layers: tuple[int, ...]
@@ -46,12 +51,13 @@ SPECS = ("gi", "vicinity")
 
 @dataclass(frozen=True, eq=False)
 class BakeSpec:
-    """A scene's ``prepared``, and the ``plan`` by which it is lit: the scene's own, or that of
-    vicinity shading.
+    """A ``prepared`` scene, and the ``plan`` by which it is lit: the scene's, or that of vicinity
+    shading.
 
-    Surface-projected texels lie on the isosurface that is ``shown``; see ``locate``. Surfaces have
-    the albedo that is ``seen``, by default the one that texels' errors are held against: the
-    scene's own, or the highest where views may ask for others.
+    - ``shown``: isosurface that texels are projected onto, see ``locate``; None if they are not
+      projected.
+    - ``seen``: albedo of the surface in frames; by default the one that errors of texels are
+      relative to, which is the scene's, or the highest that views may ask for.
     """
 
     prepared: PreparedScene
@@ -61,32 +67,35 @@ class BakeSpec:
 
     @property
     def albedo(self) -> Colour:
-        """The albedo that light leaves surfaces with, linear RGB."""
+        """Albedo by which light leaves the surface, linear RGB."""
         return self.seen or self.prepared.scene.inputs.albedo
 
     def of_albedo(self, albedo: Colour) -> "BakeSpec":
-        """The spec of this light in the store, as surfaces of an ``albedo`` reflect it."""
+        """Return the spec of the same light in the store as a surface of another ``albedo``
+        reflects it.
+        """
         if albedo == self.albedo:
             return self
         if albedo == self.prepared.scene.surfaces.albedo:
-            return self._own
-        return self._seen(albedo)
+            return self._of_scene
+        return self._with_albedo(albedo)
 
     @cached_property
-    def _own(self) -> "BakeSpec":
-        """The spec of the scene's own albedo, which most views have."""
-        return self._seen(self.prepared.scene.surfaces.albedo)
+    def _of_scene(self) -> "BakeSpec":
+        """The spec of the scene's albedo; it is kept, as most views have it."""
+        return self._with_albedo(self.prepared.scene.surfaces.albedo)
 
-    def _seen(self, albedo: Colour) -> "BakeSpec":
+    def _with_albedo(self, albedo: Colour) -> "BakeSpec":
+        """Make the spec of an ``albedo``; it shares all parts that do not depend on the albedo."""
         seen = replace(self, seen=albedo)
-        vars(seen).update(
-            light=self.light, beside=self.beside, _lights=self._lights
-        )  # as no albedo changes them
+        vars(seen).update(light=self.light, beside=self.beside, _lights=self._lights)
         return seen
 
     @cached_property
     def moving(self) -> "BakeSpec":
-        """The spec of this light in the store with few lobes in addition: for views that move."""
+        """The spec for views that move: it takes out a few lobes at most, as each costs shadow
+        rays. The light in the store is the same.
+        """
         if self.plan.lobes <= FEW_LOBES_SEARCHED:
             return self
         return replace(self, plan=replace(self.plan, lobes=FEW_LOBES_SEARCHED))
@@ -98,36 +107,37 @@ class BakeSpec:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """The kinds of layers that are baked; see ``Scene.kind_of``."""
+        """Kinds of the layers that are baked; see ``Scene.kind_of``."""
         return frozenset(
             self.prepared.scene.kind_of(layer, self.plan) for layer in self.plan.layers
         )
 
     @cached_property
     def coloured(self) -> bool:
-        """Whether paths carry the colours of what they hit to harmonics."""
+        """True if paths carry the colours of the surfaces that they hit to harmonics."""
         return COLOURED_KIND in self.kinds
 
     @property
     def order(self) -> int:
-        """The order of the light, and so of the coefficients that frames read; 1 where no harmonics
+        """Order of the light, and so of the coefficients that frames read; 1 if no harmonics
         are kept.
         """
         return self.plan.order
 
     @property
     def channels(self) -> int:
-        """The channels that light is kept in."""
+        """Number of channels that light is kept in."""
         return self.plan.channels
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned
-        light.
+        """SH coefficients ℓ of the unturned light that transfer is multiplied by, linear RGB, (3,
+        n²) float64. Source: S1, eq. 7.
 
-        Irradiance has met its light already, so that this is 1. Source: S1, eq. 7. Vicinity shading
-        is of light that is the same from all sides: the mean of all, lamps among it.
+        Irradiance contains the light already: then this is 1. For vicinity shading it is an even
+        light, the mean of all light, lamps included.
         """
+        # Light that texels met already is not multiplied again.
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
         if self.plan.representation == "vicinity":
@@ -136,15 +146,15 @@ class BakeSpec:
 
     @cached_property
     def luminance_light(self) -> np.ndarray:
-        """Luminance of ``light`` times the albedo, split over the channels; (channels, n²)
+        """Luminance of ``light`` times the albedo, divided among the channels; (channels, n²)
         float64.
         """
         return to_luminance(self.light, self.albedo, self.channels)
 
     @cached_property
     def unoccluded(self) -> float:
-        """Luminance that leaves a surface which sees all of the light, a mean over its turns;
-        whatever is ``seen``.
+        """Luminance that leaves an unoccluded surface, a mean over rotations of the light. It
+        does not depend on ``seen``.
         """
         mean = self.prepared.around[:, 0] / np.sqrt(4.0 * np.pi)
         if self.prepared.scene.lighting.glowing.any:
@@ -153,20 +163,21 @@ class BakeSpec:
 
     @cached_property
     def unit(self) -> float:
-        """The radiance that light is counted in where it is squared, a power of two near
+        """Radiance by which light is divided before it is squared: a power of two near
         ``unoccluded``.
 
-        Single floats hold the squares of no light below 1e-19 or above 1e19.
+        In single floats, squares of light below 1e-19 or above 1e19 would underflow or overflow.
         """
         return math.ldexp(1.0, math.frexp(self.unoccluded)[1])
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """The light by what it meets, direct light first: it is without lobes, and all other layers
-        meet the same.
+        """The terms of light: direct light first, which is without lobes, then all other layers,
+        which meet all of the light; glows last.
 
-        Irradiance is taken for the transfer, times ``unit``, of a light of this radiance. What is
-        kept for several albedos meets as much of the light as it counts at the spec's own.
+        For irradiance, the term stands for a transfer that meets light of the radiance ``unit``.
+        For a layer kept for several albedos, each node is a term whose light is weighted as the
+        spec's albedo mixes it.
         """
         lit = (
             part
@@ -176,8 +187,8 @@ class BakeSpec:
         return (*lit, *self._glow_terms())
 
     def _glow_terms(self) -> Iterator[Term]:
-        """The terms of what glows, each under its own radiance: of single channels where there are
-        several.
+        """Yield the terms of glows, each under its radiance; a single channel each if there are
+        several glows.
         """
         for number, layer in enumerate(self.plan.layers):
             if isinstance(layer, GlowLayer):
@@ -185,6 +196,7 @@ class BakeSpec:
                     layer.lights(self.prepared.scene.lighting.glowing.radiances)
                 ):
                     luminance = to_luminance(light, self.albedo, self.channels)
+                    # A path gathers at most MOST_GATHERED times the radiance of a glow.
                     square = MOST_GATHERED * (luminance.sum(axis=0) / self.unit) ** 2
                     yield Term(
                         (number,),
@@ -197,7 +209,10 @@ class BakeSpec:
                     )
 
     def glow_weights(self, layer: GlowLayer) -> np.ndarray:
-        """Luminance that leaves a texel for each channel of what glows; (channels,) float64."""
+        """Return the luminance that leaves a texel for light 1 in each channel of glows;
+        (channels,) float64.
+        """
+        # A single glow has one term for all its channels, several have a term for each channel.
         each = [term.luminance[:, 0] for term in self._glow_terms()]
         if layer.glows == 1:
             if len(each[0]) == layer.channels:
@@ -207,37 +222,42 @@ class BakeSpec:
 
     @cached_property
     def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
-        """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
+        """Pairs of layers that meet the same light, by their numbers, and that light, (3, n²)."""
         numbers = [
             number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW_KIND
         ]
+        # Direct light is without lobes, and so a separate group.
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [
             group for group in (straight, tuple(i for i in numbers if i not in straight)) if group
         ]
         return tuple(
-            (group, self._beside(group, self.lobes if group == straight else ()))
+            (group, self._light_met_by(group, self.lobes if group == straight else ()))
             for group in groups
         )
 
-    def _beside(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
+    def _light_met_by(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
+        """Return the light that ``layers`` meet, without some ``lobes``; (3, n²)."""
         order = min(max(self.plan.layers[i].order for i in layers), self.order)
         return np.asarray(self.light[:, : order**2] - project_lobes(lobes, order))
 
     def _term(self, layers: tuple[int, ...], light: np.ndarray) -> Term:
+        """Make the term of ``layers`` under a ``light``."""
         luminance = to_luminance(light, self.albedo, self.channels)
+        # Square the light in units of the spec, so that single floats hold it.
         square = square_light(luminance.sum(axis=0) / self.unit)
         if self.plan.representation == "irradiance":
             square = square * self.unit
         return Term(layers, math.isqrt(light.shape[1]), light, luminance, square)
 
     def _by_node(self, term: Term) -> Iterator[Term]:
-        """The term itself, or those of the albedos that its light is kept for, each with what it
-        counts.
+        """Yield a ``term``, or its parts by the nodes that its light is kept for, each with the
+        weight of its node.
         """
         if not self.plan.layers[term.layers[0]].nodes:
             yield term
             return
+        # Shares of the channels in the luminance of reflected white light.
         mix = LUMINANCE_WEIGHTS * np.array(self.albedo)
         mix = mix / max(float(mix.sum()), 1e-30)
         for node, counts in enumerate(self.mixing.T):
@@ -250,22 +270,23 @@ class BakeSpec:
 
     @cached_property
     def mixing(self) -> np.ndarray:
-        """What light that is kept for each of some albedos counts in that of the spec's own; (3,
-        nodes) float64.
-        """
+        """Weights of the light at each node in light of the spec's albedo; (3, nodes) float64."""
         return mixing_of(self.albedo, self.plan)
 
     def term_of(self, layer: Layer) -> Term:
-        """The term that a ``layer`` is of, or its last one; of layers beside the plan's, those of
-        its kind decide.
+        """Return the term that a ``layer`` belongs to; of several, the last. A layer that is
+        not in the plan belongs to the terms of its kind, or to the first one.
         """
+        # Find the terms whose layers are of this kind.
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
-        found = [term for term, own in zip(self.terms, kinds, strict=True) if layer.kind in own]
+        found = [term for term, kept in zip(self.terms, kinds, strict=True) if layer.kind in kept]
         return found[-1] if found else self.terms[0]
 
     @property
     def columns(self) -> int:
-        """Coefficients of a channel that frames read: those of all terms, side by side."""
+        """Number of coefficients per channel that frames read: those of all terms, one after
+        another.
+        """
         return sum(term.order**2 for term in self.terms)
 
     @property
@@ -275,61 +296,66 @@ class BakeSpec:
 
     @property
     def straight(self) -> int:
-        """How many of the columns, the first ones, are not of reflected light alone."""
+        """Number of columns, the first ones, that do not hold reflected light alone."""
         if len(self.terms) > 1:
             return int(self.firsts[1])
         return self.columns
 
     @property
     def lobes(self) -> tuple[Lobe, ...]:
-        """The lobes that direct light in texels is without, as pixels see them themselves."""
+        """The lobes that are left out of direct light in texels, as pixels light them by shadow
+        rays.
+        """
         return self.prepared.scene.inputs.lobes[: self.plan.lobes]
 
     @cached_property
     def beside(self) -> np.ndarray:
-        """ℓ of the unturned lights but lobes as a surface without shadows has them; as
-        ``PreparedScene.around``.
+        """SH coefficients of the unturned lights without lobes, as an unshadowed surface
+        receives them; as ``PreparedScene.around``.
         """
         around = self.prepared.around
         return np.asarray(around - project_lobes(self.lobes, math.isqrt(around.shape[1])))
 
     def gains(self, layer: Layer) -> np.ndarray:
-        """What the squared noises of a ``layer`` count in the variance of a texel's luminance;
-        (noises,) float64.
+        """Return the weights of the squared noises of a ``layer`` in the variance of a texel's
+        luminance; (noises,) float64.
 
-        A mean over turns of the light: E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), where |s_l|² =
-        (2l + 1) v_l with the variance v_l of a coefficient of band l. The noises give v_0 and the
-        mean of the bands above, and v_l is taken to grow from the one as l²: fine structure is what
-        few samples miss first. Such are the spectra of direct light on five surfaces, from v_5 /
-        v_0 = 20 after 16 samples to 2 after 1024, within a fifth. Channels are of the same paths,
-        and so are their errors.
+        A mean over rotations of the light: E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), with |s_l|² =
+        (2l + 1) v_l and v_l the variance of a coefficient of band l. The noises give v_0 and the
+        mean over the bands above; v_l is taken to grow from v_0 as l², as few samples miss fine
+        structure first. The spectra of direct light on five surfaces follow this, from v_5 / v_0 =
+        20 after 16 samples to 2 after 1024, within a fifth. All channels come from the same paths,
+        and so their errors add.
         """
         if isinstance(layer, GlowLayer):
+            # All glows count as the brightest of them.
             brightest = self.glow_weights(layer).reshape(layer.glows, -1).sum(axis=1).max()
             return np.array([(layer.glows * brightest) ** 2])
+        # Sum the energy of the light in each band; frames read no band beyond the light's order.
         bands = np.arange(min(layer.order, self.term_of(layer).order))
         light = self.term_of(layer).luminance.sum(axis=0)[: len(bands) ** 2]
         energy = np.add.reduceat(light**2, bands**2)
+        # Growth of the variance with the band, 1 on average over the bands above 0.
         growth = bands**2 / max(
             (np.arange(1, layer.order) ** 2).sum() / max(layer.order - 1, 1), 1.0
         )
         return np.array([energy @ (1.0 - growth), energy @ growth])[: layer.noises]
 
-    def judged(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
-        """The sums (…, channels, n²) whose spread estimates a layer's noise: those of its luminance
-        alone, (…, n²).
+    def luminance_sums(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
+        """Return the sums of a layer's luminance from sums of its channels, ``halves`` (…,
+        channels, n²): the spread of these estimates its noise; (…, n²).
 
-        Colours have errors of their own size, by the lights that they met and the albedo; mixed as
-        luminance mixes them they come to what ``gains`` counts.
+        The error of each colour depends on its light and on the albedo. Mixed with the weights of
+        luminance, they give the error that ``gains`` expects.
         """
         return np.asarray(np.einsum("...cn,c->...n", halves, self.mix(layer)))
 
     def mix(self, layer: Layer) -> np.ndarray:
-        """Shares of a layer's channels in the luminance that leaves a texel under white light;
-        (channels,) float64.
+        """Return the shares of a layer's channels in the luminance that leaves a texel under white
+        light; (channels,) float64.
 
-        Of what is kept for several albedos it is the highest alone, which errors are held against.
-        Of what glows it is the mean, and ``gains`` take all to be as bright as the brightest.
+        For nodes the highest alone counts, as errors are relative to it. For glows the mean counts,
+        while ``gains`` take each to be as bright as the brightest.
         """
         if layer.nodes:
             return np.eye(layer.channels)[-1]
@@ -341,33 +367,35 @@ class BakeSpec:
         return np.tile(mix, layer.channels // len(mix)) * (len(mix) / layer.channels)
 
     def weights(self, layer: Layer) -> np.ndarray:
-        """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces
-        + 1, channels).
+        """Return R^k for k = 0 … bounces, divided by the probability to get there, for each of
+        the layer's channels; (bounces + 1, channels).
         """
         albedo = np.array(layer.nodes or self.prepared.scene.surfaces.albedo[: layer.channels])
         return path_weights(albedo, self.plan.bounces if layer.reflected else 0, self.plan.survival)
 
     def shares(self, layers: Sequence[Layer]) -> np.ndarray:
-        """What a path counts in ``layers`` that never left, or left after k = 0, 1, … bounces: R^k,
-        or 0.
+        """Return the weights of a path in ``layers`` if it never leaves, or leaves after k = 0, 1,
+        … bounces: R^k over the probability to get there, or 0.
 
-        (all channels of all layers, bounces + 2) float64, k at k + 1; no longer than the longest
-        path of these.
+        (channels of all layers, bounces + 2) float64; column 0 is for paths that never leave,
+        column k + 1 for k bounces. The longest path of these layers decides the number of columns.
         """
         return self._stacked([self._shares(layer) for layer in layers])
 
     def squares(self, layers: Sequence[Layer]) -> np.ndarray:
-        """The squares of what a path counts in the luminance of ``layers``; (layers, bounces + 2),
-        as ``shares``.
+        """Return the squares of a path's weights in the luminance of ``layers``; (layers,
+        bounces + 2), columns as in ``shares``.
         """
         return self._stacked(
             [(self.mix(layer) @ self._shares(layer))[None] ** 2 for layer in layers]
         )
 
     def coloured_rules(self, layers: Sequence[Layer], orders: np.ndarray) -> ColouredRules:
-        """``shares`` and ``squares`` on a surface with colours, in rows with harmonics of these
-        ``orders``.
+        """Return the rules of ``shares`` and ``squares`` for a surface with colours, in rows
+        with harmonics of these ``orders``.
         """
+        # First a row for each channel of each layer, then a row for the square of each layer's
+        # luminance.
         mixes = [np.eye(layer.channels, 3) for layer in layers]
         squares = [np.pad(self.mix(layer), (0, 3 - layer.channels))[None] for layer in layers]
         reflected = np.array([float(layer.reflected) for layer in layers])
@@ -384,56 +412,57 @@ class BakeSpec:
             self.plan.branches,
         )
 
-    def _stacked(self, own: Sequence[np.ndarray]) -> np.ndarray:
-        longest = max(shares.shape[1] for shares in own)
+    def _stacked(self, tables: Sequence[np.ndarray]) -> np.ndarray:
+        """Stack tables of weights, padded with zeros to the same number of columns."""
+        longest = max(shares.shape[1] for shares in tables)
         return np.vstack(
-            [np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in own]
+            [np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in tables]
         )
 
     def _shares(self, layer: Layer) -> np.ndarray:
+        """Return the weights of a path in one ``layer``, as in ``shares``."""
         weights = self.weights(layer)
         shares = np.zeros((layer.channels, len(weights) + 1))
         shares[:, 1:] = weights.T
+        # Light without a bounce is direct.
         if layer.kind == "indirect":
             shares[:, 1] = 0.0
         return shares
 
 
 MOST_GATHERED = 1.5
-"""The most that a ray gathers of a ball that glows with radiance 1: its diameter over its mean
-chord.
+"""Most light that a ray gathers from a ball which glows with radiance 1: its diameter over its
+mean chord.
 """
 
 
 def path_weights(albedo: np.ndarray, bounces: int, survival: float, leaving: int = 0) -> np.ndarray:
-    """R^(k + ``leaving``) for k = 0 … bounces, over the chance to get there; (bounces + 1,
-    channels) float64.
+    """Return R^(k + ``leaving``) for k = 0 … bounces, divided by the probability to get there;
+    (bounces + 1, channels) float64.
 
-    ``leaving`` 0 is of light that arrives, 1 of what leaves the surface. Chances: from the second
-    hit on, ``survival``.
+    ``leaving`` is 0 for light that arrives, 1 for light that leaves the surface. A path continues
+    after its second and later hits with probability ``survival``.
     """
     k = np.arange(bounces + 1)[:, None]
     return np.asarray(albedo ** (k + leaving) / survival ** np.maximum(k - 1, 0))
 
 
 def mixing_of(albedo: Colour, plan: ScenePlan) -> np.ndarray:
-    """What light that is kept for the nodes of a ``plan`` counts at an ``albedo``; (3, nodes)
-    float64.
+    """Return the weights of light kept for the nodes of a ``plan`` in light of an ``albedo``;
+    (3, nodes) float64.
     """
     return np.array([mixing_weights(share, plan.nodes, plan.bounces) for share in albedo])
 
 
 def spec_name(shading: str) -> str:
-    """The name of the bake spec that views of a ``shading`` read: vicinity shading has one of its
-    own.
-    """
+    """Return the name of the bake spec that views of a ``shading`` read."""
     if shading == "vicinity":
         return "vicinity"
     return "gi"
 
 
 def spec_for(prepared: PreparedScene, shading: str) -> BakeSpec:
-    """The bake spec that views of a ``shading``, or of a spec's name, read."""
+    """Return the bake spec that views of a ``shading``, or of a spec's name, read."""
     plan = prepared.scene.plan
     return BakeSpec(prepared, vicinity_plan(plan) if spec_name(shading) == "vicinity" else plan)
 
@@ -441,8 +470,8 @@ def spec_for(prepared: PreparedScene, shading: str) -> BakeSpec:
 def to_luminance(
     light: np.ndarray, albedo: tuple[float, float, float], channels: int
 ) -> np.ndarray:
-    """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer;
-    (channels, n²).
+    """Return the luminance of the reflected ``light`` (3, n²), divided among the channels of
+    the transfer; (channels, n²).
     """
     weighted = (LUMINANCE_WEIGHTS * np.array(albedo))[:, None] * light
     if channels == 3:
@@ -451,22 +480,23 @@ def to_luminance(
 
 
 def square_light(light: np.ndarray) -> np.ndarray:
-    """Coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of the same order;
-    (n²,) float64.
+    """Return the coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of
+    the same order; (n²,) float64.
     """
+    # Evaluate the light at quadrature nodes, square it there, and project it again.
     basis, weights = basis_of(math.isqrt(len(light)))
     return np.asarray(basis @ (weights * (light @ basis) ** 2))
 
 
 @cache
 def basis_of(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Harmonics (n², nodes) at nodes that integrate products of three of them, and their weights
-    (nodes,).
+    """Return harmonics (n², nodes) at nodes that integrate products of three of them exactly,
+    and the weights of the nodes, (nodes,).
     """
     theta, phi, weights = sphere_nodes(3 * order)
     return evaluate_harmonics(order, theta, phi), weights
 
 
 def band_of(order: int) -> np.ndarray:
-    """The band l of each coefficient i < order²; (n²,) int."""
+    """Return the band l of each coefficient i < order²; (n²,) int."""
     return np.repeat(np.arange(order), 2 * np.arange(order) + 1)

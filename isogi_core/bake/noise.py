@@ -1,5 +1,5 @@
 """Noise of texels' light: its estimate, the error at which a texel is good enough, and the
-samples that takes.
+number of samples that this takes.
 """
 
 import math
@@ -20,11 +20,11 @@ from isogi_core.model.scene_plan import (
     most_samples,
     texel_target,
 )
-from isogi_core.plan.surfaces import mixing_weights
+from isogi_core.plan.albedo_nodes import mixing_weights
 
 FLOOR = 0.5
-"""Share of unoccluded light: texels darker than this are judged by its error, not by that of
-their own small light.
+"""Share of unoccluded light: the error of darker texels is relative to this light, not to their
+small one.
 """
 
 DECAYS: Mapping[str, tuple[float, float]] = {
@@ -34,21 +34,21 @@ DECAYS: Mapping[str, tuple[float, float]] = {
     "irradiance": (0.42, 0.42),
     "glow": (0.42, 0.42),
 }
-"""Factors by which twice the samples reduce the variance of band 0, and the excess of the bands
+"""Factors by which doubling the samples reduces the variance of band 0, and the excess of the bands
 above it, by kind of layer.
 
 Points are stratified, and direct light is smooth between its edges, so that it gains most; plain
-random points, and nearly long paths, keep one half. Mean squares of differences of halves over 16
-to 1024 samples, on two views each of the engine, the CT head, the bonsai, the MNI brain, the
-casting and the orbital: within a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band 0 of direct
-light, and 0.22 to 0.30 above it.
+random points, and almost also long paths, have one half. From mean squares of differences of halves
+over 16 to 1024 samples, on two views each of the engine, the CT head, the bonsai, the MNI brain,
+the casting and the orbital: right within a tenth, except 0.35 (orbital) to 0.41 (bonsai) for band 0
+of direct light, and 0.22 to 0.30 above it.
 """
 
 BAND_0 = np.array([0.75, 1 / 12, 1 / 12, 1 / 12])
 """Weights of the coefficients of bands 0 and 1 in the variance of band 0.
 
-Band 0's own difference of two halves is a single number, and says too little; band 1 comes from the
-same paths, and is scaled to band 0 by ``evenness``.
+The difference of two halves in band 0 is a single number, and says too little; band 1 comes from
+the same paths, and is scaled to band 0 by ``evenness``.
 """
 
 
@@ -70,6 +70,7 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     It is at least a quarter of that of uniform noise, in case band 0 was estimated too small by
     chance.
     """
+    # Weight the squared noises of band 0 and of the bands above by what they add to the luminance.
     squares = part.noise.astype(np.float64) ** 2
     gains = spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
@@ -111,8 +112,8 @@ def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def level(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Return the luminance that each texel's error is relative to: its own, or that of FLOOR;
-    (texels,) float64.
+    """Return the luminance that each texel's error is relative to: the texel's, but at least
+    FLOOR of unoccluded light; (texels,) float64.
     """
     return np.maximum(mean_luminance(light, spec), least_level(spec))
 
@@ -130,7 +131,7 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Return whether each texel is good enough for pictures of a ``target`` error, or void;
+    """Return which texels are good enough for pictures of a ``target`` error, or void;
     (texels,) bool.
     """
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
@@ -148,11 +149,11 @@ class Until(NamedTuple):
 def good_enough(
     error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
-    """Return whether texels of this relative ``error`` need no more samples for a ``target`` error;
+    """Return which texels of this relative ``error`` need no more samples for a ``target`` error;
     bool.
 
-    Their error is within ``texel_target``, or their ``samples`` are spent: the limit of the target,
-    or ``enough`` for the picture that reads them.
+    Their error is within ``texel_target``, or their ``samples`` have reached the limit of the
+    target, or ``enough`` for the picture that reads them.
     """
     spent = samples >= min(most_samples(target), enough)
     return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
@@ -171,6 +172,7 @@ def noise_of_halves(
     # The squared difference of two half means estimates the variance of their mean.
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
+    # Scale the share of band 1 to the variance of band 0.
     if squares.shape[1] > 1:
         low += (evenness - 1.0) * (squares[:, 1:4] @ BAND_0[1:])
     if order == 1:
@@ -189,6 +191,8 @@ def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
     texel has none at all. One path more is counted in both, so that a few that agree do not claim
     certainty.
     """
+    # As Y_0 = 1 / √(4π), this is the second moment of X Y_0; the mean over m of that of X Y_1m is
+    # the same.
     square = second / np.sqrt(4.0 * np.pi)
     more = square / samples
     low = np.maximum(square - mean[:, 0] ** 2, 0.0) + more
@@ -206,6 +210,8 @@ def blend_noise(
     """
     if samples == 0:
         return latest
+    # Average both halves' variances; then reduce band 0, and what the bands above have in excess of
+    # it, by their own factors.
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
     return np.asarray(
@@ -233,15 +239,18 @@ def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
     """
     terms = spec.terms
     transfer = [light.columns([term]).astype(np.float64) for term in terms]
+    # Second moment of one path: the transfer of the squared light.
     second = sum(
         t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True)
     )
     mean = np.zeros(len(light))
+    # Subtract the square of the mean, over all pairs of terms.
     for (t, one), (u, other) in product(zip(transfer, terms, strict=True), repeat=2):
         each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
         mean += np.einsum(
             "mcn,mdn,cdn->m", t[:, :, : each.shape[2]], u[:, :, : each.shape[2]], each
         )
+    # The rest is the variance of one path; rounding must not make it negative.
     return spec.unit * np.sqrt(
         np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0)
     )
@@ -268,9 +277,10 @@ points falls about as n^-2/3.
 class Effort(NamedTuple):
     """Samples that texels need which are not final.
 
-    ``unlit`` texels hold no light yet; they are ``expected`` to take that many samples, 0 if
-    nothing is known of them. The other ``lit`` ones have ``taken`` samples together, and are
-    predicted to take ``left`` more.
+    - ``unlit``: number of texels without light; ``expected``: samples that they are expected to
+      take, 0 if unknown.
+    - ``lit``: number of the others; ``taken``: samples that these have together; ``left``: samples
+      that they are predicted to take in addition.
     """
 
     unlit: int
@@ -284,7 +294,7 @@ class Effort(NamedTuple):
         cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
     ) -> Self:
         """Return the effort of texels by their relative ``error`` and their ``samples``; void
-        ones are left out.
+        texels do not count.
         """
         unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[
             0
@@ -312,6 +322,7 @@ def samples_needed(
     (texels,) float64.
     """
     most = min(most_samples(target), enough)
+    # Predict by the rate of stratified points, and round up to a level.
     needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
@@ -327,6 +338,7 @@ def efforts(
     """Return ``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64;
     ``chunks`` holds each texel's chunk.
     """
+    # Sum the columns of Effort over each chunk; samples expected of unlit texels are not known.
     unlit = samples == 0
     waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
     left = samples_left(error[waiting], samples[waiting], target, enough)

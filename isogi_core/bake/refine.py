@@ -184,9 +184,10 @@ def next_samples(
     """Return the samples of the parts that climb next, (texels,) int; -1 if a texel is final and no
     part lags.
 
-    A part that was lost, or not written before a kill, lags: it takes its samples once more, which
-    are of no use to the other parts.
+    A part lags if it was lost, or not written before a kill: it takes its samples once more, which
+    the other parts do not need.
     """
+    # A part lags if it has fewer samples than another one of its texel, below the limit.
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
     return np.where(finished(light, spec, target, enough) & ~lags, -1, light.samples)
@@ -211,17 +212,19 @@ Sampler = Callable[
     [Sequence[Layer], Place, np.ndarray, BakeSpec, int, int],
     Iterator[tuple[np.ndarray, np.ndarray]],
 ]
-"""Function that draws samples for some layers: see ``sample_transfer``."""
+"""Function that draws samples for some layers of the same paths: layers, place, void, spec,
+samples so far, and number of new ones. It yields sums as ``sample_transfer`` does.
+"""
 
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
     """Group parts by their sampler: transfer layers that share harmonics, irradiance, and glow."""
-    own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
-    if lit := [part for part in parts if part.layer.kind not in own]:
+    samplers: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
+    if lit := [part for part in parts if part.layer.kind not in samplers]:
         yield sample_transfer, lit
     for part in parts:
-        if part.layer.kind in own:
-            yield own[part.layer.kind], [part]
+        if part.layer.kind in samplers:
+            yield samplers[part.layer.kind], [part]
 
 
 def add(
@@ -235,6 +238,7 @@ def add(
     layer = part.layer
     samples = int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
+    # Estimate the noise of the new samples, and blend it with the noise so far.
     noise = noise_of_new(halves, second, total - samples, layer, spec)
     noise = blend_noise(part.noise[rows], samples, noise, DECAYS[layer.kind])
     part.coefficients[rows] = round_light(
@@ -249,9 +253,10 @@ def noise_of_new(
     """Estimate the noise of a layer from the sums of ``count`` new samples: see
     ``noise_of_halves``.
     """
-    seen = spec.judged(halves, layer)
+    seen = spec.luminance_sums(halves, layer)
     if layer.order > 1 or layer.kind in ("irradiance", GLOW_KIND):
         return noise_of_halves(seen, count, layer.order)
+    # If a single coefficient is kept, band 1 of the same paths makes the estimate more certain.
     even = evenness(seen.sum(axis=1) / count, second / count, count)
     return noise_of_halves(seen, count, layer.order, even)
 
@@ -287,6 +292,7 @@ def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None =
     if shown is None:
         locate_texels(prepared.field, prepared.step, *place, void)
         return place, void
+    # Projected texels lie on the isosurface that is shown, all at one isovalue.
     verdicts = np.empty(m, np.uint8)
     project_texels(prepared.field, prepared.step, shown, *place[:3], verdicts)
     place[3][:] = shown
@@ -366,8 +372,8 @@ def sample_irradiance(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield sums of the irradiance of fixed light, without squares; a layer with one channel
-    takes the first of three equal ones.
+    """Yield sums of the irradiance of fixed light, and zeros in place of squares; a layer with
+    one channel takes the first of three equal ones.
     """
     prepared = spec.prepared
     sums = np.zeros((len(void), 2, 3))
@@ -377,6 +383,7 @@ def sample_irradiance(
     rules = PathRules(
         np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival
     )
+    # Trace texels of near isovalues together; a surface alone in the open has a faster kernel.
     for bricks, rows in by_isovalue(place[3], void, prepared):
         met = prepared.met(prepared.scene.surfaces.albedo, bricks)
         if isinstance(met, Open):
@@ -392,8 +399,7 @@ def sample_irradiance(
 def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
     """Return the path weights of a ``layer``.
 
-    Light from inside of a scattering material is B/π over the albedo, as frames multiply by the
-    albedo.
+    Light from within a scattering material is kept divided by the albedo, as frames multiply by it.
     """
     scene = spec.prepared.scene
     if scene.surfaces.material.scatters:
@@ -413,6 +419,7 @@ def sample_glow(
     prepared = spec.prepared
     plan = spec.plan
     some = SampleRange(samples // 2, count // 2)
+    # The kernel multiplies by albedos along the path: of the weights only their number counts.
     rules = PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
     sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
@@ -427,6 +434,8 @@ def sample_glow(
 def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
     """Make the PathStarts of both halves of the texels in some ``rows`` of a place."""
     texels, points, normals, isovalues = place
+    # Each texel starts two independent randomisations, seeded by its place and the number of the
+    # half.
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
     here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
@@ -442,6 +451,7 @@ def by_isovalue(
     Rows keep their order in space within a group: sorted by isovalue, paths took a twentieth
     longer.
     """
+    # Group lit texels by isovalue, and give each group a map that covers it.
     lit = np.flatnonzero(~void)
     groups, spans = prepared.maps.groups(isovalues[lit])
     for group in np.unique(groups):
@@ -460,7 +470,7 @@ KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
 
 
 def keeps(spec: BakeSpec) -> bool:
-    """Return whether light of a ``spec`` of a whole volume may be kept if the volume is cut."""
+    """Return True if light of a ``spec`` of a whole volume may be kept if the volume is cut."""
     return (
         spec.shown is None
         and spec.kinds <= KEEPABLE_KINDS
@@ -470,8 +480,8 @@ def keeps(spec: BakeSpec) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Remains:
-    """What a cut leaves: the ``box`` of ``box_left``, and the least and greatest value
-    ``beyond`` it.
+    """The part of a volume that a cut leaves: the ``box`` of ``box_left``, and the range of
+    values ``beyond`` it.
     """
 
     box: np.ndarray
@@ -479,7 +489,7 @@ class Remains:
 
     @classmethod
     def of(cls, volume: Volume, left: Ranges) -> Self:
-        """Describe what is left of a ``volume`` of which only some voxels are."""
+        """Describe the rest of a ``volume`` of which the voxels ``left`` remain."""
         box = box_left(left, volume.size)
         return cls(box, values_beyond(volume, box))
 
@@ -512,8 +522,8 @@ def find_kept(
 
 
 def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
-    """Yield the paths that some ``parts`` took: which texels (m,) bool, samples in each half, and
-    bounces.
+    """Yield the paths that ``parts`` took, level by level: which texels (m,) bool took them, their
+    samples in each half, and their bounces.
 
     Paths of parts without reflected light end with their first ray.
     """
@@ -522,6 +532,7 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
     while first < most:
         last = next_level(first)
         some = SampleRange(first // 2, (last - first) // 2)
+        # Paths with bounces include the first ray of those without.
         long, short = (took(parts, last, reflected) for reflected in (True, False))
         yield long, some, bounces
         yield short & ~long, some, 0
@@ -529,11 +540,11 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
 
 
 def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
-    """Return which texels took this number of ``samples`` in any part with ``reflected`` light,
-    or without; (m,) bool.
+    """Return which texels took at least ``samples`` in any part with ``reflected`` light, or
+    without; (m,) bool.
     """
-    own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
-    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])
+    taken = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
+    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *taken])
 
 
 def strays_of(
@@ -542,7 +553,8 @@ def strays_of(
     """Return which of some ``rows`` (m,) bool have a path among these ``samples`` that met
     something outside of ``confines``.
     """
+    # Trace the paths of these texels, in groups of near isovalues, until the first stray of each.
     strays = np.zeros(len(rows), np.bool_)
-    for cells, own in by_isovalue(place[3], ~rows, spec.prepared):
-        find_strays(spec.prepared.field, cells, place, own, samples, confines, strays)
+    for cells, some in by_isovalue(place[3], ~rows, spec.prepared):
+        find_strays(spec.prepared.field, cells, place, some, samples, confines, strays)
     return strays

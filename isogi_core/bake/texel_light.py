@@ -46,6 +46,7 @@ SILENT = 255
 
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
     """Return ``light`` (…, n²) as the layer keeps it, float32."""
+    # The first coefficients are kept as floats, the rest as bytes.
     fine = light_floats(light[..., : layer.floats] / layer.scale, layer).astype(np.float32)
     coarse = decoded_light(light_codes(light[..., layer.floats :] / layer.scale))
     return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
@@ -67,6 +68,7 @@ def light_codes(light: np.ndarray) -> np.ndarray:
     size = np.abs(np.asarray(light, np.float64))
     with np.errstate(divide="ignore"):
         codes = 1.0 + np.rint(-CODES_PER_HALVING * np.log2(size))
+    # Light too small for a code becomes 0; light above the scale takes the first code.
     codes = np.where(codes > SMALLEST, 0.0, np.maximum(codes, 1.0)).astype(np.uint8)
     return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
 
@@ -90,6 +92,7 @@ def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
     """Return bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), rounded;
     uint8.
     """
+    # No noise has an infinite code, which is cut to SILENT.
     with np.errstate(divide="ignore"):
         codes = np.rint(
             -CODES_PER_HALVING * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale))
@@ -117,6 +120,7 @@ def level_codes(samples: np.ndarray) -> np.ndarray:
     """Return bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1),
     VOID_CODE for VOID; uint8.
     """
+    # Levels are powers of two from FIRST_LEVEL on, so that their logarithm counts them.
     codes = np.log2(np.maximum(samples, FIRST_LEVEL // 2) / (FIRST_LEVEL // 2)).astype(np.uint8)
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
@@ -187,18 +191,18 @@ class Part:
         """Copy some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
-    def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
-        """Place the texels, which lie at ``own`` places, among all at the ascending ``places``;
+    def among(self, at: np.ndarray, places: np.ndarray) -> "Part":
+        """Place the texels, which lie at the places ``at``, among all at the ascending ``places``;
         the others are dark.
         """
         whole = Part.dark(self.layer, len(places))
-        whole.put(np.searchsorted(places, own), self)
+        whole.put(np.searchsorted(places, at), self)
         return whole
 
     def channel(self, number: int) -> "Part":
         """Return the texels with channel ``number`` of their coefficients alone."""
-        own = np.ascontiguousarray(self.coefficients[:, number : number + 1])
-        return Part(self.layer, self.samples, self.noise, own)
+        one = np.ascontiguousarray(self.coefficients[:, number : number + 1])
+        return Part(self.layer, self.samples, self.noise, one)
 
     def put(self, which: np.ndarray, part: "Part") -> None:
         """Write the rows of ``part`` to some rows of this one."""
@@ -246,7 +250,7 @@ class Light:
 
     @property
     def void(self) -> np.ndarray:
-        """Whether each texel cannot hold light; (m,) bool."""
+        """True for each texel that cannot hold light; (m,) bool."""
         return np.any([part.samples == VOID for part in self.parts], axis=0)
 
     def agree_on_void(self) -> None:
@@ -268,6 +272,8 @@ class Light:
         """Return the sums of the parts of each of the ``terms``, side by side; (m, channels, Σ
         n²) float32.
         """
+        # Sum the layers of each term, with as many channels as the most colourful layer, and cut
+        # them to the light's order.
         channels = max(part.layer.colours for part in self.parts)
         sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
         if len(sums) == 1:
@@ -286,6 +292,7 @@ def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:
     """Return the sum of some parts' coefficients; (m, channels, n²) float32 with the highest
     order of any.
     """
+    # A layer of a lower order adds to the first bands; one with a single channel adds to all.
     n = max(part.coefficients.shape[2] for part in parts)
     total = np.zeros((len(parts[0].samples), channels, n), np.float32)
     for part in parts:

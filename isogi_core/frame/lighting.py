@@ -24,8 +24,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import Camera, View, rotation_matrix
+from isogi_core.plan.albedo_nodes import mixing_weights
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.surfaces import mixing_weights
 
 PICTURE_FORMAT = 13
 """Counts up when pictures of the same light change: those that browsers keep are then asked for

@@ -1,5 +1,5 @@
-"""What views may choose between, and how bright they may show what glows; for help too, which loads
-no NumPy.
+"""Values that views may choose between, and limits of their numbers. They are here so that help
+texts need not load NumPy.
 """
 
 VIEW_SHADINGS = (
@@ -16,7 +16,7 @@ OVERLAYS = ("none", "provisional", "error")
 PROJECTIONS = ("perspective", "orthographic")
 
 MAX_GLOW_STRENGTH = 16.0
-"""How many times as bright as a scene says views may show what glows, at most."""
+"""Largest factor on the brightness of glows that views may ask for."""
 
 MOST_SMOOTH = 8.0
-"""Greatest standard deviation of the Gaussian that smooths a volume, in voxels."""
+"""Largest standard deviation, in voxels, of the Gaussian that smooths a volume."""

@@ -1,4 +1,6 @@
-"""Colours of a surface by data: what a value's albedo is, and where a volume has which value."""
+"""Colours of a surface by data: the albedo of each value, and the value at each place of a
+volume.
+"""
 
 import hashlib
 from dataclasses import dataclass
@@ -27,22 +29,22 @@ and magma (Smith and van der Walt 2015), cividis (Nuñez, Anderton and Renslow 2
 """
 
 MAX_ALBEDO = 0.95
-"""The highest albedo that colours may give: of more, light would hardly leave a hollow."""
+"""Highest albedo that colours may have: with more, light would hardly leave a hollow."""
 
 VALUES = 255
-"""Codes of values, from 1 on."""
+"""Number of codes for values, from 1 on."""
 
 
 def linear_of(code: float) -> float:
-    """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
+    """Return the linear light of an sRGB ``code`` from 0 to 1 (IEC 61966-2-1)."""
     if code <= 0.04045:
         return code / 12.92
     return ((code + 0.055) / 1.055) ** 2.4
 
 
 def table_of(name: str) -> np.ndarray:
-    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most
-    MAX_ALBEDO.
+    """Return the albedos of all codes by the colour map ``name``, (255, 3) float64, linear RGB,
+    at most MAX_ALBEDO.
     """
     anchors = (
         np.array([list(bytes.fromhex(colour)) for colour in COLOUR_MAPS[name].split()]) / 255.0
@@ -51,9 +53,7 @@ def table_of(name: str) -> np.ndarray:
 
 
 def spread_colours(colours: np.ndarray) -> np.ndarray:
-    """Colours (n, 3) for all VALUES, linear between those given, which lie at equal steps; (255,
-    3).
-    """
+    """Interpolate ``colours`` (n, 3) at equal steps linearly to all codes; (255, 3)."""
     place = np.linspace(0.0, 1.0, VALUES)
     at = np.linspace(0.0, 1.0, len(colours))
     return np.stack([np.interp(place, at, channel) for channel in colours.T], axis=1)
@@ -61,8 +61,8 @@ def spread_colours(colours: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Label:
-    """A part of a segmentation: its ``value`` there, its ``name``, its albedo, and whether it is
-    ``shown``.
+    """A part of a segmentation: its ``value`` in the volume, its ``name``, its albedo
+    ``colour``; ``shown`` is False for a hidden one.
     """
 
     value: int
@@ -73,13 +73,12 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What values look like: the ``name`` of what they are, the ``span`` of values from the first
-    colour to the last.
+    """The meaning and the colours of values.
 
-    ``map`` is the name of the colours, one of COLOUR_MAPS, "own" or "labels"; ``table`` (255, 3)
-    are their albedos, linear RGB, and ``outside`` is the albedo of places without a value.
-    ``labels`` are those of a segmentation, none of other data: the shown ones have the codes from 1
-    on.
+    - ``name``: of the quantity; ``span``: values of the first and the last colour.
+    - ``map``: name of the colours, one of COLOUR_MAPS, "own" or "labels"; ``table`` (255, 3): their
+      albedos, linear RGB; ``outside``: albedo of places without a value.
+    - ``labels``: of a segmentation, empty for other data; the shown ones have the codes from 1 on.
     """
 
     name: str
@@ -91,16 +90,14 @@ class Scale:
 
     @property
     def anchors(self) -> list[str]:
-        """Some of the colours at equal steps, or those of the shown labels, as ``#rrggbb``: what a
-        legend shows.
-        """
+        """Colours for a legend, as ``#rrggbb``: those of the shown labels, or 17 at equal steps."""
         if self.labels:
             return [hex_of(label.colour) for label in self.labels if label.shown]
         return [hex_of(self.table[round(place)]) for place in np.linspace(0, VALUES - 1, 17)]
 
 
 def hex_of(albedo: np.ndarray | Colour) -> str:
-    """An albedo, linear RGB, as sRGB ``#rrggbb``."""
+    """Return an albedo, linear RGB, as sRGB ``#rrggbb``."""
     return "#" + srgb_bytes(np.asarray(albedo)).tobytes().hex()
 
 
@@ -108,10 +105,9 @@ def hex_of(albedo: np.ndarray | Colour) -> str:
 class SurfaceColours:
     """The albedo of isosurfaces by data.
 
-    ``places`` lie ``step`` voxels of the scene's volume apart, along x, y, z. Those of values, (nz,
-    ny, nx) uint8, are 0 where there is none, else from 1 to 255 along the ``scale``. Those of
-    labels, (nz, ny, nx, 3), are two of them and the share of the second
-    (``kernels.transport.colours``).
+    ``places`` are ``step`` voxels of the scene's volume apart, along x, y, z. For values they are
+    codes, (nz, ny, nx) uint8: 0 for none, else 1 to 255 along the ``scale``. For labels they are
+    (nz, ny, nx, 3): two codes, and the share of the second (``kernels.transport.colours``).
     """
 
     places: np.ndarray
@@ -125,7 +121,7 @@ class SurfaceColours:
 
     @cached_property
     def brightest(self) -> Colour:
-        """The most that any place reflects of each colour."""
+        """The highest albedo of any place, in each channel."""
         if self.places.ndim == 3:
             codes = self.places
         else:
@@ -137,12 +133,12 @@ class SurfaceColours:
 
     @property
     def grey(self) -> bool:
-        """Whether no place changes the colour of light."""
+        """True if no place changes the colour of light."""
         return bool((self.table[:, 1:] == self.table[:, :1]).all())
 
     @cached_property
     def digest(self) -> str:
-        """Hex name of all that light depends on."""
+        """Hex digest of everything that light depends on."""
         found = hashlib.blake2b(f"{self.places.shape} {self.step}".encode(), digest_size=16)
         found.update(np.ascontiguousarray(self.places).data)
         found.update(np.ascontiguousarray(self.table).data)

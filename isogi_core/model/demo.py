@@ -1,4 +1,4 @@
-"""Built-in volumes, made from formulas: shown where no file is given."""
+"""Built-in volumes, computed from formulas; they are shown if no file is given."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -14,8 +14,8 @@ Pair = tuple[float, float]
 
 
 class Demo(NamedTuple):
-    """A demo: the function that makes its array (z, y, x), the isovalue where views start, a line
-    of description.
+    """A demo: the function ``build`` that makes its array (z, y, x), the ``isovalue`` at which
+    views start, and a one-line ``description``.
     """
 
     build: Callable[[], np.ndarray]
@@ -24,18 +24,19 @@ class Demo(NamedTuple):
 
 
 def demo_volume(name: str) -> Volume:
-    """The demo volume of this name, spacing 1. VolumeError where there is none."""
+    """Return the demo volume ``name``, with spacing 1. Raises VolumeError if there is none."""
     if name not in DEMOS:
         raise VolumeError(f"There is no demo '{name}': choose one of {', '.join(DEMOS)}.")
     return make_volume(DEMOS[name].build(), name=name)
 
 
 def casting() -> np.ndarray:
-    """A cast two-cylinder engine block, (96, 128, 128) float32 from 0 to 255, by a signed distance.
+    """Return a cast two-cylinder engine block, (96, 128, 128) float32 from 0 to 255, made from a
+    signed distance.
 
-    The value is 255 / (1 + e^(d/1.5)) of the distance d in voxels to the part's skin: isovalue
-    127.5 is the part, lower ones grow it, higher ones thin it. From isovalue 1 on every surface is
-    closed in the box.
+    The value is 255 / (1 + e^(d/1.5)), with the distance d in voxels to the surface of the part.
+    Isovalue 127.5 is the part; lower ones grow it, higher ones thin it. From isovalue 1 on every
+    surface is closed within the box.
     """
     z, y, x = (np.arange(n, dtype=np.float32).reshape(s) for n, s in _AXES)
     distance = np.maximum(_metal(x, y, z), -_cuts(x, y, z))
@@ -43,10 +44,10 @@ def casting() -> np.ndarray:
 
 
 def orbital() -> np.ndarray:
-    """Probability density of the hydrogen orbital 4f z³, (96, 96, 96) float32, its greatest value
-    1.
+    """Return the probability density of the hydrogen orbital 4f z³, (96, 96, 96) float32, with
+    greatest value 1.
 
-    |ψ|² ∝ (z (5z² - 3r²) e^(-r/4))², lengths in Bohr radii, 36 from the middle to each face.
+    |ψ|² ∝ (z (5z² - 3r²) e^(-r/4))², with lengths in Bohr radii, 36 from the middle to each face.
     """
     steps = np.linspace(-36.0, 36.0, 96)
     z, y, x = np.meshgrid(steps, steps, steps, indexing="ij", sparse=True)
@@ -60,7 +61,7 @@ _BARRELS = ((43.5, 64.0), (84.5, 64.0))
 
 
 def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to the cast metal: crankcase, barrels, fins, flanges, ribs, ports."""
+    """Return the distance to the cast metal: crankcase, barrels, fins, flanges, ribs and ports."""
     crankcase = _extrude(_rectangle(x, y, (64.0, 64.0), (44.0, 34.0), 7.0), _slab(z, 24.0, 14.0))
     sole = _extrude(_rectangle(x, y, (64.0, 64.0), (53.0, 51.0), 9.0), _slab(z, 13.0, 3.2))
     barrels = _extrude(_discs(x, y, _BARRELS, 18.5), _slab(z, 58.0, 25.0))
@@ -76,8 +77,8 @@ def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries, port
-    channels.
+    """Return the distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries
+    and port channels.
     """
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
@@ -96,18 +97,20 @@ def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _lean(y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to the wedge below the sloping backs of the ribs."""
+    """Return the distance to the wedge below the sloping backs of the ribs."""
     return np.asarray((np.abs(y - 64.0) + z - 72.0) * math.sqrt(0.5))
 
 
 def _discs(a: np.ndarray, b: np.ndarray, centres: Iterable[Pair], radius: float) -> np.ndarray:
-    """Signed distance, in the plane of the axes ``a`` and ``b``, to discs of one radius."""
+    """Return the signed distance, in the plane of the axes ``a`` and ``b``, to discs of one
+    ``radius``.
+    """
     return reduce(np.minimum, [np.hypot(a - ca, b - cb) - np.float32(radius) for ca, cb in centres])
 
 
 def _rectangle(a: np.ndarray, b: np.ndarray, centre: Pair, half: Pair, radius: float) -> np.ndarray:
-    """Signed distance, in the plane of the axes ``a`` and ``b``, to a rectangle with round
-    corners.
+    """Return the signed distance, in the plane of the axes ``a`` and ``b``, to a rectangle with
+    round corners.
     """
     return (
         _extrude(_slab(a, centre[0], half[0] - radius), _slab(b, centre[1], half[1] - radius))
@@ -116,19 +119,19 @@ def _rectangle(a: np.ndarray, b: np.ndarray, centre: Pair, half: Pair, radius: f
 
 
 def _slab(a: np.ndarray, centre: float, half: float) -> np.ndarray:
-    """Signed distance along one axis to an interval."""
+    """Return the signed distance along one axis to an interval."""
     return np.asarray(np.abs(a - centre) - half)
 
 
 def _extrude(profile: np.ndarray, slab: np.ndarray) -> np.ndarray:
-    """Signed distance to a profile swept over a slab across it."""
+    """Return the signed distance to a ``profile`` swept over a ``slab`` across it."""
     outside = np.hypot(np.maximum(profile, 0.0), np.maximum(slab, 0.0))
     return np.asarray(outside + np.minimum(np.maximum(profile, slab), 0.0))
 
 
 def _blend(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Union with a fillet: the smaller distance, less where both are within 3 voxels of each
-    other.
+    """Return the union of two distances with a fillet: the smaller one, reduced if both are
+    within 3 voxels of each other.
     """
     near = np.maximum(3.0 - np.abs(a - b), 0.0)
     return np.asarray(np.minimum(a, b) - near * near / 12.0)

@@ -1,5 +1,5 @@
-"""The view that a scene is seen with at first: what its table ``[view]`` says of camera, light and
-picture.
+"""The view that a scene is first seen with: camera, light and picture, as its table ``[view]``
+says.
 """
 
 import re
@@ -18,11 +18,11 @@ GROUNDS = ("light", "dark", "transparent")
 
 @dataclass(frozen=True)
 class FirstView:
-    """The first view of a scene, as parameters of views have it; None of what is found from the
-    surface.
+    """The first view of a scene, in the parameters of views; None leaves a parameter to be found
+    from the surface.
 
-    Angles are in degrees, ``distance`` in radii of the volume from the ``target``, a point of the
-    world. ``background`` is one of GROUNDS, or sRGB as ``#rrggbb``.
+    Angles are in degrees. ``distance`` is in radii of the volume from the ``target``, a point of
+    the world. ``background`` is one of GROUNDS, or sRGB as ``#rrggbb``.
     """
 
     azimuth: float | None = None
@@ -38,18 +38,18 @@ class FirstView:
 
     @property
     def given(self) -> dict[str, Any]:
-        """What the scene says."""
+        """The parameters that the scene gives."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
     @property
     def placed(self) -> bool:
-        """Whether it says where the camera is: it is not fitted to the surface then."""
+        """True if the camera's place is given; it is then not fitted to the surface."""
         return self.distance is not None or self.target is not None
 
 
 def read_first_view(settings: Settings) -> FirstView:
-    """The first view that a scene's table ``[view]`` describes. SceneError where a key is unknown
-    or a value has no meaning.
+    """Read the first view of a scene from its table ``[view]``. Raises SceneError if a key is
+    unknown or a value has no meaning.
     """
     table: Mapping[str, Any] | None = settings.table("view")
     if table is None:
@@ -58,7 +58,7 @@ def read_first_view(settings: Settings) -> FirstView:
 
 
 def _within(low: float, high: float) -> Callable[[str, Any], float]:
-    """Reads a number from ``low`` to ``high``."""
+    """Make a reader of numbers from ``low`` to ``high``."""
 
     def read(name: str, value: Any) -> float:
         if not is_number(value) or not low <= value <= high:
@@ -71,7 +71,7 @@ def _within(low: float, high: float) -> Callable[[str, Any], float]:
 
 
 def _ground(name: str, value: Any) -> str:
-    """A background."""
+    """Read a background. Raises SceneError if it is none."""
     text = str(value).lower()
     if text not in GROUNDS and not re.fullmatch("#[0-9a-f]{6}", text):
         raise SceneError(
@@ -92,4 +92,4 @@ VIEW_READERS: TableReaders = {
     "exposure": _within(1e-36, 1e36),
     "background": _ground,
 }
-"""How the keys of ``[view]`` are read."""
+"""Readers of the keys of ``[view]``."""

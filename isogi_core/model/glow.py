@@ -1,4 +1,4 @@
-"""Glow: parts of the volume that give off light and stop none, read from ``[[glow]]`` tables."""
+"""Glow: parts of the volume that give off light and block none, read from ``[[glow]]`` tables."""
 
 import hashlib
 import math
@@ -23,28 +23,30 @@ from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
 
 MOST_GLOWS = 8
-"""Most tables of a scene: every ray asks each of them."""
+"""Most tables of a scene: every ray tests each of them."""
 
 ALL_VALUES = (-math.inf, math.inf)
 """The range of all values."""
 
 NO_BITS = np.zeros((0, 0, 0), np.uint8)
-"""The masks of a scene in which no glow has one."""
+"""The mask bits of a scene in which no glow has a mask."""
 
 REGION_ROUNDING = 1e-9
-"""Share of the volume's radius by which a region may reach out of its box, by rounding."""
+"""Share of the volume's radius by which a region may reach out of its box, for rounding."""
 
 
 @dataclass(frozen=True)
 class Glow:
-    """A part of the volume that gives off ``radiance``, linear RGB: what a ray gathers over its
-    mean chord.
+    """A part of the volume that gives off ``radiance``, linear RGB: that of a ray which passes it
+    over its mean chord.
 
-    It is a ``box``, two opposite corners in the world whose edges lie along the volume's axes, or a
-    ``sphere``, world x, y, z and radius, or else all of the volume's box, or the part of it that a
-    ``mask``, a file of a volume, takes; and within it what has ``values`` of the file from one to
-    another, and is in the mask where there is one: where that has one of the values ``labels``, or
-    without these any but 0.
+    - ``box``: two opposite corners in the world; the edges lie along the volume's axes. ``sphere``:
+      world x, y, z and radius. Without either the region is the volume's box.
+    - ``values``: range of the file's values that glow within the region.
+    - ``mask``: file of a volume outside of which nothing glows; ``labels``: the values in it that
+      are inside, by default all but 0.
+
+    Raises SceneError if these do not go together.
     """
 
     radiance: Colour = (1.0, 1.0, 1.0)
@@ -59,12 +61,11 @@ class Glow:
             raise SceneError("A glow has a box and a sphere: give one of them.")
         if self.box is None and self.sphere is None and self.values == ALL_VALUES and not self.mask:
             raise SceneError(
-                "A glow says nowhere what glows: give it a box, a sphere, a range of values or "
-                "a mask."
+                "A glow has no place: give it a box, a sphere, a range of values or a mask."
             )
         if self.labels and not self.mask:
             raise SceneError(
-                "A glow has labels of no mask: add mask, the file that they are in, or leave "
+                "A glow has labels and no mask: add mask, the file that they are in, or leave "
                 "them out."
             )
         if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
@@ -84,14 +85,15 @@ class Glow:
     def place(
         self, volume: Volume, within: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The glow's middle and half edges in the box of a ``volume``, (3,) each; SceneError where
-        it reaches out.
+        """Return the middle and half edges of the glow in the box of a ``volume``, (3,) each.
 
-        Without a box and a sphere it is the box ``within`` two opposite corners (2, 3), in voxels,
-        or all of it.
+        Without a box and a sphere the region lies between the opposite corners ``within`` (2, 3),
+        in voxels; by default it is the volume's box. Raises SceneError if the region reaches out of
+        it.
         """
         orientation = volume.orientation
         extent = np.array(volume.extent)
+        # Spheres and boxes are given in the world; the region of a mask in voxels.
         if self.sphere is not None:
             middle = np.array(orientation.point_to_box(triple(self.sphere[:3])))
             half = np.full(3, self.sphere[3])
@@ -121,12 +123,12 @@ class Glow:
 
 @dataclass(frozen=True, eq=False)
 class Glowing:
-    """The ``glows`` of a scene in the box of its volume: their ``middles`` and ``halves``, half
-    edges or radii (k, 3).
+    """The ``glows`` of a scene in the box of its volume.
 
-    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf. Of a glow with
-    a mask it is the voxels whose ``bits``, uint8 of the volume's shape, have its number; there are
-    none where no glow has a mask.
+    - ``middles`` (k, 3); ``halves`` (k, 3): half edges, or radii of balls.
+    - ``ranges`` (k, 2): values of the voxels that glow; -inf to inf for all.
+    - ``bits``: uint8 of the volume's shape. Bit k of a voxel is set if it is in the mask of glow k.
+      Empty if no glow has a mask.
     """
 
     glows: tuple[Glow, ...]
@@ -137,28 +139,28 @@ class Glowing:
 
     @property
     def any(self) -> bool:
-        """Whether anything glows."""
+        """True if anything glows."""
         return bool(self.glows)
 
     @property
     def round(self) -> np.ndarray:
-        """Whether each is a ball, (k,) bool."""
+        """True for each glow that is a ball, (k,) bool."""
         return np.array([glow.sphere is not None for glow in self.glows], bool)
 
     @property
     def masked(self) -> np.ndarray:
-        """Whether each has a mask, (k,) bool."""
+        """True for each glow that has a mask, (k,) bool."""
         return np.array([bool(glow.mask) for glow in self.glows], bool)
 
     @property
     def radiances(self) -> np.ndarray:
-        """What each gives off, linear RGB, (k, 3)."""
+        """Radiance of each glow, linear RGB, (k, 3)."""
         return np.array([glow.radiance for glow in self.glows], np.float64).reshape(-1, 3)
 
     @property
     def chords(self) -> np.ndarray:
-        """The mean chord of each: 4 V / S of a convex body (Cauchy 1841), 4 r / 3 of a ball; (k,)
-        world units.
+        """Mean chord of each glow: 4 V / S of a convex body (Cauchy 1841), 4 r / 3 of a ball;
+        (k,) world units.
         """
         x, y, z = self.halves.T
         return np.where(
@@ -167,12 +169,12 @@ class Glowing:
 
     @property
     def radii(self) -> np.ndarray:
-        """The radii of the balls about them, (k,)."""
+        """Radii of the balls around the glows, (k,)."""
         return np.where(self.round, self.halves[:, 0], np.linalg.norm(self.halves, axis=1))
 
     def seen_from(self, distance: float) -> np.ndarray:
-        """E/π of all of them on a surface that faces them at a ``distance``, linear RGB, (3,): L S
-        / (4 π d²).
+        """Return E/π of all glows together on a surface that faces them at a ``distance``,
+        linear RGB, (3,): L S / (4 π d²).
         """
         x, y, z = self.halves.T
         areas = np.where(self.round, 4.0 * math.pi * x**2, 8.0 * (x * y + y * z + z * x))
@@ -180,18 +182,20 @@ class Glowing:
 
     @cached_property
     def digest(self) -> str:
-        """Hex digest of where they are, and not of their colour and strength."""
+        """Hex digest of the places of glows, without their colours and strengths."""
         places = [
             self.middles.tolist(),
             self.halves.tolist(),
             self.round.tolist(),
             self.ranges.tolist(),
         ]
+        # Parts that a scene does not have are left out, so that digests of other scenes stay as
+        # they are.
         if self.masked.any():
             places += [self.masked.tolist()]
-        places += (
-            ["even"] if np.isfinite(self.ranges).any() else []
-        )  # of values that go evenly between steps
+        # Within a range of values, glow changes evenly between the steps along a ray.
+        if np.isfinite(self.ranges).any():
+            places += ["even"]
         found = hashlib.blake2b(repr(places).encode(), digest_size=16)
         found.update(np.ascontiguousarray(self.bits).data)
         return found.hexdigest()
@@ -201,15 +205,17 @@ NO_GLOW = Glowing((), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)))
 
 
 def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BITS) -> Glowing:
-    """The ``glows`` of the world in a ``volume``, with the ``bits`` of their masks, as ``Glowing``
-    has them.
+    """Place ``glows`` of the world in a ``volume``; ``bits`` are those of ``Glowing`` for their
+    masks.
 
-    SceneError where one is not in it, or nothing is in its mask, or there are too many.
+    Raises SceneError if there are too many, one reaches out of the volume, or nothing is in its
+    mask.
     """
     if len(glows) > MOST_GLOWS:
         raise SceneError(f"The scene has {len(glows)} glows: give it at most {MOST_GLOWS}.")
     if not glows:
         return NO_GLOW
+    # The region of a mask is the box around it, so that rays skip the rest.
     boxes = [_box_of(glow.mask, bits, k) if glow.mask else None for k, glow in enumerate(glows)]
     places = [glow.place(volume, box) for glow, box in zip(glows, boxes, strict=True)]
     middles, halves = (np.array(each) for each in zip(*places, strict=True))
@@ -223,12 +229,13 @@ def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BIT
 
 
 def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
-    """Opposite corners (2, 3), x, y, z in voxels, of the box about the voxels in the mask of this
-    ``number``.
+    """Return opposite corners (2, 3), x, y, z in voxels, of the box around the voxels in the mask
+    of glow ``number``.
 
-    A voxel reaches half a voxel around, and no farther than the volume. SceneError where there are
-    none.
+    A voxel reaches half a voxel to each side, but not out of the volume. Raises SceneError if the
+    mask is empty.
     """
+    # Project the mask onto the three axes, and take the first and last voxel along each.
     there = [(layer >> number) & 1 == 1 for layer in bits]
     planes = np.logical_or.reduce(there)
     sides = planes.any(axis=0), planes.any(axis=1), np.array([layer.any() for layer in there])
@@ -244,28 +251,30 @@ def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
 
 
 def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
-    """A range of values in the units of a volume's voxels. SceneError where no value is in it."""
+    """Convert a range of the file's values to the units of a volume's voxels. Raises SceneError
+    if no value is in it.
+    """
     if values == ALL_VALUES:
         return ALL_VALUES
     low, high = volume.value_range
     if values[0] > high or values[1] < low:
         raise SceneError(
             f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to "
-            f"{high:g}: none glows."
+            f"{high:g}: no voxel glows."
         )
     one, other = (float(volume.normalise_isovalue(value)) for value in values)
     return min(one, other), max(one, other)
 
 
 def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
-    """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no
-    meaning.
+    """Read the glow of one ``[[glow]]`` table. Raises SceneError if a key is unknown or a value
+    has no meaning.
     """
     return Glow(**read_table(table, "A glow", GLOW_READERS))
 
 
 def _box(name: str, value: Any) -> tuple[Vector, Vector]:
-    """Two corners."""
+    """Read two corners."""
     if (
         not isinstance(value, list)
         or len(value) != 2
@@ -276,7 +285,7 @@ def _box(name: str, value: Any) -> tuple[Vector, Vector]:
 
 
 def _sphere(name: str, value: Any) -> tuple[float, float, float, float]:
-    """A middle and a radius."""
+    """Read a middle and a radius."""
     if not are_numbers(value, 4):
         raise SceneError(f"{name} is {value!r}: give its middle and radius, [x, y, z, radius].")
     x, y, z, radius = (float(number) for number in value)
@@ -284,14 +293,14 @@ def _sphere(name: str, value: Any) -> tuple[float, float, float, float]:
 
 
 def _values(name: str, value: Any) -> tuple[float, float]:
-    """Two ascending values."""
+    """Read two ascending values."""
     if not are_numbers(value, 2) or value[0] > value[1]:
         raise SceneError(f"{name} are {value!r}: give the least and the greatest, [low, high].")
     return float(value[0]), float(value[1])
 
 
 def _labels(name: str, value: Any) -> tuple[float, ...]:
-    """Values of a mask."""
+    """Read a list of values in a mask."""
     if not isinstance(value, list) or not value or not all(map(is_number, value)):
         raise SceneError(f"{name} are {value!r}: give a list of the mask's values.")
     return tuple(float(label) for label in value)
@@ -301,4 +310,4 @@ GLOW_READERS: TableReaders = {
     **{"box": _box, "sphere": _sphere, "values": _values, "mask": read_name, "labels": _labels},
     "radiance": read_colour,
 }
-"""How the keys of a ``[[glow]]`` table are read."""
+"""Readers of the keys of a ``[[glow]]`` table."""

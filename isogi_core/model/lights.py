@@ -25,8 +25,8 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ConstantLight:
-    """Light of one linear RGB radiance from everywhere. LightError where it is not from 0 to
-    LARGEST_LIGHT.
+    """Light of one linear RGB radiance from everywhere. Raises LightError if it is not from 0
+    to LARGEST_LIGHT.
     """
 
     radiance: Colour = (1.0, 1.0, 1.0)
@@ -42,12 +42,14 @@ class ConstantLight:
 
 @dataclass(frozen=True)
 class SkyLight:
-    """Clear daylight after Preetham et al. 1999, with a sun disc over a diffuse ground.
+    """Clear daylight after Preetham et al. 1999, with the disc of the sun, over a diffuse ground.
 
-    ``sun_azimuth`` in degrees from +x towards +y, ``sun_elevation`` in degrees above the horizon (0
-    to 90), ``turbidity`` (haze) from 1.9 to 10, ``ground`` the albedo of the lower half. ``scale``
-    is the mean luminance over the sphere: with 1, a scene is about as bright as under a constant
-    light of radiance 1.
+    - ``sun_azimuth``: degrees from +x towards +y; ``sun_elevation``: degrees above the horizon, 0
+      to 90.
+    - ``turbidity``: haze, 1.9 to 10.
+    - ``ground``: albedo of the lower half.
+    - ``scale``: mean luminance over the sphere; with 1, a scene is about as bright as under a
+      constant light of radiance 1.
     """
 
     sun_azimuth: float = 135.0
@@ -89,10 +91,11 @@ class ProbeLight:
 class DirectionalLight:
     """A lamp as far away as the sun: the same light, from the same direction, everywhere.
 
-    ``azimuth`` in degrees from +x towards +y, ``elevation`` in degrees above the horizon, both
-    towards the light; ``irradiance`` is that of a surface which faces it: with π that surface has
-    the radiance R. ``angle`` is the apparent diameter in degrees (0 to 90) of a disc of even
-    radiance; 0 makes hard shadows.
+    - ``azimuth``: degrees from +x towards +y; ``elevation``: degrees above the horizon; both
+      towards the light.
+    - ``irradiance``: of a surface that faces the light; with π that surface has the radiance R.
+    - ``angle``: apparent diameter in degrees, 0 to 90, of a disc of even radiance; 0 makes hard
+      shadows.
     """
 
     azimuth: float = 135.0
@@ -114,8 +117,8 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class PointLight:
-    """A lamp without size at the world ``position``; a surface that faces it at distance r receives
-    intensity/r².
+    """A lamp without size at the world ``position``. A surface that faces it at distance r
+    receives intensity/r².
     """
 
     position: Vector
@@ -136,8 +139,8 @@ class AreaLight:
     """A parallelogram that emits ``radiance`` evenly from the side that u × v points to; its back
     is black.
 
-    Its corners are ``corner``, and that plus ``u``, ``v`` and both, in the world. Rays pass through
-    it.
+    Its corners are ``corner``, and ``corner`` plus ``u``, ``v`` and both, in the world. Rays pass
+    through it.
     """
 
     corner: Vector
@@ -167,18 +170,20 @@ ENVIRONMENTS = {
     "evening": "Clear sky in the evening",
     "gallery": "Gallery under skylights",
 }
-"""The environments that come by formula, and what a person calls them: see ``environments``."""
+"""Environments by formula, see ``model.environment``, with their titles."""
 
 
 @dataclass(frozen=True)
 class EnvironmentLight:
-    """One of ENVIRONMENTS, by its name; its mean luminance over the sphere is 1, as a sky's is."""
+    """One of ENVIRONMENTS, by its name. Its mean luminance over the sphere is 1, as that of a
+    sky.
+    """
 
     environment: str
 
     @property
     def name(self) -> str:
-        """The environment's name, for display."""
+        """The environment's title, for display."""
         return ENVIRONMENTS[self.environment]
 
 
@@ -187,8 +192,8 @@ Light = ConstantLight | SkyLight | ProbeLight | EnvironmentLight | Lamp
 
 
 def light_named(environment: str, base: Path) -> EnvironmentLight | ProbeLight:
-    """The environment of that name, or the probe in a file, relative to ``base``. SceneError where
-    it is neither.
+    """Return the environment of that name, or the probe in a file, relative to ``base``. Raises
+    SceneError if it is neither.
     """
     if environment in ENVIRONMENTS:
         return EnvironmentLight(environment)
@@ -202,25 +207,24 @@ def light_named(environment: str, base: Path) -> EnvironmentLight | ProbeLight:
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
-    """The vector product a × b."""
+    """Return the vector product a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _check_range(
     name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST_LIGHT
 ) -> None:
-    """LightError where a value is outside [low, high] or no number."""
+    """Raise LightError if a value is outside of [low, high] or not a number."""
     if not all(low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)
         raise LightError(f"A light's {name} is {given}: it must be from {low:g} to {high:g}.")
 
 
 def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
-    """Read the light that one ``[[lights]]`` table of a scene describes; its files are relative to
-    ``base``.
+    """Read the light of one ``[[lights]]`` table of a scene; its files are relative to ``base``.
 
-    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and
-    LightError where a value has no meaning.
+    Raises SceneError if the type or a key is unknown, missing or of the wrong kind, and LightError
+    if a value has no meaning.
     """
     kind = mapping.get("type")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -229,7 +233,9 @@ def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
     needed = [each.name for each in fields(light) if each.default is MISSING]
     table = {key: value for key, value in mapping.items() if key != "type"}
     given = read_table(table, f"A {kind} light", readers, needed)
-    return light(**given | ({"file": base / given["file"]} if "file" in given else {}))
+    if "file" in given:
+        given = {**given, "file": base / given["file"]}
+    return light(**given)
 
 
 _KINDS: dict[str, tuple[type[Light], TableReaders]] = {
@@ -260,3 +266,4 @@ _KINDS: dict[str, tuple[type[Light], TableReaders]] = {
         {"corner": read_vector, "u": read_vector, "v": read_vector, "radiance": read_colour},
     ),
 }
+"""Types of lights, with their class and the readers of their keys."""

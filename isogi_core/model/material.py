@@ -1,8 +1,7 @@
-"""What isosurfaces are made of: materials, what light does at them and behind; and shine, which
-they mirror, roughly.
+"""Materials of isosurfaces, their shine, and pinned surfaces.
 
-Several isosurfaces may lie in a scene: those that are pinned beside the one that slides let light
-through, too.
+A scene may have several isosurfaces: pinned ones stay at their isovalue next to the one that
+slides, and may let light through.
 """
 
 import math
@@ -19,23 +18,25 @@ if TYPE_CHECKING:
     from isogi_core.model.volume import Volume
 
 INDICES = (1.0, 4.0)
-"""Indices of refraction that a surface may have: from that of what is around it to that of
-germanium.
+"""Range of indices of refraction that a surface may have: from that of its surroundings to that
+of germanium.
 """
 
 WINDOW_GLASS = 1.5
-"""The index of refraction of a surface of glass that gives none."""
+"""Index of refraction of glass if a scene gives none."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface is made of, one of MATERIALS.
+    """The material of a surface; ``kind`` is one of MATERIALS.
 
-    Glass has an ``index`` of refraction, and an ``absorption``, linear RGB: of light that goes a
-    unit of the world's length in it, the share exp(-absorption) is left. In a subsurface light goes
-    the ``mean_free_path`` on the average, in the world's units, until it is scattered, evenly to
-    all sides; the surface's albedo is the share that is left of it then. Raises SceneError where a
-    number has no meaning.
+    - ``index``: index of refraction of glass.
+    - ``absorption``: of glass, linear RGB per unit of world length; the share exp(-absorption) of
+      light is left after one unit.
+    - ``mean_free_path``: of a subsurface, world units; after this distance on average light is
+      scattered evenly in all directions, and the surface's albedo is the share that is left.
+
+    Raises SceneError if a number has no meaning.
     """
 
     kind: str = "diffuse"
@@ -62,42 +63,42 @@ class Material:
 
     @property
     def refracts(self) -> bool:
-        """Whether rays go through it, and its surface keeps no texels."""
+        """True if rays pass through it; its surface then keeps no texels."""
         return self.kind == "glass"
 
     @property
     def scatters(self) -> bool:
-        """Whether light goes in and comes out elsewhere."""
+        """True if light enters and leaves elsewhere."""
         return self.kind == "subsurface"
 
     @property
     def passable(self) -> bool:
-        """Whether rays go in at all."""
+        """True if rays enter at all."""
         return self.refracts or self.scatters
 
 
 MATERIALS = ("diffuse", "glass", "subsurface")
-"""What a surface may be made of."""
+"""Materials that a surface may have."""
 
 DIFFUSE = Material()
 
 
 SHINE_KINDS = ("plastic", "metal")
-"""What a surface may shine as. Plastic mirrors 4 % of what arrives head on, in its own colour;
-metal its albedo.
+"""Kinds of shine. Plastic mirrors 4 % of the light that arrives head on, without changing its
+colour; metal mirrors its albedo.
 """
 
 MIN_ROUGHNESS = 0.02
-"""The least roughness: such a surface mirrors light within about a twentieth of a degree."""
+"""Least roughness: such a surface mirrors light within about a twentieth of a degree."""
 
 
 @dataclass(frozen=True)
 class Shine:
-    """The shine of a surface: its ``kind``, the ``roughness`` of its facets, and how much it
-    counts, ``strength``.
+    """The shine of a surface: its ``kind``, the ``roughness`` of its microfacets, and its
+    ``strength``.
 
-    Roughness is the square root of GGX's α. Of metal the strength is the share of the surface that
-    is metal; the rest is diffuse. Raises ViewError where a number has no meaning.
+    Roughness is the square root of GGX's α. For metal the strength is the share of the surface that
+    is metal; the rest is diffuse. Raises ViewError if a number has no meaning.
     """
 
     kind: str = "plastic"
@@ -127,23 +128,23 @@ class Shine:
 SHINE_RANGES: dict[str, tuple[float, float]] = {
     each.name: each.metadata["range"] for each in fields(Shine) if "range" in each.metadata
 }
-"""The least and the greatest value of each number of a shine."""
+"""Least and greatest value of each number of a shine."""
 
 SHINE_HELP: dict[str, str] = {
     each.name: each.metadata["help"] for each in fields(Shine) if "help" in each.metadata
 }
-"""What each number of a shine does, a line without its end."""
+"""Help text of each number of a shine, without its full stop."""
 
 SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
-"""Parameters of views that change the shine, and the fields of Shine that they are."""
+"""Parameters of views that change the shine, and the fields of Shine that they set."""
 
 DULL = Shine(strength=0.0)
-"""What views ask for that are to show diffuse light alone."""
+"""The shine of views that ask for diffuse light alone."""
 
 
 def shine_from_mapping(table: Mapping[str, Any]) -> Shine:
-    """The shine that a scene's ``[shine]`` table describes. SceneError where a key is unknown or
-    has no meaning.
+    """Read the shine of a scene's ``[shine]`` table. Raises SceneError if a key is unknown or a
+    value has no meaning.
     """
     known = {
         each.name: "a number" if each.name in SHINE_RANGES else "a word" for each in fields(Shine)
@@ -160,26 +161,29 @@ def shine_from_mapping(table: Mapping[str, Any]) -> Shine:
 
 
 MOST_PINNED = 3
-"""Most isosurfaces beside the one that slides: every ray is cast at each of them."""
+"""Most isosurfaces next to the one that slides: every ray is cast at each of them."""
 
 SURFACE_KEYS = ("isovalue", "albedo", "transmission", "clear", "name")
-"""What a ``[[surfaces]]`` table may have."""
+"""Keys of a ``[[surfaces]]`` table."""
 
 OPAQUE: Colour = (0.0, 0.0, 0.0)
-"""The transmission of a surface that gives none."""
+"""Transmission of a surface that gives none."""
 
 SHARE_ROUNDING = 1e-9
-"""How much more than all light may leave a surface: decimals add up to more than 1 by what floats
-round.
+"""Tolerance for light that leaves a surface above the light that falls on it, as sums of
+decimals round.
 """
 
 
 @dataclass(frozen=True)
 class PinnedSurface:
-    """An isosurface that stays: its ``isovalue`` in the units of the volume's file, the ``albedo``
-    of both its sides, linear RGB, and the share of rays that passes straight through it, ``clear``.
-    Its ``name`` is for display. Of the light that falls on one side its ``transmission``, linear
-    RGB, leaves the other, evenly to all sides.
+    """An isosurface that stays at its ``isovalue``, in the units of the volume's file.
+
+    - ``albedo``: of both sides, linear RGB.
+    - ``clear``: share of rays that pass straight through it.
+    - ``transmission``: share of the light falling on one side that leaves the other evenly in all
+      directions, linear RGB.
+    - ``name``: for display.
     """
 
     isovalue: float
@@ -190,33 +194,31 @@ class PinnedSurface:
 
     @property
     def facts(self) -> tuple[Any, ...]:
-        """All that light depends on; nothing of a transmission where there is none."""
+        """Everything that light depends on; a transmission of 0 is left out."""
         return astuple(self)[:3] + (self.transmission if any(self.transmission) else ())
 
     @property
     def leaving(self) -> Colour:
-        """The share of light that leaves it on either side where as much falls on both."""
+        """Share of light that leaves it on either side if equal light falls on both."""
         return leaving(self.albedo, self.transmission)
 
     @property
     def table(self) -> dict[str, Any]:
         """The surface as a ``[[surfaces]]`` table."""
-        if any(self.transmission):
-            through = {"transmission": list(self.transmission)}
-        else:
-            through = {}
-        own = {
+        table: dict[str, Any] = {
             "isovalue": self.isovalue,
             "albedo": list(self.albedo),
             "clear": self.clear,
             "name": self.name,
         }
-        return own | through
+        if any(self.transmission):
+            table["transmission"] = list(self.transmission)
+        return table
 
 
 def leaving(albedo: Colour, transmission: Colour) -> Colour:
-    """The share of light that leaves a surface on either side where as much falls on both: their
-    sum.
+    """Return the share of light that leaves a surface on either side if equal light falls on
+    both: albedo plus transmission, at most 1.
     """
     return triple(
         min(back + through, 1.0) for back, through in zip(albedo, transmission, strict=True)
@@ -224,7 +226,7 @@ def leaving(albedo: Colour, transmission: Colour) -> Colour:
 
 
 def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
-    """Raise SceneError where more light leaves a ``surface``, as messages name it, than falls on
+    """Raise SceneError if more light leaves a ``surface``, as messages name it, than falls on
     it.
     """
     most = max(back + through for back, through in zip(albedo, transmission, strict=True))
@@ -236,8 +238,8 @@ def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
 
 
 def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSurface:
-    """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has
-    no meaning.
+    """Read the surface of a ``volume`` from a ``[[surfaces]]`` table. Raises SceneError if it
+    has no meaning.
     """
     if unknown := sorted(set(table) - set(SURFACE_KEYS)):
         raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], SURFACE_KEYS)}")
@@ -257,6 +259,7 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSur
         )
     if not isinstance(name, str) or not (name == "" or name.isprintable()):
         raise SceneError(f"The surface at {isovalue:g} is named {name!r}: give it a word or a few.")
+    # No more light may leave the surface than falls on it.
     albedo = _colour(table, "albedo", 0.7)
     transmission = _colour(table, "transmission", 0.0)
     refuse_gain(albedo, transmission, f"The surface at {isovalue:g}")
@@ -264,6 +267,7 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSur
 
 
 def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
+    """Read one share for all channels, or three. Raises SceneError if it is neither."""
     given = table.get(key, fallback)
     listed = [given] * 3 if is_number(given) else given
     if not are_numbers(listed, 3) or not all(0.0 <= share <= 1.0 for share in listed):
@@ -273,15 +277,16 @@ def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
 
 
 def pinned_surfaces(tables: list[Mapping[str, Any]], volume: "Volume") -> tuple[PinnedSurface, ...]:
-    """The pinned surfaces that tables describe. SceneError where one has no meaning, or two are the
-    same.
+    """Read pinned surfaces from their tables. Raises SceneError if one has no meaning, or two
+    are at the same isovalue.
     """
     if len(tables) > MOST_PINNED:
         raise SceneError(
-            f"The scene has {len(tables)} [[surfaces]] beside the one that slides: give "
-            f"{MOST_PINNED}."
+            f"The scene has {len(tables)} [[surfaces]] next to the one that slides: give "
+            f"at most {MOST_PINNED}."
         )
     found = tuple(pinned_from_mapping(table, volume) for table in tables)
+    # Isovalues that differ in the file may be equal once normalised.
     levels = [volume.normalise_isovalue(each.isovalue) for each in found]
     if len(set(levels)) < len(levels):
         raise SceneError("Two [[surfaces]] have the same isovalue: leave one of them out.")

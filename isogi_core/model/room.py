@@ -1,5 +1,5 @@
-"""Walls: flat rectangles beside the isosurface, read from ``[[walls]]`` tables, or a whole room
-about the volume.
+"""Walls: flat rectangles near the isosurface, read from ``[[walls]]`` tables, or a whole room
+around the volume.
 """
 
 import hashlib
@@ -19,21 +19,23 @@ from isogi_core.model.view import Camera
 from isogi_core.model.volume import Volume
 
 MOST_WALLS = 64
-"""Most walls of a scene: every ray asks each of them."""
+"""Most walls of a scene: every ray tests each of them."""
 
 MAX_SKEW = 1e-6
-"""Cosine up to which two edges are at a right angle."""
+"""Cosine up to which two edges count as being at a right angle."""
 
 
 IN_WALL = 1e-6
-"""How near the camera may come to a wall, in radii of the volume."""
+"""Least distance of the camera from a wall, in radii of the volume."""
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A rectangle with a ``corner`` and two ``edges``, in the world, that reflects ``albedo`` and
-    gives off ``radiance``, both linear RGB. With one of its ``sides`` lit that is the one which the
-    product of its edges points to; the other is black, and the camera looks through it.
+    """A rectangle in the world with a ``corner`` and two ``edges``, which reflects ``albedo`` and
+    gives off ``radiance``, both linear RGB.
+
+    If ``sides`` is 1, only the side that the cross product of the edges points to is lit; the other
+    is black, and eye rays pass through it. Raises SceneError if a value has no meaning.
     """
 
     corner: Vector
@@ -54,9 +56,7 @@ class Wall:
 
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
-        """What it gives off as area lights, one for each of its lit sides; none where it gives off
-        nothing.
-        """
+        """Light of the wall as area lights, one for each lit side; empty if it gives off none."""
         u, v = self.edges
         both = (
             AreaLight(self.corner, u, v, self.radiance),
@@ -68,7 +68,7 @@ class Wall:
 
 
 def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
-    """SceneError where two edges do not span a rectangle."""
+    """Raise SceneError if two edges do not span a rectangle."""
     longest = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
     if not 0.0 < np.linalg.norm(np.cross(u, v)) <= LARGEST_LIGHT or longest > LARGEST_LIGHT:
         raise SceneError("A wall's edges span no area: give two edges that are not parallel.")
@@ -77,13 +77,14 @@ def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
 
 
 def _listed(values: Sequence[float]) -> str:
+    """Join numbers with commas, for messages."""
     return ", ".join(f"{value:g}" for value in values)
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """The ``walls`` of a scene. ``corners`` (k, 3) and ``edges`` (k, 2, 3) are those in the
-    volume's box.
+    """The ``walls`` of a scene; ``corners`` (k, 3) and ``edges`` (k, 2, 3) are in the volume's
+    box.
     """
 
     walls: tuple[Wall, ...]
@@ -92,12 +93,12 @@ class Room:
 
     @property
     def any(self) -> bool:
-        """Whether there is a wall at all."""
+        """True if there is any wall."""
         return bool(self.walls)
 
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
-        """What its walls give off, as area lights."""
+        """The light of all walls as area lights."""
         return tuple(lamp for wall in self.walls for lamp in wall.lamps)
 
     @property
@@ -107,22 +108,24 @@ class Room:
 
     @cached_property
     def digest(self) -> str:
-        """Hex digest of all that light depends on."""
+        """Hex digest of everything that light depends on."""
         rest = [[wall.albedo, wall.radiance, wall.sides] for wall in self.walls]
         text = repr([self.corners.tolist(), self.edges.tolist(), rest])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @property
     def dark_digest(self) -> str:
-        """Hex digest of all that reflects light, whatever the walls give off."""
+        """Hex digest of everything that reflects light, without the light that walls give off."""
         dark = tuple(replace(wall, radiance=(0.0, 0.0, 0.0)) for wall in self.walls)
         return Room(dark, self.corners, self.edges).digest
 
     def wall_at(self, point: Vector, near: float) -> int | None:
-        """The number of the wall that a ``point`` of the box stands in, ``near`` as it may be; None
-        where in none.
+        """Return the number of the wall that is within ``near`` of a ``point`` of the box; None
+        if there is none.
         """
         for k, (corner, (u, v)) in enumerate(zip(self.corners, self.edges, strict=True)):
+            # The point is in the wall if it is near its plane, and both coordinates along the edges
+            # are from 0 to 1.
             away = np.subtract(point, corner)
             normal = np.cross(u, v)
             shares = away @ u / (u @ u), away @ v / (v @ v)
@@ -133,10 +136,8 @@ class Room:
         return None
 
     def refuse_camera(self, camera: Camera, radius: float) -> None:
-        """Raise ViewError where a ``camera`` stands in a wall about a volume of this ``radius``: it
-        would see no more.
-
-        Both are in the volume's box.
+        """Raise ViewError if a ``camera`` in the volume's box stands in a wall, closer than
+        IN_WALL of the volume's ``radius``.
         """
         wall = self.wall_at(camera.eye, IN_WALL * radius)
         if wall is not None:
@@ -147,9 +148,7 @@ NO_ROOM = Room((), np.empty((0, 3)), np.empty((0, 2, 3)))
 
 
 def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
-    """The room that some ``walls`` of the world make about a ``volume``. SceneError where there are
-    too many.
-    """
+    """Place ``walls`` of the world around a ``volume``. Raises SceneError if there are too many."""
     if len(walls) > MOST_WALLS:
         raise SceneError(f"The scene has {len(walls)} walls: give it at most {MOST_WALLS}.")
     if not walls:
@@ -162,23 +161,23 @@ def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
 
 
 def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
-    """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing
-    or has no meaning.
+    """Read the wall of one ``[[walls]]`` table. Raises SceneError if a key is unknown or
+    missing, or a value has no meaning.
     """
     return Wall(**read_table(table, "A wall", WALL_READERS, ("corner", "edges")))
 
 
 def _edges(name: str, value: Any) -> tuple[Vector, Vector]:
-    """Two vectors."""
+    """Read two vectors."""
     if not isinstance(value, list) or len(value) != 2:
         raise SceneError(f"{name} are {value!r}: give two, [[x, y, z], [x, y, z]].")
     return read_vector("A wall's edge", value[0]), read_vector("A wall's edge", value[1])
 
 
 def _sides(name: str, value: Any) -> int:
-    """One or two."""
+    """Read 1 or 2."""
     if value not in (1, 2) or isinstance(value, bool):
-        raise SceneError(f"{name} are {value!r}: 1 or 2 of them are lit.")
+        raise SceneError(f"{name} are {value!r}: give 1 or 2, as many as are lit.")
     return int(value)
 
 
@@ -189,7 +188,7 @@ WALL_READERS: TableReaders = {
     "radiance": read_colour,
     "sides": _sides,
 }
-"""How the keys of a ``[[walls]]`` table are read."""
+"""Readers of the keys of a ``[[walls]]`` table."""
 
 ROOMS = ("cornell",)
 """Names of whole rooms."""
@@ -201,28 +200,27 @@ GREEN_ALBEDO = (0.14, 0.45, 0.09)
 
 ROOM_WIDTH = 1.5
 FLOOR_GAP = 0.05
-"""The side of the room, and how far its floor is below the volume's box, over the box's longest
+"""Side of the room, and distance of its floor below the volume's box, over the box's longest
 side.
 """
 
-LAMP = 1.0 / 3.0
-HANG = 0.005
-"""The side of its luminaire, and how far that hangs below the ceiling, over the side of the
-room.
-"""
+LAMP_SIDE = 1.0 / 3.0
+LAMP_GAP = 0.005
+"""Side of its luminaire, and distance of that below the ceiling, over the side of the room."""
 
-LAMP_RADIANCE = 0.25 * math.pi / LAMP**2
-"""Radiance of the luminaire: it gives a white surface in the middle of the room, that faces it, a
-radiance of 1.
+LAMP_RADIANCE = 0.25 * math.pi / LAMP_SIDE**2
+"""Radiance of the luminaire, with which a white surface in the middle of the room that faces it
+has about radiance 1.
 """
 
 
 def cornell_room(volume: Volume) -> tuple[Wall, ...]:
-    """A cube about the box of a ``volume``, open towards +y, with a luminaire at its ceiling.
+    """Return a cube around the box of a ``volume``, open towards +y, with a luminaire at its
+    ceiling.
 
-    All walls are lit on their inner sides; red is at the left of who looks in from +y, and green at
-    the right.
+    All walls are lit on their inner sides. Seen from +y, red is on the left and green on the right.
     """
+    # Place a cube around the box, with its floor a little below.
     low, high = np.array(volume.world_bounds, np.float64)
     longest = float((high - low).max())
     side = ROOM_WIDTH * longest
@@ -235,8 +233,9 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     ) -> Wall:
         return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
 
-    rim = 0.5 * (1.0 - LAMP) * side
-    hung = z + (1.0 - HANG) * side
+    # Floor, ceiling, back, left and right wall; then the luminaire, which looks down.
+    rim = 0.5 * (1.0 - LAMP_SIDE) * side
+    hung = z + (1.0 - LAMP_GAP) * side
     return (
         wall((x, y, z), along[0], along[1], WHITE_ALBEDO),
         wall((x, y, z + side), along[1], along[0], WHITE_ALBEDO),
@@ -245,8 +244,8 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
         wall((x, y, z), along[1], along[2], GREEN_ALBEDO),
         wall(
             (x + rim, y + rim, hung),
-            LAMP * along[1],
-            LAMP * along[0],
+            LAMP_SIDE * along[1],
+            LAMP_SIDE * along[0],
             (0.0, 0.0, 0.0),
             LAMP_RADIANCE,
         ),

@@ -1,5 +1,5 @@
-"""The scene plan: the layers that are baked for a scene; what is left out, why, and what that
-saves.
+"""The scene plan: the layers of light that are baked for a scene, and the things that are left
+out, with reasons and savings.
 """
 
 import math
@@ -9,28 +9,33 @@ import numpy as np
 
 MIN_SAMPLES = 64
 MAX_SAMPLES = 1 << 20
-"""Bounds of the samples for any target error. With fewer than MIN_SAMPLES a dark texel may have met
-no light at all.
+"""Range of a texel's most samples, for any target error. With fewer than MIN_SAMPLES a dark
+texel may have met no light at all.
 """
 
 REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
-"""Kinds of light that a texel may keep, the smallest first.
+"""Kinds of light that a texel may keep, smallest first.
 
-``vicinity``: the share of a constant light that arrives unreflected. ``constant``: the same with
-reflected light. ``irradiance``: that of lights which do not move. ``transfer``: harmonics, for
-lights that turn.
+- ``vicinity``: the share of a constant light that arrives without reflection.
+- ``constant``: the same with reflected light.
+- ``irradiance``: light of lamps and environments that do not move.
+- ``transfer``: harmonics, for light that turns.
 """
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One kind of light that each texel keeps, in an array of its own in the store.
+    """One kind of light that each texel keeps, in a separate array of the store.
 
-    ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole"
-    (both), "irradiance" (both, under the scene's own lights), or "glow" (both, of what glows
-    alone). ``order``² coefficients for each of the ``channels``, as half floats where ``half``, and
-    from band ``coarse`` on, if given, as bytes. They are multiples of ``scale``, a power of two.
-    Where there are ``nodes``, channels are not colours: each is of a grey surface with that albedo.
+    - ``kind``: "direct" (light that arrives without reflection), "indirect" (reflected light),
+      "whole" (both), "irradiance" (both, under the scene's lights), or "glow" (both, of glows
+      alone).
+    - ``order``, ``channels``: a texel keeps order² coefficients for each channel.
+    - ``half``: half floats instead of single ones; ``coarse``: bands from this one on are bytes, if
+      it is given.
+    - ``scale``: unit of the coefficients, a power of two.
+    - ``nodes``: if there are any, channels are not colours: each is light on a grey surface with
+      that albedo.
     """
 
     kind: str
@@ -48,14 +53,14 @@ class Layer:
 
     @property
     def floats(self) -> int:
-        """Coefficients of a channel that are kept as floats; the others follow them, as bytes."""
+        """Coefficients of a channel that are kept as floats; the others follow them as bytes."""
         if self.coarse is None:
             return self.order**2
         return min(self.coarse, self.order) ** 2
 
     @property
     def noises(self) -> int:
-        """Numbers of a texel's noise: one for band 0, and one for the bands above where there are
+        """Numbers of a texel's noise: one for band 0, and one for the bands above if there are
         any.
         """
         return 1 if self.order == 1 else 2
@@ -70,7 +75,7 @@ class Layer:
 
     @property
     def precision(self) -> str:
-        """The precision of coefficients: "single", "half", or "bytes" for higher bands."""
+        """Precision of the coefficients: "single", "half", or "bytes" for higher bands."""
         if not self.half:
             return "single"
         if self.coarse is None:
@@ -79,36 +84,41 @@ class Layer:
 
     @property
     def reflected(self) -> bool:
-        """Whether it holds light that was reflected, and so depends on albedo and bounces."""
+        """True if it holds reflected light, and so depends on albedo and bounces."""
         return self.kind != "direct"
 
     @property
     def colours(self) -> int:
-        """How many of its channels are colours of the same light."""
+        """Number of its channels that are colours of the same light."""
         return 1 if self.nodes else self.channels
 
 
 GLOW_KIND = "glow"
-"""The kind of layers of what glows."""
+"""Kind of the layers of glow."""
 
 
 @dataclass(frozen=True)
 class GlowLayer(Layer):
-    """What arrives of so many ``glows`` of radiance 1, direct and reflected, one after the other:
-    their colours and strengths are those of frames. Each has as many channels as the others, those
-    of the surfaces' colours.
+    """Direct and reflected light of ``glows`` glows of radiance 1, one after another in the
+    channels.
+
+    Frames apply colours and strengths of the glows. Each glow has the same number of channels,
+    those of the surfaces' colours.
     """
 
     glows: int = 1
 
     @property
     def colours(self) -> int:
-        """How many of its channels are colours of the same light."""
+        """Number of channels of one glow, its colours."""
         return self.channels // self.glows
 
     def lights(self, radiances: np.ndarray) -> list[np.ndarray]:
-        """Light, (3, 1) linear RGB, that its channels meet where the glows give off ``radiances``
-        (glows, 3): of all channels together where there is one glow, else of each by itself.
+        """Return the light, (3, 1) linear RGB, that channels meet if the glows give off
+        ``radiances`` (glows, 3).
+
+        The list has an entry for each glow, if there is one glow or one colour, else for each
+        colour of each glow.
         """
         if self.glows == 1 or self.colours == 1:
             shares = np.ones((1, 3))
@@ -119,7 +129,7 @@ class GlowLayer(Layer):
 
 @dataclass(frozen=True)
 class Saving:
-    """A saving: an ``amount`` of a ``unit``; ``measured``, or else computed."""
+    """A saving: an ``amount`` of a ``unit``; it is ``measured``, or else computed."""
 
     amount: float
     unit: str
@@ -128,7 +138,7 @@ class Saving:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One thing that is left out of a scene, the reason in one sentence, and what that saves."""
+    """One thing that is left out of a scene, the reason in one sentence, and its savings."""
 
     what: str
     why: str
@@ -137,14 +147,18 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The layers that are baked for a scene, and how frames are lit with them.
+    """The layers that are baked for a scene, and the rules of light for frames and paths.
 
-    ``order`` is that of the light that texels are lit with, 1 where they keep no harmonics; a layer
-    may have more. ``bounces`` counts surface hits after the first; from the second on a path goes
-    on with the chance ``survival``. From the first one it goes on in so many ``branches``.
-    ``samples`` are the most that a texel takes; so many ``lobes`` of the light are no part of
-    direct light in texels, but lit by shadow rays from pixels; ``errors`` names relative errors
-    that the plan expects, by what is cut off; ``notes`` are sentences on those above the target.
+    - ``representation``: one of REPRESENTATIONS; ``layers``: kept by each texel.
+    - ``order``: of the light that texels are lit with, 1 without harmonics; a layer may have more.
+    - ``bounces``: surface hits after the first; ``survival``: probability that a path continues
+      after its second and later hits; ``branches``: number of ways in which it continues from the
+      first hit.
+    - ``samples``: most samples of a texel.
+    - ``lobes``: number of lobes that are left out of direct light in texels and lit by shadow rays
+      from pixels.
+    - ``errors``: expected relative errors by cause; ``notes``: sentences on those above the target.
+    - ``left_out``: everything that the plan leaves out.
     """
 
     representation: str
@@ -161,29 +175,29 @@ class ScenePlan:
 
     @property
     def channels(self) -> int:
-        """The channels that light is shown in: the most colours of any layer."""
+        """Channels that light is shown in: the most colours of any layer."""
         return max(layer.colours for layer in self.layers)
 
     @property
     def nodes(self) -> tuple[float, ...]:
-        """The albedos that reflected light is kept for, where views may ask for others; see
-        ``plan.albedos``.
+        """Albedos that reflected light is kept for if views may ask for others; see
+        ``plan.albedo_nodes``.
         """
         return next((layer.nodes for layer in self.layers if layer.nodes), ())
 
     @property
     def indirect_order(self) -> int | None:
-        """The order of reflected light where that is a layer of its own."""
+        """Order of reflected light if that is a separate layer, else None."""
         return next((layer.order for layer in self.layers if layer.kind == "indirect"), None)
 
     @property
     def half(self) -> bool:
-        """Whether coefficients are kept as half floats."""
+        """True if all coefficients are kept as half floats or bytes."""
         return all(layer.half for layer in self.layers)
 
     @property
     def precision(self) -> str:
-        """How coefficients are kept: "bytes" where the higher bands of any layer are, or else
+        """Precision of the coefficients: "bytes" if the higher bands of any layer are, or else
         "half" or "single".
         """
         return min(layer.precision for layer in self.layers)
@@ -195,23 +209,25 @@ class ScenePlan:
 
 
 def texel_target(target: float) -> float:
-    """The relative error at which texels are final, where pixels are to come to a ``target``: 1.84
+    """Return the relative error at which texels are final if pixels are to reach a ``target``: 1.84
     times it.
 
-    A pixel mixes eight texels, whose noises are independent: by the weights w it has √Σw² of
-    theirs. Of trilinear weights, over points spread evenly between texels, Σw² is (2/3)³ on the
-    average. So pixels whose texels are all just final are at the target in the root mean square. As
-    Σw² is at most 1, none is beyond 1.84 times the target.
+    A pixel mixes eight texels with independent noise: with the weights w it has √Σw² of theirs. For
+    trilinear weights at points spread evenly between texels, Σw² is (2/3)³ on average, so that
+    pixels whose texels are all just final are at the target in the root mean square. As Σw² is at
+    most 1, no pixel is above 1.84 times the target.
     """
     return 1.5**1.5 * target
 
 
 def most_samples(target: float) -> int:
-    """The most samples of a texel, of pictures of the relative error ``target``: 2048 at 2 %.
+    """Return the most samples of a texel for pictures of the relative error ``target``: 2048 at 2
+    %.
 
     A texel that has taken them is final: its remaining noise is reported and not reduced further.
-    It is a power of two that grows as the error's -3/2: the stratified points' error falls about as
-    n^-2/3, so that a target which most texels reach leaves few behind.
+    The number is a power of two that grows as the error's -3/2, as the error of stratified points
+    falls about as n^-2/3: a target that most texels reach then leaves few behind.
     """
+    # 2048 samples at 2 %, in proportion to error^(-3/2), rounded to a power of two.
     samples = 4096.0 * (0.02 / max(texel_target(target), 1e-6)) ** 1.5
     return min(max(1 << round(math.log2(samples)), MIN_SAMPLES), MAX_SAMPLES)

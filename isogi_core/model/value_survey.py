@@ -16,16 +16,17 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 
 MAX_NORMALISED = 2.0**120
-"""Largest normalised voxel or isovalue, to which outliers are moved: float32 sums of a few such are
-finite.
+"""Largest normalised voxel or isovalue, to which outliers are clipped: float32 sums of a few
+such are finite.
 """
 
 
 def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]:
-    """The empty end of the range as a double, and ± the least power of two that spans it: both
-    exact.
+    """Return the empty end of the range as a double, and ± the least power of two that spans it:
+    both exact.
 
-    Integers beyond 2^53 may have no double: the offset is then the next one outside the range.
+    Integers beyond 2^53 may have no double: the offset is then the next double outside of the
+    range.
     """
     if solid == "above":
         sign = 1
@@ -33,25 +34,31 @@ def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]
     else:
         sign = -1
         end = high
-    offset = float(end) + 0.0  # one zero
+    # Adding 0 turns -0 into 0.
+    offset = float(end) + 0.0
     if sign * (Fraction(offset) - Fraction(end)) > 0:
         offset = math.nextafter(offset, -sign * math.inf)
+    # Compute in fractions, as differences of doubles may round or overflow.
     span = sign * (Fraction(high if sign > 0 else low) - Fraction(offset))
     if span == 0:
         return offset, float(sign)
+    # The least power of two that is at least span, from its numerator and denominator.
     exponent = (span.numerator - 1).bit_length() - (span.denominator.bit_length() - 1)
     return offset, math.ldexp(sign, min(exponent, 1023))
 
 
 def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
-    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most
-    MAX_NORMALISED in size.
+    """Return ``(values - offset) / scale`` in float64 without overflow on the way, never -0,
+    and at most MAX_NORMALISED in size.
     """
     sign = math.copysign(1.0, scale)
     exponent = math.frexp(scale)[1] - 1
+    # Quarter the values if their range is huge: the difference of two doubles could overflow.
     shift = 2 if exponent > 1000 else 0
     with np.errstate(over="ignore"):
         distance = np.ldexp(values.astype(np.float64), -shift) - math.ldexp(offset, -shift)
+        # Integers of 64 bits would lose digits as doubles: subtract them as integers if the
+        # distance fits.
         if values.dtype.kind in "iu" and values.dtype.itemsize == 8 and exponent < 63:
             distance = np.where(
                 np.abs(distance) < 2.0**63, _integer_distance(values, int(offset)), distance
@@ -62,19 +69,18 @@ def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
 
 
 def _integer_distance(values: np.ndarray, offset: int) -> np.ndarray:
-    """``values - offset``, where that is known to be less than 2^63 in size: exact modulo 2^64,
-    then as float64.
-    """
+    """Return ``values - offset`` as float64, if it is less than 2^63 in size: exact modulo 2^64."""
     whole = values.astype(values.dtype.newbyteorder("=")).view(np.uint64)
     return (whole - np.uint64(offset % 2**64)).view(np.int64).astype(np.float64)
 
 
 def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
-    """How many steps a type has from one value to another: whole numbers, or units in the last
-    place of the larger.
+    """Return the number of steps of a type from ``low`` to ``high``: whole numbers, or units in
+    the last place of the larger end.
     """
     if dtype.kind != "f":
         return float(high - low)
+    # Floats are counted in units of the last place of the larger end.
     unit = float(np.spacing(np.array(max(abs(low), abs(high)), dtype)))
     return high / unit - low / unit
 
@@ -86,15 +92,16 @@ SLAB_BYTES = 1 << 26
 """Bytes that are processed together."""
 
 OUTLIER_SPANS = 1024.0
-"""Values farther off than this many times the span of the others are outliers."""
+"""Values farther away than this many times the span of the others are outliers."""
 
 
 def sample_step(shape: tuple[int, ...]) -> int:
-    """The step between sampled voxels, of which a volume of ``shape`` (z, y, x) has at most
+    """Return the step between sampled voxels of a volume of ``shape`` (z, y, x), for at most
     MAX_SURVEYED_VOXELS.
 
     The step shares no divisor with the length of a row, so that every column is sampled.
     """
+    # Take every n-th voxel, with n so large that few enough are read.
     step = max(-(-math.prod(shape) // MAX_SURVEYED_VOXELS), 1)
     while math.gcd(step, shape[2]) > 1:
         step += 1
@@ -102,10 +109,10 @@ def sample_step(shape: tuple[int, ...]) -> int:
 
 
 def sample_values(array: np.ndarray) -> np.ndarray:
-    """The distinct finite values of at most MAX_SURVEYED_VOXELS voxels, evenly sampled from
-    ``array`` (z, y, x).
+    """Return the distinct finite values of at most MAX_SURVEYED_VOXELS voxels, evenly sampled from
+    ``array`` (z, y, x), ascending.
 
-    They ascend. A few layers are read at a time: an array that is a file need not fit into memory.
+    A few layers are read at a time: an array in a file need not fit into memory.
     """
     step = sample_step(array.shape)
     layers = max(SLAB_BYTES // max(array[0].nbytes, 1), 1)
@@ -114,22 +121,23 @@ def sample_values(array: np.ndarray) -> np.ndarray:
 
 
 def sample_layers(layers: np.ndarray, step: int, first: int) -> np.ndarray:
-    """The values that ``sample_values`` takes, with a ``step``, from the layers that begin at layer
-    ``first``.
+    """Return the values that ``sample_values`` takes, with a ``step``, from the layers that
+    begin at layer ``first``.
     """
     values = np.unique(layers.flat[-first * layers[0].size % step :: step])
     return values[np.isfinite(values)]
 
 
 def find_core(values: np.ndarray) -> tuple[float, float]:
-    """The ends of the core of distinct ascending ``values``, exact Python numbers; without outliers
-    all are the core.
+    """Return the ends of the core of distinct ascending ``values``, as exact Python numbers. The
+    core is all of them but outliers.
 
-    The core begins as the two thirds of the values that lie closest together, and grows over gaps
-    of up to OUTLIER_SPANS times its span. Where the core has a smaller core itself, no value is an
+    It begins as the two thirds of the values that lie closest together, and grows over gaps of up
+    to OUTLIER_SPANS times its span. If the core has a smaller core in the same way, no value is an
     outlier: values may fall by powers of ten.
     """
     first, last = grow_span(values)
+    # Keep all values if the core itself would lose some.
     if grow_span(values[first : last + 1]) != (0, last - first):
         first = 0
         last = len(values) - 1
@@ -137,15 +145,18 @@ def find_core(values: np.ndarray) -> tuple[float, float]:
 
 
 def grow_span(values: np.ndarray) -> tuple[int, int]:
-    """First and last index of the closest two thirds of the ``values``, grown over values that are
-    not far off.
+    """Return the first and last index of the closest two thirds of the ``values``, grown over
+    values that are not outliers.
     """
     places = positions(values)
     count = len(values)
     gaps = np.diff(places)
     most = count - count // 3
+    # Find the run of two thirds with the least span.
     first = int(np.argmin(places[most - 1 :] - places[: count - most + 1]))
     last = first + most - 1
+    # Grow to the next gap on either side that is too wide; a larger span allows wider gaps, until
+    # nothing changes.
     while True:
         far = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
         ends = (
@@ -158,10 +169,11 @@ def grow_span(values: np.ndarray) -> tuple[int, int]:
 
 
 def positions(values: np.ndarray) -> np.ndarray:
-    """Numbers with the differences of ascending ``values``, or a quarter of these; no difference
-    overflows.
+    """Return numbers with the differences of ascending ``values``, or a quarter of these if a
+    difference could overflow.
     """
     if values.dtype.kind in "iu":
+        # Unsigned differences of integers are exact.
         whole = values.astype(values.dtype.newbyteorder("=")).view(f"u{values.itemsize}")
         return whole - whole[0]
     reals = values.astype(np.float64)
@@ -178,7 +190,7 @@ COPY_STAGES = 3
 """Passes over all layers while a copy is made: for the range, the voxels and their histogram."""
 
 Progress = Callable[[int, int], object]
-"""Is called with the parts of long work that are done, and their total."""
+"""Function that is called with the number of finished parts of long work, and their total."""
 
 
 def no_progress(done: int, total: int) -> None:
@@ -189,9 +201,11 @@ def no_progress(done: int, total: int) -> None:
 class Survey:
     """Facts of a ``grid`` that are needed to make its voxels; see ``Volume``.
 
-    ``marks`` are the values that mean "missing", in the grid's own type, and ``holes`` counts
-    voxels without a value. ``value_range`` and ``core`` are exact Python numbers. ``tally`` counts
-    the voxels of each code, see ``codes_of``, where the type has few.
+    - ``marks``: values that mean "missing", in the grid's type; ``holes``: number of voxels without
+      a value.
+    - ``value_range``, ``core``: exact Python numbers, in the file's units.
+    - ``offset``, ``scale``: the normalisation.
+    - ``tally``: number of voxels of each code, see ``codes_of``, if the type has few codes.
     """
 
     grid: Grid
@@ -206,7 +220,10 @@ class Survey:
     tally: np.ndarray | None = None
 
     def planes(self) -> Iterator[np.ndarray]:
-        """The normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for holes."""
+        """Yield the normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for
+        holes.
+        """
+        # Normalise each possible value once if the type has few, and look voxels up.
         if self.tally is None:
             known = None
         else:
@@ -216,15 +233,15 @@ class Survey:
                 yield self.voxels_of(plane) if known is None else known[codes_of(plane)]
 
     def voxels_of(self, values: np.ndarray) -> np.ndarray:
-        """The normalised voxels of ``values``, float32, NaN for holes."""
+        """Return the normalised voxels of ``values``, float32, NaN for holes."""
         voxels = normalise(values, self.offset, self.scale).astype(np.float32, order="C")
         if self.holes:
             voxels[~are_measured(values, self.marks)] = np.nan
         return voxels
 
     def tallied(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The distinct voxels (m,) float32 and how many there are of each (m,); None where there
-        was no tally.
+        """Return the distinct voxels (m,) float32 and the number of each (m,); None if they
+        were not counted.
         """
         if self.tally is None:
             return None
@@ -232,7 +249,7 @@ class Survey:
         return self.voxels_of(values_of(usable_type(self.grid.dtype))[there]), self.tally[there]
 
     def pour(self, write: Callable[[np.ndarray], object], progress: Progress = no_progress) -> str:
-        """Pass the ``planes`` to ``write`` one after the other, and return the digest of their
+        """Pass the ``planes`` to ``write``, one after another, and return the digest of their
         volume.
         """
         digest = begin_digest(self.grid.shape, self.spacing, self.offset, self.scale)
@@ -243,7 +260,7 @@ class Survey:
         return digest.hexdigest()
 
     def facts(self, name: str, digest: str) -> dict[str, Any]:
-        """All fields of a Volume but its voxels."""
+        """Return all fields of a Volume except its voxels."""
         return {
             "spacing": self.spacing,
             "offset": self.offset,
@@ -264,17 +281,19 @@ def survey(
 ) -> Survey:
     """Read all values of a ``grid`` once; those equal to one of ``missing`` are holes.
 
-    Raises VolumeError where it is complex, not 3-D, thinner than two voxels or without a finite
-    value, and where a spacing is no positive number of a usable size.
+    Raises VolumeError if it is complex, not 3-D, thinner than two voxels or without a finite value,
+    or if a spacing is not a positive number of a usable size.
     """
     check(grid, solid)
     spacing = checked_spacing(grid.spacing)
     kind = usable_type(grid.dtype)
     marks = find_marks(missing, kind)
+    # Count the values of a narrow type, which saves work on all voxels; look at those of others.
     narrow = (
         kind.kind in "iu" and kind.itemsize <= COUNTED_BYTES and grid.size > MAX_UNSAMPLED_VOXELS
     )
     low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
+    # The core is found among sampled values, and the true ends of the range.
     ends = np.array([low, high], kind)
     core = find_core(np.union1d(some[are_measured(some, marks)], ends))
     return Survey(
@@ -293,15 +312,15 @@ def survey(
 def begin_digest(
     shape: Sequence[int], spacing: Sequence[float], offset: float, scale: float
 ) -> "hashlib.blake2b":
-    """Begin a volume's digest with shape (z, y, x), spacing and units; update it with the
-    voxels.
+    """Begin a volume's digest with shape (z, y, x), spacing and normalisation; the caller adds
+    the voxels.
     """
     units = f"{tuple(shape)} {[step.hex() for step in spacing]} {offset.hex()} {scale.hex()}"
     return hashlib.blake2b(units.encode(), digest_size=16)
 
 
 def check(grid: Grid, solid: str) -> None:
-    """Raise VolumeError where the grid is no real 3-D field, or ``solid`` no side."""
+    """Raise VolumeError if the ``grid`` is not a real 3-D field, or ``solid`` not a side."""
     if solid not in ("above", "below"):
         raise VolumeError(
             f"solid is '{solid}': say which side of the isovalue is solid, 'above' or 'below'."
@@ -320,7 +339,9 @@ def check(grid: Grid, solid: str) -> None:
 
 
 def checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
-    """Spacing as three floats; VolumeError where one is missing, too small or too large."""
+    """Return the spacing as three floats. Raises VolumeError if one is missing, too small or
+    too large.
+    """
     steps = [float(step) for step in spacing]
     if len(steps) != 3 or not all(LEAST_SPACING <= step <= MOST_SPACING for step in steps):
         given = ", ".join(f"{step:g}" for step in steps)
@@ -330,7 +351,7 @@ def checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
 
 
 def usable_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The type in which values are processed: integers or floats of at most 64 bits."""
+    """Return the type in which values are processed: integers or floats of at most 64 bits."""
     if dtype.kind == "b":
         return np.dtype(np.uint8)
     if dtype.itemsize <= 8:
@@ -339,7 +360,7 @@ def usable_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def usable(slab: np.ndarray) -> np.ndarray:
-    """The values in their ``usable_type``."""
+    """Return the values of a ``slab`` in their ``usable_type``."""
     if slab.dtype.kind == "b":
         return slab.view(np.uint8)
     with np.errstate(over="ignore"):
@@ -347,7 +368,7 @@ def usable(slab: np.ndarray) -> np.ndarray:
 
 
 def find_marks(missing: Sequence[float], dtype: np.dtype[Any]) -> np.ndarray:
-    """The ``missing`` values as the type holds them; none for a number that it cannot hold."""
+    """Return the ``missing`` values as the type holds them, without numbers that it cannot hold."""
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             return np.array(missing, np.float64).astype(dtype)
@@ -358,7 +379,7 @@ def find_marks(missing: Sequence[float], dtype: np.dtype[Any]) -> np.ndarray:
 
 
 def are_measured(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """Whether each value is finite and not marked as missing; bool."""
+    """Return which values are finite and not marked as missing; bool."""
     finite = np.isfinite(values)
     for mark in marks:
         finite &= values != mark
@@ -366,34 +387,36 @@ def are_measured(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
 
 
 COUNTED_BYTES = 2
-"""Bytes of whole numbers of so few values that each can be counted: what is worked out of one
-serves all its voxels.
+"""Bytes of integers that have so few values that each can be counted: one computation per value
+then serves all its voxels.
 """
 
 MAX_UNSAMPLED_VOXELS = 1 << 20
-"""Voxels up to which that would take longer."""
+"""Number of voxels up to which counting values would take longer."""
 
 Scanned = tuple[float, float, int, np.ndarray, np.ndarray | None]
-"""Minimum and maximum (exact Python numbers), the number of missing values, ``sample_values``, and
-a tally if any.
+"""Minimum and maximum (exact Python numbers), the number of missing values, ``sample_values``,
+and a tally or None.
 """
 
 
 def codes_of(values: np.ndarray) -> np.ndarray:
-    """The bits of ``values`` of a narrow type, as whole numbers."""
+    """Return the bits of ``values`` of a narrow type, as unsigned integers."""
     native = values.astype(values.dtype.newbyteorder("="), order="C", copy=False)
     return native.view(f"u{values.itemsize}")
 
 
 def values_of(dtype: np.dtype[Any]) -> np.ndarray:
-    """The values of a narrow type, by their codes."""
+    """Return all values of a narrow type, in the order of their codes."""
     return np.arange(1 << 8 * dtype.itemsize, dtype=f"u{dtype.itemsize}").view(
         dtype.newbyteorder("=")
     )
 
 
 def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
-    """What ``scan`` finds in a grid of a narrow type, by counting the voxels of each value."""
+    """Return the same as ``scan`` for a grid of a narrow type, by counting the voxels of each
+    value.
+    """
     values = values_of(usable_type(grid.dtype))
     tally = np.zeros(len(values), np.int64)
     some = []
@@ -405,6 +428,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
             tally += np.bincount(codes_of(plane).ravel(), minlength=len(tally))
             z += 1
             progress(z, COPY_STAGES * len(grid))
+    # Range and holes follow from the values that occur.
     there = are_measured(values, marks)
     found = values[there & (tally > 0)]
     if not len(found):
@@ -422,7 +446,7 @@ NO_FINITE_VALUE = "The volume has no finite value: every voxel is NaN, infinite 
 
 
 def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
-    """Look at all values once."""
+    """Read all values once; return their range, the number of missing ones, and a sample."""
     lows = []
     highs = []
     some = []
@@ -432,6 +456,7 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:
+            # Collect range and count of the measured values, plane by plane.
             there = plane[are_measured(plane, marks)]
             count += there.size
             if there.size:
@@ -445,5 +470,5 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
 
 
 def digest_of(parts: list[Any]) -> str:
-    """Digest (hex) of numbers and words."""
+    """Return the digest (hex) of numbers and words."""
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()

@@ -1,4 +1,4 @@
-"""A view: the camera, isovalue, light rotation, picture size, shading and window of one frame."""
+"""A view: camera, isovalue, light rotation, picture size, shading and window of one frame."""
 
 import math
 import re
@@ -17,8 +17,8 @@ MAX_WINDOW_PLANES = 12
 
 MIN_NORMAL_LENGTH = 1e-12
 MAX_PLANE_NUMBER = 1e12
-"""The least and the greatest length of a plane's normal, and the greatest distance of a plane from
-the origin.
+"""Least and greatest length of a plane's normal, and greatest distance of a plane from the
+origin.
 """
 
 AXIS_NORMALS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -33,25 +33,26 @@ Plane = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Window:
-    """What is left to see: points p with n · p + w ≥ 0 for each of the ``planes`` (n, w), whose
-    normals are units.
+    """The part of space that the eye sees: points p with n · p + w ≥ 0 for each of the ``planes``
+    (n, w), whose normals are unit vectors.
 
-    What is left is convex, so that a ray sees one part of it. Planes are in the volume's box, or in
-    the world.
+    That part is convex, so that a ray sees one interval of it. Planes are in the volume's box, or
+    in the world.
     """
 
     planes: tuple[Plane, ...]
 
     def in_box(self, orientation: Orientation) -> "Window":
-        """This window of the world in the box of a volume with an ``orientation``."""
+        """Return this window of the world in the box of a volume with an ``orientation``."""
         return Window(tuple(_plane_in_box(plane, orientation) for plane in self.planes))
 
     def in_index(self, spacing: Vector) -> np.ndarray:
-        """The planes of the box in index space, as kernels take them; (k, 4) float64."""
+        """Return the planes of the box in index space, as kernels take them; (k, 4) float64."""
         return np.array(self.planes, np.float64).reshape(-1, 4) * (*spacing, 1.0)
 
 
 def _plane_in_box(plane: Plane, orientation: Orientation) -> Plane:
+    """Return a plane of the world in the box of a volume with an ``orientation``."""
     normal = plane[:3]
     offset = plane[3]
     if orientation.placed:
@@ -62,8 +63,8 @@ def _plane_in_box(plane: Plane, orientation: Orientation) -> Plane:
 
 
 def read_window(text: str) -> Window:
-    """The window that a ``text`` such as ``x>40;0,1,-1<12.5`` spells: each term takes away what it
-    is true of.
+    """Read a window from a ``text`` such as ``x>40;0,1,-1<12.5``. Each term removes the points for
+    which it is true.
 
     An axis stands for its unit normal; other normals, of any length, are three numbers. Raises
     ViewError.
@@ -75,22 +76,18 @@ def read_window(text: str) -> Window:
 
 
 def _read_term(term: str) -> Plane:
-    if len(term) <= 200:
-        match = TERM_PATTERN.fullmatch(term)
-    else:
-        match = None
+    """Read one term as a plane. Raises ViewError."""
+    # The pattern is tried on terms of a sensible length alone.
+    match = TERM_PATTERN.fullmatch(term) if len(term) <= 200 else None
     if match is None:
-        if len(term) <= 40:
-            shown = term
-        else:
-            shown = f"{term[:39]}…"
+        shown = term if len(term) <= 40 else f"{term[:39]}…"
         raise ViewError(
-            "A plane takes away, such as x>40 or 0,1,-1<12.5, with ; between planes; "
-            f"'{shown}' is none."
+            f"A plane is written as x>40 or 0,1,-1<12.5, with ; between planes; '{shown}' is none."
         )
     named = match[1]
     sign = -1.0 if match[2] == ">" else 1.0
     limit = float(match[3])
+    # Scale the plane to a unit normal.
     normal = AXIS_NORMALS.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
     if (
@@ -99,17 +96,19 @@ def _read_term(term: str) -> Plane:
     ):
         raise ViewError(
             f"The plane '{term}' has no direction, or is too far away: give a longer normal or "
-            "a less limit."
+            "a smaller limit."
         )
-    x, y, z = (sign * each / length + 0.0 for each in normal)  # no -0
+    # Normalise the plane so that points to keep are on its positive side; adding 0 turns -0 into 0.
+    x, y, z = (sign * each / length + 0.0 for each in normal)
     return x, y, z, -sign * limit / length + 0.0
 
 
 Quaternion = tuple[float, float, float, float]
 
 ORTHOGRAPHIC_RADII = 1e7
-"""Radii of the volume from which an orthographic camera looks: its rays meet no more than a
-ten-millionth of their way, which is what the float32 coordinates of the points hold that they find.
+"""Distance in radii of the volume from which an orthographic camera looks. Its rays meet the
+volume in a ten-millionth of their length, which float32 coordinates of the hit points just
+resolve.
 """
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -119,8 +118,8 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 class Camera:
     """A pinhole camera, in the world (z up) or in a volume's box (voxel index × spacing).
 
-    ``fov`` is the vertical field of view in degrees. Raises ViewError where the frame of
-    reference degenerates: eye at the target, ``up`` along the view, fov outside (0, 180).
+    ``fov`` is the vertical field of view in degrees. Raises ViewError if the frame of reference
+    degenerates: the eye is at the target, ``up`` is along the view, or fov is outside of (0, 180).
     """
 
     eye: Vector
@@ -147,18 +146,17 @@ class Camera:
             raise ViewError("The camera's up is zero or along the view direction: give another up.")
 
     def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
+        """Return unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
-        up = np.ldexp(
-            self.up, -int(np.frexp(max(map(abs, self.up)))[1])
-        )  # no product of its parts underflows
+        # Scale ``up`` to a length of about 1, so that no product of its parts underflows.
+        up = np.ldexp(self.up, -int(np.frexp(max(map(abs, self.up)))[1]))
         right = np.cross(forward, up)
         right = right / np.linalg.norm(right)
         return right, np.cross(right, forward), forward
 
     def in_box(self, orientation: Orientation) -> "Camera":
-        """This camera of the world in the box of a volume with an ``orientation``."""
+        """Return this camera of the world in the box of a volume with an ``orientation``."""
         if not orientation.placed:
             return self
         eye = orientation.point_to_box(self.eye)
@@ -166,7 +164,7 @@ class Camera:
         return replace(self, eye=eye, target=target, up=orientation.direction_to_box(self.up))
 
     def in_world(self, orientation: Orientation) -> "Camera":
-        """This camera of the box of a volume with an ``orientation`` in the world."""
+        """Return this camera of the box of a volume with an ``orientation`` in the world."""
         eye, target = (triple(orientation.to_world(point)) for point in (self.eye, self.target))
         return replace(self, eye=eye, target=target, up=triple(orientation.matrix @ self.up))
 
@@ -174,7 +172,8 @@ class Camera:
 def orbit(
     centre: Vector, radius: float, azimuth: float, elevation: float, distance: float, fov: float
 ) -> Camera:
-    """Camera on a sphere about ``centre``; angles in degrees, ``distance`` in units of ``radius``.
+    """Return a camera on a sphere around ``centre``. Angles are in degrees, ``distance`` in units
+    of ``radius``.
 
     Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the
     azimuth).
@@ -187,14 +186,15 @@ def orbit(
 
 
 def orthographic(camera: Camera, radius: float) -> Camera:
-    """A ``camera`` of a volume with that ``radius``, with parallel rays; what is at the target is
-    as large as before.
+    """Return an orthographic camera that shows things at the target of ``camera`` in the same size;
+    ``radius`` is that of the volume.
 
-    It is the same camera ORTHOGRAPHIC_RADII radii away, with the field of view that keeps the
-    height of the picture at the target. It sees all that lies along its rays, also behind the eye
-    of the perspective one.
+    It is the same camera ORTHOGRAPHIC_RADII radii away, whose rays are parallel to rounding, with
+    the field of view that keeps the height of the picture at the target. It sees everything along
+    its rays, also behind the eye of the perspective camera.
     """
     away = math.dist(camera.eye, camera.target)
+    # Move the eye back along the view, and narrow the field of view in proportion.
     afar = ORTHOGRAPHIC_RADII * radius
     _, _, (x, y, z) = camera.basis()
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(camera.fov) / 2.0) * away / afar))
@@ -203,8 +203,8 @@ def orthographic(camera: Camera, radius: float) -> Camera:
 
 
 def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:
-    """Unit quaternion (w, x, y, z) of intrinsic yaw about z, then pitch about y, then roll about x,
-    degrees.
+    """Return the unit quaternion (w, x, y, z) of intrinsic yaw about z, then pitch about y,
+    then roll about x, degrees.
     """
     cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
     cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
@@ -218,7 +218,7 @@ def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:
 
 
 def unit_quaternion(values: Quaternion) -> Quaternion:
-    """The quaternion scaled to unit length; ViewError where its length is not within [1e-3,
+    """Scale a quaternion to unit length. Raises ViewError if its length is not within [1e-3,
     1e3].
     """
     norm = math.sqrt(sum(v * v for v in values))
@@ -229,7 +229,9 @@ def unit_quaternion(values: Quaternion) -> Quaternion:
 
 
 def rotation_matrix(q: Quaternion) -> np.ndarray:
-    """The 3×3 float64 matrix that turns a vector by the unit quaternion ``q`` = (w, x, y, z)."""
+    """Return the 3×3 float64 matrix that rotates a vector by the unit quaternion ``q`` = (w, x,
+    y, z).
+    """
     w, x, y, z = q
     return np.array(
         [
@@ -242,12 +244,14 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
 
 
 def quaternion_of(matrix: np.ndarray) -> Quaternion:
-    """The unit quaternion (w, x, y, z), w not negative, of a rotation ``matrix`` (3, 3).
+    """Return the unit quaternion (w, x, y, z), w not negative, of a rotation ``matrix`` (3, 3).
 
     It is the eigenvector of the greatest eigenvalue of Bar-Itzhack's symmetric matrix, exact to
     rounding everywhere. Source: Bar-Itzhack, "New method for extracting the quaternion from a
     rotation matrix", 2000.
     """
+    # The symmetric matrix has the trace at its corner, the skew part next to it, and the symmetric
+    # part below.
     m = np.asarray(matrix, np.float64)
     skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
     symmetric = np.block(
@@ -263,8 +267,8 @@ def quaternion_of(matrix: np.ndarray) -> Quaternion:
 
 
 def light_in_box(light: Quaternion, orientation: Orientation) -> Quaternion:
-    """A rotation of light in the world, in the box: there it is followed by the box's own rotation,
-    backwards.
+    """Convert a rotation of light in the world to the box: it is followed by the inverse of the
+    box's rotation.
     """
     if orientation.turned:
         return quaternion_of(orientation.matrix.T @ rotation_matrix(light))
@@ -273,18 +277,21 @@ def light_in_box(light: Quaternion, orientation: Orientation) -> Quaternion:
 
 @dataclass(frozen=True)
 class View:
-    """The parameters of one frame. ``isovalue`` is in the volume's own units; ``light`` rotates the
-    environment.
+    """The parameters of one frame.
 
-    Camera and light are those of the volume's box; the ``orientation`` says where that is in the
-    world. ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone.
-    ``albedo``, linear RGB, is that of the surface, the scene's own by default, see
-    ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``. What glows in the scene is
-    ``glow`` times as bright as that says. Texels of a view that is ``moving`` are not projected:
-    its pictures are to come quickly. Else, where it is ``smooth``, pixels at edges have more
-    samples. A ``strip`` is rows of a larger picture: the first of them there, and how many that
-    picture has; ``columns`` are those of one likewise. A ``window`` is what planes in the box leave
-    to the eye; None where all is seen.
+    - ``isovalue``: in the units of the volume's file.
+    - ``camera``, ``light``: in the volume's box; ``light`` rotates the environment.
+      ``orientation``: place of the box in the world.
+    - ``width``, ``height``: pixels.
+    - ``shading``: one of VIEW_SHADINGS; ``samples``: paths per pixel, of ``path_traced`` alone.
+    - ``albedo`` (linear RGB), ``shine``: of the surface; None for the scene's, see
+      ``SceneSurfaces``.
+    - ``glow``: brightness of glows over the scene's.
+    - ``moving``: the picture is to come quickly, so that texels are not projected. ``smooth``:
+      else, pixels at edges get more samples.
+    - ``strip``: the picture is rows of a larger one: the first row there, and the number of rows of
+      that picture. ``columns``: the same for columns.
+    - ``window``: planes in the box that hide matter from the eye; None for none.
     """
 
     isovalue: float
@@ -306,13 +313,13 @@ class View:
 
     @property
     def whole(self) -> tuple[int, int]:
-        """The first row of the picture in the whole that its camera sees, and how many rows that
-        has.
+        """First row of this picture in the picture that its camera sees, and the number of rows
+        of that picture.
         """
         return self.strip or (0, self.height)
 
     def pixel(self, column: int, row: int) -> "View":
-        """The view of one pixel alone of this picture, by the same ray."""
+        """Return the view of a single pixel of this picture, by the same ray."""
         first, rows = self.whole
         before, columns = self.columns or (0, self.width)
         strip = (first + row, rows)
@@ -323,7 +330,7 @@ class View:
             raise ViewError("The isovalue is not a finite number.")
         if self.width < 1 or self.height < 1:
             raise ViewError(
-                f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at "
+                f"A picture of {self.width} × {self.height} pixels is empty: ask for at "
                 "least 1 × 1."
             )
         if self.shading not in VIEW_SHADINGS:

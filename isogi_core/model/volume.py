@@ -1,7 +1,7 @@
 """A volume: a scalar field on a regular grid, normalised once, so that kernels never see its units.
 
-Its orientation is where its box lies in the world, and what the world's cameras, lights and points
-are in the box. Voxels are never turned: cameras and lights are, once, where a view is made.
+Its orientation places its box in the world. Voxels are never rotated; the world's cameras, lights
+and points are, once, when a view is made.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ Rows = tuple[Vector, Vector, Vector]
 STRAIGHT: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 OPPOSITE = dict(zip("RASLPI", "LPIRAS", strict=True))
-"""The letter on a patient's other side."""
+"""The letter of the opposite side of a patient."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,11 @@ class Orientation:
     """``world = rotation · box + origin``; a point of the box is voxel indices times spacing, x
     first.
 
-    ``rotation`` is the rows of a rotation. ``unit`` is that of the world's lengths, empty where
-    unknown. ``letters`` say where the world's axes point in a patient, "RAS", else empty. ``notes``
-    tell what was done to the file's field, and ``read_as`` in a line what the file was taken for.
+    - ``rotation``: rows of a rotation matrix.
+    - ``unit``: of the world's lengths, empty if unknown.
+    - ``letters``: sides of a patient that the world's axes point to, such as "RAS", or empty.
+    - ``notes``: changes that were made to the file's field; ``read_as``: a line on the kind of file
+      that it was read as.
     """
 
     rotation: Rows = STRAIGHT
@@ -44,9 +46,11 @@ class Orientation:
 
     @classmethod
     def of(cls, grid: Grid) -> "Orientation":
-        """The orientation of a ``grid`` on right angles."""
+        """Return the orientation of a ``grid`` on right angles."""
         if grid.affine is None:
             return cls(unit=grid.unit, notes=grid.notes, read_as=grid.read_as)
+        # The columns of the affine over the spacing are unit vectors: the rotation. Remainders of
+        # rounding become exact zeros.
         directions = np.array(grid.affine.matrix) / np.array(grid.spacing)
         a, b, c = (triple(row) for row in np.where(np.abs(directions) < 1e-12, 0.0, directions))
         return cls(
@@ -55,12 +59,12 @@ class Orientation:
 
     @property
     def turned(self) -> bool:
-        """Whether the box's axes are not the world's."""
+        """True if the box's axes are not the world's."""
         return self.rotation != STRAIGHT
 
     @property
     def straight(self) -> bool:
-        """Whether the box's axes lie along the world's, in whatever order and direction."""
+        """True if the box's axes lie along the world's, in any order and direction."""
         parts = np.abs(self.matrix)
         return bool(np.isclose(parts, np.round(parts), atol=1e-6).all())
 
@@ -70,32 +74,32 @@ class Orientation:
         return np.array(self.rotation)
 
     def affine(self, spacing: Vector) -> np.ndarray:
-        """From voxel indices of a volume with this ``spacing`` to the world: a matrix, and the
-        origin; (3, 4).
+        """Return the affine map from voxel indices of a volume with this ``spacing`` to the
+        world: a matrix, and the origin; (3, 4).
         """
         return np.column_stack([self.matrix * np.array(spacing), self.origin])
 
     def to_world(self, points: Any) -> np.ndarray:
-        """Points (..., 3) of the box, in the world."""
+        """Convert points (..., 3) of the box to the world."""
         if self.placed:
             return np.asarray(points) @ self.matrix.T + np.array(self.origin)
         return np.asarray(points)
 
     def point_to_box(self, point: Vector) -> Vector:
-        """A point of the world, in the box."""
+        """Convert a point of the world to the box."""
         if self.placed:
             return self.direction_to_box(triple(np.subtract(point, self.origin)))
         return point
 
     def direction_to_box(self, direction: Vector) -> Vector:
-        """A direction of the world, in the box."""
+        """Convert a direction of the world to the box."""
         if self.turned:
             return triple(self.matrix.T @ np.array(direction))
         return direction
 
     def letter(self, direction: Vector) -> str:
-        """The letter of the patient's side that a world ``direction`` points to most; empty without
-        letters.
+        """Return the letter of the patient's side that a world ``direction`` points to most;
+        empty without letters.
         """
         if not self.letters:
             return ""
@@ -106,8 +110,8 @@ class Orientation:
         return OPPOSITE[letter]
 
     def sides(self, point: Vector) -> str:
-        """The sides of the patient that a world ``point`` lies on, seen from the world's origin,
-        such as "LAS".
+        """Return the sides of the patient that a world ``point`` lies on, seen from the world's
+        origin, such as "LAS".
         """
         pairs = zip(self.letters, point, strict=False)
         return "".join(
@@ -116,24 +120,26 @@ class Orientation:
 
     @property
     def axes(self) -> str:
-        """Where voxel axes x, y, z point in a patient, as three letters; empty without letters."""
+        """Sides of a patient that voxel axes x, y, z point to, as three letters; empty without
+        letters.
+        """
         return "".join(self.letter(triple(column)) for column in self.matrix.T)
 
     @property
     def placed(self) -> bool:
-        """Whether a point of the box has other coordinates in the world."""
+        """True if a point of the box has other coordinates in the world."""
         return self.turned or self.origin != (0.0, 0.0, 0.0)
 
 
 PLAIN_ORIENTATION = Orientation()
-"""The orientation of a volume whose world is its voxels' indices times spacing."""
+"""The orientation of a volume whose world is its voxel indices times spacing."""
 
 
 CORE_LIMIT = 4.0
 """Largest normalised voxel of the core; outliers are a hundred times larger."""
 
 HISTOGRAM_BINS = 256
-"""Bins of a histogram."""
+"""Number of bins of a histogram."""
 
 SLAB_BYTES = 1 << 26
 """Bytes of voxels that are processed together."""
@@ -142,32 +148,32 @@ Isovalue = NewType("Isovalue", np.floating[Any])
 """An isovalue in the units of a volume's voxels. Plain floats, as scenes and views have, are in the
 units of its file.
 
-``Volume.normalise_isovalue`` alone makes them, of float64. For mypy they are no floats, nor floats
-they: it refuses an isovalue that was not normalised, and one that was where the file's units are
-meant.
+``Volume.normalise_isovalue`` alone makes them, of float64. For mypy the two types exclude each
+other: it refuses an isovalue that was not normalised, and a normalised one for the file's units.
 """
 
 
 UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
-"""Fields of a volume that are no facts of its voxels, which are kept with these."""
+"""Fields of a volume that are not facts of its voxels, and so are not kept with these."""
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """A scalar field: ``value = offset + scale · voxel``, solid where ``voxel > normalised
-    isovalue``.
+    """A scalar field: ``value = offset + scale · voxel``, solid if ``voxel > normalised isovalue``.
 
-    ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite or its
-    value is missing; ``spacing`` is (x, y, z), world units per voxel. ``scale`` is ± a power of two
-    and negative where ``solid`` is "below". ``value_range`` is the finite minimum and maximum in
-    the volume's own units, ``core`` the same without outliers, and ``steps`` how many values of
-    that range the source's type can distinguish. ``holes`` is the number of voxels that are NaN,
-    ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
-    ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says
-    where the box lies in the world; light does not depend on it, but on where the world's lights
-    are in the box. It is the ``moment`` of a series in time: which step it is, and of how many. It
-    is ``segmented`` where it is the field of a segmentation's labels, as its file says or the
-    scene.
+    - ``voxels``: (nz, ny, nx) float32, C-contiguous, NaN if the source was not finite or its value
+      is missing.
+    - ``spacing``: (x, y, z), world units per voxel.
+    - ``scale``: ± a power of two, negative if ``solid`` is "below".
+    - ``value_range``: finite minimum and maximum in the file's units; ``core``: the same without
+      outliers; ``steps``: number of values in the core that the source's type distinguishes.
+    - ``holes``: number of voxels that are NaN.
+    - ``digest``: hex digest of everything that light depends on.
+    - ``counts``, ``span``: the ``histogram`` and the ``core_span``, if they were kept.
+    - ``orientation``: place of the box in the world. Light does not depend on it, but on the places
+      of the world's lights in the box.
+    - ``moment``: number of the step in a series in time, and the number of steps.
+    - ``segmented``: the field is made from a segmentation's labels.
     """
 
     voxels: np.ndarray
@@ -208,7 +214,7 @@ class Volume:
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """The middle of the box, in the box's own x, y, z."""
+        """The middle of the box, in the box's x, y, z."""
         x, y, z = self.extent
         return x / 2, y / 2, z / 2
 
@@ -219,7 +225,7 @@ class Volume:
 
     @property
     def world_bounds(self) -> tuple[Vector, Vector]:
-        """The least and the greatest world x, y, z of the box's corners."""
+        """Least and greatest world x, y, z of the box's corners."""
         corners = self.orientation.to_world(
             np.array(list(product(*((0.0, length) for length in self.extent))))
         )
@@ -231,40 +237,40 @@ class Volume:
         return math.hypot(*self.extent) / 2
 
     def normalise_isovalue(self, value: float) -> Isovalue:
-        """An isovalue of the volume's file, in the units of its voxels and rounded to float32
-        exactly as they are.
+        """Convert an isovalue of the volume's file to the units of its voxels, rounded to
+        float32 exactly as they are.
         """
         return Isovalue(
             np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
         )
 
     def normalise_span(self, one: float, other: float) -> tuple[Isovalue, Isovalue]:
-        """A range of isovalues of the volume's file, in the units of its voxels; the least comes
-        first.
+        """Convert a range of isovalues of the volume's file to the units of its voxels; the
+        least comes first.
         """
         ends = self.normalise_isovalue(one), self.normalise_isovalue(other)
         return min(ends), max(ends)
 
     def file_value(self, voxel: float) -> float:
-        """A value in the units of the voxels, in those of the volume's file."""
+        """Convert a value in the units of the voxels to those of the volume's file."""
         return self.offset + self.scale * voxel
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """The voxels a few layers at a time, (layers, ny, nx) each, for work that makes arrays of
-        their size.
+        """Yield the voxels a few layers at a time, (layers, ny, nx) each, for work that makes
+        arrays of their size.
         """
         layers = max(SLAB_BYTES // self.voxels[0].nbytes, 1)
         for z in range(0, len(self.voxels), layers):
             yield self.voxels[z : z + layers]
 
     def core_voxels(self) -> Iterator[np.ndarray]:
-        """The voxels of the core, a slab at a time, of any shape."""
+        """Yield the voxels of the core, a slab at a time, of any shape."""
         whole = self.core == self.value_range and not self.holes
         for slab in self.slabs():
             yield slab if whole else slab[np.abs(slab) <= CORE_LIMIT]
 
     def core_span(self) -> tuple[float, float]:
-        """The least and the greatest voxel of the core."""
+        """Return the least and the greatest voxel of the core."""
         if self.span:
             return self.span[0], self.span[1]
         ends = [
@@ -273,12 +279,13 @@ class Volume:
         return min(low for low, _ in ends), max(high for _, high in ends)
 
     def plane(self, axis: int, at: float) -> np.ndarray:
-        """The file's values on the plane at index ``at`` across an ``axis``, 0 for x; linear
-        between voxels, float64.
+        """Return the file's values on the plane at index ``at`` across an ``axis``, 0 for x, linear
+        between voxels; float64, NaN in holes.
 
         Columns go along the first of the other two axes, rows down the second: its end is at the
-        top. NaN in holes.
+        top.
         """
+        # Interpolate between the two planes of voxels around it.
         planes = np.moveaxis(self.voxels, 2 - axis, 0)
         first = min(int(at), len(planes) - 1)
         values = planes[first].astype(np.float64)
@@ -293,15 +300,16 @@ class Volume:
         progress: Progress = no_progress,
         tally: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "Volume":
-        """The volume with its histogram's counts and the core's span kept, which take passes over
-        all voxels.
+        """Return the volume with the counts of its histogram and the core's span kept; finding them
+        takes passes over all voxels.
 
-        Where there is a ``tally``, distinct voxels and how many there are of each, they take none.
+        With a ``tally``, the distinct voxels and the number of each, no pass is needed.
         ``progress`` is called for the last stage of making a copy.
         """
         if len(self.counts) == bins and self.span:
             return self
         if tally is not None:
+            # The tally has all that is needed: count distinct voxels by their numbers.
             inner = np.abs(tally[0]) <= CORE_LIMIT
             voxels, weights = (each[inner] for each in tally)
             span = float(voxels.min()), float(voxels.max())
@@ -313,35 +321,35 @@ class Volume:
 
     @cached_property
     def inside_out(self) -> "Volume":
-        """The volume with its other side solid: what was the inner side of an isosurface is then
-        the outer one.
+        """The volume with its other side solid: the inner side of an isosurface becomes the outer
+        one.
 
         Its voxels are 1 - v. Turned twice it is the volume itself.
         """
         digest = hashlib.blake2b(f"{self.digest} inside out".encode(), digest_size=16).hexdigest()
-        if self.solid == "above":
-            solid = "below"
-        else:
-            solid = "above"
+        solid = "below" if self.solid == "above" else "above"
         voxels = np.float32(1.0) - self.voxels
         turned = replace(self, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
+        # value = offset + scale · v = (offset + scale) - scale · (1 - v).
         turned = replace(turned, offset=self.offset + self.scale, scale=-self.scale)
         vars(turned)["inside_out"] = self
         return turned
 
     def histogram(self, bins: int = HISTOGRAM_BINS) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in
-        own units.
+        """Return counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges,
+        float64, in the file's units.
         """
         if bins == HISTOGRAM_BINS:
             counts = self._usual
         else:
             counts = self._count(bins)
         low, high = self.core
+        # A constant volume gets a bin width, so that edges differ.
         if low == high:
             low = low - 0.5
             high = high + 0.5
         t = np.linspace(0.0, 1.0, bins + 1)
+        # Voxels ascend against the file's values if the scale is negative.
         return counts[:: 1 if self.scale > 0 else -1].copy(), low * (1 - t) + high * t
 
     @cached_property
@@ -354,7 +362,9 @@ class Volume:
         return self._count(HISTOGRAM_BINS)
 
     def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:
-        """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""
+        """Count the voxels in the core in even bins, ascending in the voxels' units; (bins,)
+        int64.
+        """
         span = self.core_span()
         counts = np.zeros(bins, np.int64)
         layers = len(self.voxels)
@@ -375,11 +385,11 @@ def make_volume(
     """Normalise an array (z, y, x) of any real type into a Volume; voxels equal to one of
     ``missing`` are holes.
 
-    The offset is the core's minimum (maximum where ``solid`` is "below"), the scale the power of
-    two that brings the core into [0, 1] ([0, 4] where its range passes 2^1023). Both are removed
-    before the values become float32, from integers of 64 bits as integers: a small range on a large
-    offset keeps its digits, and tiny and subnormal ranges are like any other. A constant volume has
-    scale ± 1. Raises VolumeError as ``survey`` does.
+    The offset is the core's minimum (maximum if ``solid`` is "below"), the scale the power of two
+    that brings the core into [0, 1] ([0, 4] if its range exceeds 2^1023). Both are removed before
+    the values become float32, for integers of 64 bits as integers: a small range on a large offset
+    keeps its digits, and tiny and subnormal ranges are like any other. A constant volume has scale
+    ± 1. Raises VolumeError as ``survey`` does.
     """
     found = survey(Grid.of(np.asarray(array), spacing), solid, missing)
     voxels = np.empty(found.grid.shape, np.float32)

@@ -1,3 +1,3 @@
-"""Scene assembly and the planner: what each texel must keep, what is left out, why, and what that
-saves.
+"""Scene assembly and the planner: the numbers that each texel must keep, and the things that
+are left out, with reasons and savings.
 """

@@ -1,5 +1,5 @@
-"""Scene assembly: from a scene file, a volume or a demo to a scene with checked settings and a
-plan.
+"""Scene assembly: make a scene with checked settings and a plan from a scene file, a volume or
+a demo.
 """
 
 import math
@@ -36,8 +36,9 @@ from isogi_core.plan.volumes.masks import cut_away
 from isogi_core.plan.volumes.opening import open_volume
 
 INSIDE_OUT = 0.6
-"""Share of a volume's border above the isovalue from which the volume is taken as inside out.
-Seventeen volumes with their objects in air had 0 to 0.11 of it there, a ramp has half."""
+"""Share of a volume's border above the isovalue from which the object is taken to be below it.
+Seventeen volumes of objects in air had 0 to 0.11 of their border above; a ramp has half.
+"""
 
 
 def load_scene(target: str | Path | None = None, **settings: Any) -> Scene:
@@ -59,14 +60,17 @@ def build_scene(
 ) -> Scene:
     """Open the volume and the lights of ``source``, check every setting, and make the plan.
 
-    ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given
-    replaces the one that the scene names, ``colours`` its own, and ``glow_bits`` what is read of
-    the masks of its glows. Raises SceneError, VolumeError or LightError.
+    ``progress`` is called while a copy of a large volume is made. Variants of an open scene give
+    the parts that they share with it: a ``volume`` replaces the one that the scene names,
+    ``colours`` those that would be read, and ``glow_bits`` the masks of its glows. Raises
+    SceneError, VolumeError or LightError.
     """
     settings = Settings(source)
-    settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
+    # The key is known even if the volume was opened in another way.
+    settings.text("volume", DEFAULT_DEMO)
     cut = settings.text("cut", "")
     whole = None
+    # Open the volume, find the colours of all of it, and then cut it.
     if volume is None:
         settings, whole = open_whole(settings, progress)
         colours = colours or colours_by_data(settings, whole)
@@ -75,15 +79,15 @@ def build_scene(
         volume = volume.inside_out
     scene = scene_around(volume, settings, colours, glow_bits)
     settings.refuse_unknown()
-    # what is cut away does not change how bright the rest is
+    # A cut does not change how bright the rest is shown: keep the exposure of the whole.
     if whole is not None and cut:
         return replace(scene, exposed_for=replace(scene, volume=whole).seen)
     return scene
 
 
 def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume]:
-    """The volume that a scene names, before it is cut, and the settings, which say where its file
-    holds labels.
+    """Open the volume that a scene names, before it is cut. Return the settings, which then
+    name a segmentation as such, and the volume.
     """
     whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
@@ -93,7 +97,9 @@ def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume
 def scene_around(
     volume: Volume, settings: Settings, colours: SurfaceColours | None, glow_bits: np.ndarray | None
 ) -> Scene:
-    """The scene of a ``volume`` that is open, by its ``settings``."""
+    """Make the scene of an open ``volume`` by its ``settings``, with ``colours`` of the surface
+    and masks of glows if they are known.
+    """
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     overrides = plan_overrides(settings)
     surfaces = read_surfaces(settings, volume, colours, overrides)
@@ -117,9 +123,7 @@ def scene_around(
 def read_settings(
     settings: Settings, isovalues: tuple[float, float], overrides: PlanOverrides
 ) -> SceneSettings:
-    """What a scene's file says of texels, rays and views. SceneError where a value has no
-    meaning.
-    """
+    """Read the settings of texels, rays and views. Raises SceneError if a value has no meaning."""
     return SceneSettings(
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         chunk=settings.choice("chunk", CHUNK_SIDES) or DEFAULT_CHUNK_SIDE,
@@ -140,8 +144,12 @@ def plan_inputs(
     overrides: PlanOverrides,
     target_error: float,
 ) -> PlanInputs:
-    """The facts of a scene that its plan depends on."""
-    own = leaving(surfaces.albedo, surfaces.transmission)
+    """Collect the facts of a scene that its plan depends on."""
+    # Light is planned for the highest albedo that views may ask for.
+    if overrides.albedos is None:
+        albedo = leaving(surfaces.albedo, surfaces.transmission)
+    else:
+        albedo = (overrides.albedos[1],) * 3
     colours = surfaces.colours
     return PlanInputs(
         lighting.environment,
@@ -149,7 +157,7 @@ def plan_inputs(
         volume.centre,
         volume.radius,
         lighting.rotating,
-        own if overrides.albedos is None else (overrides.albedos[1],) * 3,
+        albedo,
         target_error,
         (*lighting.room.albedos, *surfaces.met),
         coloured=colours is not None and not colours.grey,
@@ -159,8 +167,8 @@ def plan_inputs(
 
 
 def with_labels(settings: Settings, whole: Volume) -> Settings:
-    """The settings of the scene, which say from now on that its volume is a segmentation where the
-    file said so.
+    """Return the settings with the volume marked as a segmentation, if its file says that it is
+    one and the scene does not.
     """
     source = settings.source
     if not whole.segmented or source.document.get("labels"):
@@ -171,7 +179,7 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
-    """The colours of a scene, None where it has one albedo; ``whole`` is its volume before it is
+    """Read the colours of a scene; None if it has one albedo. ``whole`` is its volume before it is
     cut.
 
     Raises SceneError and VolumeError.
@@ -181,8 +189,8 @@ def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
     if labels is not None:
         if table is not None:
             raise SceneError(
-                f"Labels of the scene '{settings.source.name}' have colours: leave the other "
-                "volume out."
+                f"Labels of the scene '{settings.source.name}' have colours already: leave the "
+                "other volume out."
             )
         return colours_of_labels(labels, settings, whole)
     if table is None:
@@ -191,7 +199,7 @@ def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
 
 
 def plan_overrides(settings: Settings) -> PlanOverrides:
-    """The scene's own choices for its plan. SceneError where a value has no meaning."""
+    """Read the scene's choices for its plan. Raises SceneError if a value has no meaning."""
     return PlanOverrides(
         representation=settings.choice("representation", REPRESENTATIONS),
         order=settings.count("order", MAX_ORDER, 1),
@@ -204,9 +212,10 @@ def plan_overrides(settings: Settings) -> PlanOverrides:
 
 
 def right_side_out(settings: Settings, volume: Volume, progress: Progress) -> Volume:
-    """The volume, solid below where the scene does not say and its object is low: a distance field,
-    pores.
+    """Return the volume, with its solid side below the isovalue if the scene does not say and
+    the object has low values, such as a distance field or pores.
     """
+    # The scene's word decides; labels and demos have their solid side above.
     given = settings.text("solid", "") or find_labels(settings) is not None
     if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
@@ -217,8 +226,8 @@ def right_side_out(settings: Settings, volume: Volume, progress: Progress) -> Vo
 
 
 def border_above(volume: Volume, isovalue: float) -> float:
-    """The share of the box's border above an ``isovalue``; faces across x are left out: they are
-    all over the file.
+    """Return the share of the box's border that is above an ``isovalue``. The faces across x
+    are left out, as reading them would touch every page of a file.
     """
     voxels = volume.voxels
     level = volume.normalise_isovalue(isovalue)
@@ -227,8 +236,8 @@ def border_above(volume: Volume, isovalue: float) -> float:
 
 
 def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, float]) -> float:
-    """The isovalue where views start: the scene's own, or the default as near as it is to that
-    ``within`` a range.
+    """Return the isovalue at which views start: the scene's, or the default one moved into the
+    range ``within``.
     """
     given = settings.number("isovalue", math.nan, *within)
     if math.isnan(given):
@@ -237,8 +246,8 @@ def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, floa
 
 
 def default_isovalue(settings: Settings, volume: Volume) -> float:
-    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's
-    threshold, half-way between the values on its two sides.
+    """Return an isovalue for a scene that gives none: the demo's, that of a segmentation, or
+    Otsu's threshold, moved to half-way between the values on its two sides.
     """
     if find_labels(settings) is not None:
         return LABEL_ISOVALUE
@@ -249,17 +258,20 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
 
 
 SAMPLED_LAYERS = 16
-"""Layers of a volume whose voxels are looked at for values beside an isovalue."""
+"""Number of layers of a volume whose voxels are read to find the values next to an isovalue."""
 
 NEAR_VALUES_SHARE = 2 / HISTOGRAM_BINS
-"""Share of the core's span up to which values are near each other: they fill the histogram's
-bins.
+"""Distance of neighbouring values, over the core's span, up to which they count as dense: they
+fill the bins of the histogram.
 """
 
 
 def halfway(volume: Volume, isovalue: float) -> float:
-    """The middle between the values next to an ``isovalue``, as in a mask or few whole numbers;
-    itself where values are near each other, or on one side alone. Some layers are looked at.
+    """Return the midpoint between the values next to an ``isovalue``, as a mask or a few whole
+    numbers need.
+
+    The isovalue itself is returned if values are dense, or all on one side of it. A sample of
+    layers is read.
     """
     layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
     level = volume.normalise_isovalue(isovalue)
@@ -272,11 +284,13 @@ def halfway(volume: Volume, isovalue: float) -> float:
 
 
 def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
-    """The value that splits a histogram of even bins into the two classes farthest apart (Otsu
-    1979): an edge, or half-way over the empty bins between the classes.
+    """Return the value that splits a histogram of even bins into the two classes farthest apart: an
+    edge, or the middle of the empty bins between the classes.
 
-    Distances are counted in bins, as squares of values may overflow or underflow a double.
+    Distances are counted in bins, as squares of values may overflow or underflow a double. Source:
+    Otsu, "A threshold selection method from gray-level histograms", 1979.
     """
+    # For each split: the counts below and above it, and the distance between the means of both.
     middles = np.arange(len(counts)) + 0.5
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below
@@ -284,6 +298,7 @@ def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = (mass[-1] - mass[:-1]) / above - mass[:-1] / below
         between = np.nan_to_num(below.astype(float) * above * apart**2)
+    # The best split may lie anywhere in a run of empty bins: take its middle.
     first = int(np.argmax(between))
     last = first + int(np.argmax(np.append(counts[first + 1 :] > 0, True)))
     return 0.5 * float(edges[1 + first]) + 0.5 * float(edges[1 + last])

@@ -1,4 +1,4 @@
-"""Bands of harmonics: projection of a light onto them, and how many of them it needs."""
+"""Bands of harmonics: project an environment to them, and choose the number that a light needs."""
 
 import math
 from typing import Literal
@@ -21,8 +21,8 @@ GAUSS_NODES, GAUSS_WEIGHTS = (
 
 
 def project_environment(environment: Environment, order: int) -> np.ndarray:
-    """Project an environment: SH coefficients, linear RGB, (3, n²) float64; constant exactly, image
-    by quadrature.
+    """Project an environment to SH coefficients, linear RGB, (3, n²) float64. The constant part
+    is exact, the image is integrated by ``project_image``.
     """
     coefficients = np.zeros((3, order**2))
     if environment.image.any():
@@ -32,15 +32,18 @@ def project_environment(environment: Environment, order: int) -> np.ndarray:
 
 
 def project_image(image: np.ndarray, order: int) -> np.ndarray:
-    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) for ``order`` <= MAX_ORDER; (3, order²)
-    float64.
+    """Project a lat-long image (h, w, 3) to coefficients ∫ L Y_i dω, for ``order`` <= MAX_ORDER;
+    (3, order²) float64.
 
-    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is
-    one in θ times one in φ, so pixel solid angles are exact too. S1, eq. 7.
+    The result is exact for an image that is constant over each pixel: the integral over a pixel is
+    a product of one in θ and one in φ, so that the solid angles of pixels are exact too. Source:
+    S1, eq. 7.
     """
     height, width = image.shape[:2]
+    # Integrate along the rows first, then across them.
     moments = np.tensordot(_waves(order, width), image, (2, 1))
     even, odd = np.matmul(_profiles(order, height), moments)
+    # Y_l,m takes the cosine of mφ, Y_l,-m the sine.
     m, l = np.triu_indices(order)
     out = np.zeros((3, order**2))
     out[:, l * (l + 1) - m] = odd[m, l].T
@@ -49,7 +52,9 @@ def project_image(image: np.ndarray, order: int) -> np.ndarray:
 
 
 def _waves(order: int, width: int) -> np.ndarray:
-    """∫ cos mφ dφ and ∫ sin mφ dφ over each of the ``width`` pixels of a row; (2, order, width)."""
+    """Return ∫ cos mφ dφ and ∫ sin mφ dφ over each of the ``width`` pixels of a row, for m <
+    ``order``; (2, order, width).
+    """
     m = np.arange(order)[:, None]
     half = math.pi / width
     angle = m * (half * (2 * np.arange(width) + 1))
@@ -58,8 +63,8 @@ def _waves(order: int, width: int) -> np.ndarray:
 
 
 def _profiles(order: int, height: int) -> np.ndarray:
-    """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m,
-    l], 0 for l < m.
+    """Return ∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, for m >= 0; (order, order,
+    height), indexed by m, l; 0 for l < m.
     """
     row = math.pi / height
     theta = (np.arange(height)[:, None] + GAUSS_NODES) * row
@@ -72,8 +77,8 @@ def _profiles(order: int, height: int) -> np.ndarray:
 
 
 def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
-    """Y_lm(θ, 0) for l = m … order - 1: the recurrence of ``harmonics.accumulate``, array by
-    array.
+    """Return Y_lm(θ, 0) for l = m … order - 1, by the recurrence of ``harmonics.accumulate`` on
+    arrays.
     """
     z = np.cos(theta)
     before = np.zeros_like(z)
@@ -85,8 +90,8 @@ def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
 
 
 def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below
-    ``degree``.
+    """Return points θ, φ of the sphere and their quadrature weights, (points,) each: exact for
+    harmonics below ``degree``.
     """
     z, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
     phi = 2.0 * math.pi / degree * np.arange(degree)
@@ -95,7 +100,7 @@ def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def evaluate_harmonics(order: int, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """Y_i at the points θ, φ (points,) for i < order²; (order², points) float64."""
+    """Evaluate Y_i at the points θ, φ (points,) for i < order²; (order², points) float64."""
     basis = np.empty((order**2, len(theta)))
     for m in range(order):
         for l, values in enumerate(_meridian(order, m, theta), start=m):
@@ -108,7 +113,7 @@ Kind = Literal["direct", "indirect"]
 """Light that reaches a texel straight from the environment, or after it was reflected."""
 
 MEASURED_ALBEDO = 0.7
-"""The albedo of the surfaces that the transfer was measured on."""
+"""Albedo of the surfaces on which TRANSFER_DIRECT and TRANSFER_INDIRECT were measured."""
 
 TRANSFER_DIRECT = np.array(
     [0.871, 0.417, 0.0797, 6.44e-3, 3.79e-3, 1.52e-3, 1.07e-3, 5.87e-4, 4.49e-4, 3.01e-4]
@@ -120,40 +125,42 @@ TRANSFER_INDIRECT = np.array(
 indirect.
 
 Geometric means over the engine at 70, the CT head at 110, the MNI brain at 90, the bonsai at 80 and
-heptane at 100: of each 512 texels at the surface, counted by how much random views see of them,
-8192 paths, 4 bounces, albedo 0.7. An open surface has (A_l/π)² of the cosine lobe: 1, 0.444,
-0.0625, 0, 1.7e-3, 0; the edges of shadows add the slow decay.
+heptane at 100: 512 texels at the surface of each, weighted by their visibility in random views,
+with 8192 paths, 4 bounces and albedo 0.7. An unoccluded surface has (A_l/π)² of the cosine lobe: 1,
+0.444, 0.0625, 0, 1.7e-3, 0; the edges of shadows add the slow decay.
 """
 
 DECAY: dict[Kind, float] = {"direct": 2.8, "indirect": 3.9}
-"""From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 … 31 and 8 … 20 of the same
-texels.
+"""From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 to 31 (direct) and 8 to 20
+(indirect) of the same texels.
 """
 
 STEEPEST_SLOPE = -4.0
-"""The steepest slope that is assumed for a light's power per coefficient: beyond band 9 probes
-level off.
+"""Steepest slope that is assumed for a light's power per coefficient: probes level off beyond
+band 9.
 """
 
 _TRANSFER: dict[Kind, np.ndarray] = {"direct": TRANSFER_DIRECT, "indirect": TRANSFER_INDIRECT}
 
 
 FAR_BANDS = 8
-"""The most bands that a plan takes where that pays; a scene may ask for more.
+"""Most bands that a plan takes if the light needs them; a scene may ask for more.
 
 Under uffizi the error of orders 6 and 8 is 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
 """
 
 FAR_BANDS_ERROR = 0.02
-"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer
-bands.
+"""Error within which FAR_BANDS are taken at any smaller target, so that a smaller target never
+takes fewer bands than a larger one.
 """
 
 
 def band_energy(light: np.ndarray) -> np.ndarray:
-    """Mean square luminance of each band of a ``light`` (3, n²), linear RGB; (n,) float64.
+    """Return the mean square luminance of each band of a ``light`` (3, n²), linear RGB; (n,)
+    float64.
 
-    B_l = Σ_m c_lm² / 4π, a mean over the sphere, or over all turns of the light in one direction.
+    B_l = Σ_m c_lm² / 4π, a mean over the sphere, and equally over all rotations of the light seen
+    in one direction.
     """
     order = math.isqrt(light.shape[1])
     squares = (LUMINANCE_WEIGHTS @ light) ** 2 / (4.0 * math.pi)
@@ -163,20 +170,22 @@ def band_energy(light: np.ndarray) -> np.ndarray:
 def truncation_error(
     energy: np.ndarray, order: int, kind: Kind, albedo: float = MEASURED_ALBEDO
 ) -> float:
-    """Relative error of a lit surface when its ``kind`` of light keeps the bands below ``order`` <=
-    MAX_ORDER.
+    """Return the relative error of a lit surface whose ``kind`` of light keeps the bands below
+    ``order`` <= MAX_ORDER.
 
-    The root mean square over the surface that views see and all turns of the light, over the mean
-    of direct and indirect luminance. ``energy`` (MAX_ORDER,) is that of ``band_energy``; what lies
-    beyond it is taken from its decay. Indirect light's error is about in proportion to the
-    ``albedo``; direct light's changes by 15 % at most, which is left out.
+    It is the root mean square over the surface that views see and over all rotations of the light,
+    over the mean of direct and indirect luminance. ``energy`` (MAX_ORDER,) is the result of
+    ``band_energy``; the bands beyond are extrapolated, see ``_beyond``. The error of indirect light
+    is about in proportion to the ``albedo``; that of direct light changes with it by 15 % at most,
+    which is neglected.
 
-    Measured on those five surfaces and five others (carp, teapot, tooth, neghip, T1 brain) under
-    eight probes and two skies, up to order 5: within a factor 1.6 on eight, up to 2.3 times too
-    large on the smooth tooth and teapot.
+    Measured on the five surfaces of TRANSFER_DIRECT and five others (carp, teapot, tooth, neghip,
+    T1 brain) under eight probes and two skies, up to order 5: right within a factor of 1.6 on eight
+    of them, and up to 2.3 times too large on the smooth tooth and teapot.
     """
     if not energy[0] > 0.0:
         return 0.0
+    # Sum the energy that the cut bands would have transferred.
     lost = float(_TRANSFER[kind][order:] @ energy[order:]) + _beyond(energy, kind)
     if kind == "indirect":
         reflected = albedo / MEASURED_ALBEDO
@@ -188,11 +197,11 @@ def truncation_error(
 def choose_order(
     energy: np.ndarray, target: float, kind: Kind, most: int = 5, albedo: float = MEASURED_ALBEDO
 ) -> tuple[int, float]:
-    """Least order whose ``truncation_error`` is within ``target``, or else ``most``; and that
-    error.
+    """Return the least order whose ``truncation_error`` is within ``target``, or ``most`` if none
+    is, and that order's error.
 
-    Bytes grow as n², while the error falls about as 1/n² under a soft light, as 1/n under lamps and
-    only as 1/√n under a sun. A constant light has order 1 and no error.
+    Bytes grow as n², while the error falls about as 1/n² under a soft light, as 1/n under lamps,
+    and only as 1/√n under a sun. A constant light has order 1 and no error.
     """
     for order in range(1, most):
         error = truncation_error(energy, order, kind, albedo)
@@ -202,19 +211,23 @@ def choose_order(
 
 
 def _beyond(energy: np.ndarray, kind: Kind) -> float:
-    """Σ T_l B_l over the bands l >= MAX_ORDER, by the integral over x = l + ½ from there on.
+    """Return Σ T_l B_l over the bands l >= MAX_ORDER, approximated by the integral over x = l + ½.
 
-    T falls as x^-DECAY. The light's power per coefficient, B_l / 2x, goes on as it went from bands
-    4 … 6 to bands 7 … 9: as x^slope, never rising.
+    T falls as x^-DECAY. The light's power per coefficient, B_l / 2x, is extrapolated as x^slope,
+    with the slope between bands 4 … 6 and bands 7 … 9, which is at most 0.
     """
     per_coefficient = energy / (2.0 * np.arange(MAX_ORDER) + 1.0)
     near, far = float(per_coefficient[4:7].mean()), float(per_coefficient[7:10].mean())
+    # A light without energy in the last bands has none beyond.
     if far == 0.0:
         return 0.0
+    # Power falls between the centres of both groups of bands, x = 5.5 and x = 8.5.
     if far < near:
         slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST_SLOPE)
     else:
         slope = 0.0
+    # Extrapolate light and transfer to x = MAX_ORDER, and integrate their product, a power of x, to
+    # infinity.
     light = 2.0 * MAX_ORDER * far * (MAX_ORDER / 8.5) ** slope
     transfer = _TRANSFER[kind][-1] * (MAX_ORDER / (MAX_ORDER - 0.5)) ** -DECAY[kind]
     return float(light * transfer * MAX_ORDER / (DECAY[kind] - slope - 2.0))

@@ -1,9 +1,9 @@
-"""The error budget: how the target error is split among what a plan cuts off, and the errors that
-are expected then.
+"""The error budget: how the target error is divided among the causes that a plan accepts, and the
+error that each is expected to have.
 
-The target itself is of noise: pixels of final texels are within it, see ``texel_target``. What is
-cut off adds to that; its shares are chosen so that it stays about as large as the noise, or
-smaller.
+The target itself is for noise: pixels of final texels are within it, see ``texel_target``. The
+errors here come on top of that; their shares are chosen so that all together stay about as large as
+the noise, or smaller.
 """
 
 import math
@@ -14,85 +14,91 @@ from isogi_core.model.scene_plan import GLOW_KIND, Layer
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.inputs import PlanInputs
 
-HARMONICS = math.sqrt(0.5)
-"""Share of the target for bands that are cut off, of direct and of reflected light each.
+HARMONICS_SHARE = math.sqrt(0.5)
+"""Share of the target for bands that are cut off, for direct and for reflected light each.
 
-Both together are then within the target, as independent errors add.
+Both together are then within the target, as independent errors add in quadrature.
 """
 
 EVEN_LIGHT_SHARE = 0.25
-"""Share of the target for taking a light as the same from all sides."""
+"""Share of the target for treating a light as the same from all sides."""
 
 BOUNCES_SHARE = 0.5
 """Share of the target for bounces that are cut off."""
 
-MIXING = 0.25
-"""Share of the target for light of albedos between those that it is kept for."""
+MIXING_SHARE = 0.25
+"""Share of the target for mixing light of an albedo from that of the albedo nodes."""
 
 ROUNDING_SHARE = 1.0 / 3.0
 """Share of the target for rounding."""
 
 HALF_ONE = 3.3e-4
-"""Error of the luminance where one number is kept, rounded to a half float after each sample level.
+"""Error of the luminance if one number is kept per channel, rounded to a half float after each
+sample level.
 
 A root mean square over the mean luminance, as are all errors here; measured on texels of the engine
 at 70.
 """
 
 HALF_SUM = 4.5e-4
-"""Error of the luminance by rounding to half floats, of a sum over harmonics of order 6 under light
-that turns.
+"""Error of the luminance by rounding to half floats if it is a sum over harmonics of order 6 under
+light that turns.
 
-4.4e-4 (uffizi, grace) and 4.6e-4 (noon_grass) on those texels; of the luminance of each texel,
-where it is a tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
+On the same texels it is 4.4e-4 (uffizi, grace) and 4.6e-4 (noon_grass). Relative to the luminance
+of each texel that has at least a tenth of the mean, it is 1.0e-3, 0.7e-3 and 0.8e-3.
 """
 
 BYTE_ROUNDING = 0.033
 """Relative error of a coefficient that is kept as a byte.
 
-Codes are 9 % apart, so that the error of one rounding is 2.5 %, and of many levels 3.2 %: from code
-to code a mean moves only when the newer half of its samples asks for it
-(``tests/stability/test_samples.py``). From band 3 on it costs 0.27 to 0.33 % of the luminance
-(uffizi), 0.37 to 0.45 % (grace) and 0.51 to 0.60 % (noon_grass) on texels of the engine at 70 and
-of the CT head at 110 to order 6; from band 2 on three times that.
+Codes are 9 % apart, so that one rounding has an error of 2.5 %. Rounding at each of many levels has
+3.2 %: the mean moves from one code to the next only if the newer half of its samples is far enough
+from it (``tests/stability/test_samples.py``). With bytes from band 3 on this costs 0.27 to 0.33 %
+of the luminance (uffizi), 0.37 to 0.45 % (grace) and 0.51 to 0.60 % (noon_grass) on texels of the
+engine at 70 and of the CT head at 110 up to order 6; from band 2 on three times as much.
 """
 
 ROULETTE_ALBEDO = 0.5
-"""The albedo from which on Russian roulette ends paths: it then saves more rays than the noise that
-it adds costs.
+"""Albedo from which Russian roulette ends paths: from there on it saves more rays than its noise
+costs.
 
 On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 and 1.13 times the
-paths of 0.79 and 0.82 times the rays at albedo 0.7, and 1.06 and 1.08 times the paths of 0.78 and
-0.70 times the rays at 0.9.
+paths, but 0.79 and 0.82 times the rays, at albedo 0.7; at 0.9 it took 1.06 and 1.08 times the
+paths, but 0.78 and 0.70 times the rays.
 """
 
 ROULETTE_RAYS = 21
-"""Percent of rays that roulette saves, for albedos from 0.5 to 0.95 on those texels: 13 to 30."""
+"""Percent of rays that roulette saves on these texels: 13 to 30 for albedos from 0.5 to 0.95."""
 
 BRANCHING = 2.0
-"""v_r / (p v_d) over R² and the ratio of energies, see ``branches_for``: so much after 64 samples
-of the engine at 70 under grace.
+"""The constant in the variance ratio v_r / (p v_d) = BRANCHING · R² · (energy of reflected
+light / energy of direct light) of ``branches_for``. Measured after 64 samples of the engine at
+70 under grace.
 """
 
 BRANCHED = 6
-"""The bands that are asked whether paths branch: as many as light that turns usually keeps."""
+"""Order of the harmonics whose energies decide on branches: as many bands as light that turns
+usually keeps.
+"""
 
 MOST_BRANCHES = 4
-"""The most branches of a path. Under grace and noon_grass, 4 came to the error that single paths
-end with in 0.62 to 0.76 of their time (``accuracy branching``: engine, CT and chest, brain, carp).
-8 took 0.51 to 0.71 of it. The first 16 samples, which all wait for, took 0.9 to 2.6 times what
-those of single paths do, and 1.2 to 4.4 times with 8.
+"""Most branches of a path. Under grace and noon_grass, paths of 4 branches came to the error
+that single paths end with in 0.62 to 0.76 of their time (``accuracy branching``: engine, CT and
+chest, brain, carp), and paths of 8 in 0.51 to 0.71. But the first 16 samples, which every
+picture waits for, took 0.9 to 2.6 times as long as those of single paths, and 1.2 to 4.4 times
+with 8.
 """
 
 LONGEST_PATH = 1000
-"""The most bounces of any path. The darkest pixel of thirty volumes in a white furnace was 0.78
-after 64, 0.89 after 256 and 0.99 after these; paths that find the light sooner end there.
+"""Most bounces of any path. The darkest pixel of thirty volumes in a white furnace, which
+should show 1, had 0.78 after 64 bounces, 0.89 after 256 and 0.99 after 1000; paths that find
+the light sooner end there.
 """
 
 
 def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
-    """Relative RMS error of the luminance by rounding to half floats and bytes; 0 for single
-    floats.
+    """Return the relative RMS error of the luminance that rounding ``layers`` to half floats
+    and bytes causes; 0 for single floats.
     """
     if not any(layer.half for layer in layers):
         return 0.0
@@ -100,15 +106,17 @@ def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0
         half = HALF_SUM
     else:
         half = HALF_ONE
+    # Rounding of half floats and of the bytes of each layer are independent.
     return math.sqrt(half**2 + sum(byte_error(layer, inputs, lobes) ** 2 for layer in layers))
 
 
 def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
-    """The part of the rounding error that a layer's bytes cause: BYTE_ROUNDING times what these
-    bands carry.
+    """Return the part of the rounding error that a layer's bytes cause: BYTE_ROUNDING times the
+    light in the bands that are kept in bytes.
     """
     if layer.coarse is None:
         return 0.0
+    # The light in these bands follows from the squared errors of cutting before and after them.
     below, above = (
         cut_error(replace(layer, order=n), inputs, lobes) for n in (layer.coarse, layer.order)
     )
@@ -116,14 +124,15 @@ def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
 
 
 def bounces_for(albedo: Colour, target_error: float) -> int:
-    """The fewest bounces for which the rest, at most R^(bounces + 1) of the light, is within its
-    share.
+    """Return the least number of bounces for which the light of longer paths, at most
+    R^(bounces + 1) of all light, is within BOUNCES_SHARE of the target.
     """
     brightest = max(albedo)
     if brightest <= 0.0:
         return 0
     if brightest >= 1.0:
         return LONGEST_PATH
+    # Solve R^(bounces + 1) <= target · BOUNCES_SHARE.
     return min(
         max(math.ceil(math.log(target_error * BOUNCES_SHARE) / math.log(brightest)) - 1, 0),
         LONGEST_PATH,
@@ -131,8 +140,8 @@ def bounces_for(albedo: Colour, target_error: float) -> int:
 
 
 def survival_for(albedo: Colour, bounces: int) -> float:
-    """The probability that a path goes on after its second and later hits; 1 where roulette does
-    not pay.
+    """Return the probability that a path continues after its second and later hits; 1 if
+    roulette does not pay.
     """
     brightest = max(albedo)
     if bounces > 1 and brightest >= ROULETTE_ALBEDO:
@@ -141,17 +150,22 @@ def survival_for(albedo: Colour, bounces: int) -> float:
 
 
 def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
-    """In how many ways paths go on from the first surface that they hit: a power of two, at most
-    MOST_BRANCHES.
+    """Return the number of branches in which paths continue from their first hit: a power of two,
+    at most MOST_BRANCHES.
 
-    Where v_d and v_r are the variances that what comes straight and what was reflected bring by
-    each path, and a path takes one ray and then p more, b branches cost (v_d + v_r / b)(1 + p b)
-    for an error: least at √(v_r / (p v_d)). Noise is alike in all bands, so that v_r / v_d is R²
-    times the energy of the bands that either meets, and falls with p as v_r does; band 0, which
-    varies by whether first rays hit anything, gains little. Light that lobes are taken out of gains
-    most. Lobes that a plan leaves in harmonics are not asked for, nor how many bands it keeps:
-    plans of one light share their layers.
+    Let v_d and v_r be the variances per path of direct and of reflected light, and let a path take
+    one ray to its first hit and p more after it. With b branches the cost of a given error is (v_d
+    + v_r / b)(1 + p b), which is least at b = √(v_r / (p v_d)). Noise is alike in all bands, and
+    v_r grows in proportion to p, so that v_r / (p v_d) is BRANCHING · R² times the ratio of the
+    energies that reflected and direct light meet. Band 0 is left out: its variance comes from
+    hits and misses of the first ray, which branches do not change. Light gains most from branches
+    if its lobes are taken out.
+
+    All lobes of the light count as taken out, however many the plan takes, and the number of bands
+    that it keeps does not matter: plans under one light then share their layers.
     """
+    # Compare the energy that direct light meets, without lobes, with that of reflected light, which
+    # meets all.
     straight, met = (
         energy[1:BRANCHED].sum()
         for energy in (inputs.energy_beside(len(inputs.lobes)), inputs.energy)
@@ -163,14 +177,14 @@ def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
 
 
 def tail_of_bounces(albedo: Colour, bounces: int) -> float:
-    """Upper bound of the light that longer paths would bring: R^(bounces + 1), the tail of a
-    geometric series.
+    """Return an upper bound of the share of light that longer paths would bring: R^(bounces +
+    1), the tail of a geometric series.
     """
     return float(max(albedo) ** (bounces + 1))
 
 
 def even(inputs: PlanInputs) -> bool:
-    """Whether the light may be taken as the same from all sides."""
+    """Return True if the light may be treated as the same from all sides."""
     return (
         not inputs.lamps.any
         and truncation_error(inputs.energy, 1, "direct") <= EVEN_LIGHT_SHARE * inputs.target_error
@@ -178,15 +192,15 @@ def even(inputs: PlanInputs) -> bool:
 
 
 UNCUT_KINDS = ("irradiance", GLOW_KIND)
-"""The kinds of layers that no harmonics are cut off from."""
+"""Kinds of layers that keep no harmonics, and so lose none."""
 
 
 def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
-    """Relative error of cutting off the bands beyond the layers', a root mean square over rotations
-    of the light.
+    """Return the relative error of cutting off the bands beyond those of the ``layers``, a root
+    mean square over rotations of the light.
 
-    Errors of direct and of reflected light are taken as independent. Layers that are UNCUT_KINDS
-    cut off nothing. The first ``lobes`` lobes are lit apart from direct light's harmonics.
+    Errors of direct and of reflected light count as independent. The first ``lobes`` lobes are not
+    part of direct light's harmonics.
     """
     return math.sqrt(
         sum(
@@ -198,7 +212,7 @@ def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 
 
 
 def cut_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
-    """The part of the error that one layer causes: the bands from its order on."""
+    """Return the relative error of cutting off the bands from a layer's order on."""
     if layer.kind == "indirect":
         return truncation_error(inputs.energy, layer.order, "indirect", max(inputs.albedo))
     return truncation_error(inputs.energy_beside(lobes), layer.order, "direct")

@@ -1,4 +1,6 @@
-"""Inputs of the planner: lights, albedo and target, and the choices that a scene makes itself."""
+"""Inputs of the planner: the scene's lights, albedo and target error, and the choices that its
+file makes itself.
+"""
 
 import math
 from collections.abc import Callable, Hashable
@@ -17,19 +19,20 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
 
-FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
-"""What was worked out of the environments and volumes in use, which scenes share that have the
-same.
+RESULTS: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+"""Results that were computed from environments and volumes in use, by subject; scenes with the
+same environment or volume share them.
 """
 
 Input = TypeVar("Input")
 
 
-def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
-    """What was found of a ``subject``, or is found now: ``what`` holds all that it depends on
-    besides.
+def find_once(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
+    """Return the kept result of ``find`` for a ``subject``, or compute and keep it.
+
+    ``what`` names the result, and holds everything besides the subject that it depends on.
     """
-    known = FOUND.setdefault(subject, {})
+    known = RESULTS.setdefault(subject, {})
     if what not in known:
         known[what] = find()
     kept: Input = known[what]
@@ -38,7 +41,9 @@ def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Inpu
 
 @dataclass(frozen=True)
 class PlanOverrides:
-    """Choices that a scene makes itself; None leaves one to the planner."""
+    """The choices of the plan that a scene's file makes itself; None leaves a choice to the
+    planner.
+    """
 
     representation: str | None = None
     order: int | None = None
@@ -51,13 +56,16 @@ class PlanOverrides:
 
 @dataclass(frozen=True)
 class PlanInputs:
-    """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and
-    relative target error.
+    """The facts of a scene that its plan depends on.
 
-    ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the
-    highest that views may ask for, ``walls`` are the albedos of walls, or of several surfaces. The
-    surface may have its albedo ``by_data``, at most this one, and is then ``coloured`` where these
-    are not all grey. So many ``glows`` are in the volume.
+    - ``environment``, ``lamps``: the lights; ``rotating``: True if views may turn them.
+    - ``centre``, ``radius``: the ball around the volume, in world units.
+    - ``albedo``: the highest that views may ask for, linear RGB.
+    - ``target_error``: relative error of pictures.
+    - ``walls``: albedos of walls, or of several surfaces.
+    - ``by_data``: True if the surface has its albedo by data, at most ``albedo``; ``coloured``:
+      True if some of these colours are not grey.
+    - ``glows``: number of glows in the volume.
     """
 
     environment: Environment
@@ -74,33 +82,33 @@ class PlanInputs:
 
     @property
     def reflecting(self) -> Colour:
-        """The most that anything reflects of each colour, the surface or a wall."""
+        """The highest albedo of the surface and all walls, in each channel."""
         return triple(max(shares) for shares in zip(self.albedo, *self.walls, strict=True))
 
     @property
     def grey(self) -> bool:
-        """Whether reflected light keeps its colour."""
+        """True if reflection leaves the colour of light unchanged."""
         alike = all(red == green == blue for red, green, blue in (self.albedo, *self.walls))
         return alike and not self.coloured
 
     @cached_property
     def grey_light(self) -> bool:
-        """Whether all lights are grey."""
+        """True if all lights are grey."""
         lights = (self.environment.image, self.environment.constant, self.lamps.arrays.colours)
         return all(bool((light[..., 1:] == light[..., :1]).all()) for light in lights)
 
     @cached_property
     def constant(self) -> bool:
-        """Whether the scene's light is a constant one."""
+        """True if the scene's light is the same constant from all sides."""
         return not self.lamps.any and not self.environment.image.any()
 
     @cached_property
     def brightest(self) -> float:
-        """Upper bound of irradiance over π, in luminance, of an unshadowed surface at the centre
-        facing the light.
+        """Upper bound of the irradiance over π, as luminance, of an unshadowed surface at the
+        centre that faces the light.
 
-        The environment's part is taken from bands 0 and 1, which hold nearly all of it: mean + 2
-        |mean of L·ω|.
+        The part of the environment is taken from bands 0 and 1, which hold nearly all of it: mean +
+        2 |mean of L·ω|.
         """
         mean, *slope = (
             LUMINANCE_WEIGHTS @ self.harmonics[:, :4] / math.sqrt(4.0 * math.pi)
@@ -117,27 +125,28 @@ class PlanInputs:
         return band_energy(self.harmonics)
 
     def energy_beside(self, lobes: int) -> np.ndarray:
-        """``energy`` without that of the first ``lobes`` lobes, band 0 excepted; (MAX_ORDER,)
+        """Return ``energy`` without the first ``lobes`` lobes, except in band 0; (MAX_ORDER,)
         float64.
         """
         return self._energies[lobes]
 
     @cached_property
     def _energies(self) -> tuple[np.ndarray, ...]:
+        """The result of ``energy_beside`` for each number of lobes."""
         return tuple(
             energy_beside(self.harmonics, self.lobes[:n]) for n in range(len(self.lobes) + 1)
         )
 
     @cached_property
     def lobes(self) -> tuple[Lobe, ...]:
-        """The environment's lobes; none where it does not turn, as it is then baked as it is."""
+        """The lobes of the environment; none if it does not turn, as it is then baked as it is."""
         find = partial(find_lobes, self.environment, self.harmonics, self.target_error)
         if self.rotating:
-            return found(self.environment, self.target_error, find)
+            return find_once(self.environment, self.target_error, find)
         return ()
 
     @cached_property
     def harmonics(self) -> np.ndarray:
-        """The environment's coefficients, linear RGB; (3, MAX_ORDER²) float64."""
+        """SH coefficients of the environment, linear RGB; (3, MAX_ORDER²) float64."""
         project = partial(project_environment, self.environment, MAX_ORDER)
-        return found(self.environment, "harmonics", project)
+        return find_once(self.environment, "harmonics", project)

@@ -1,5 +1,5 @@
-"""What a plan leaves out, why, and what that saves, each compared with the same plan and that one
-thing put back.
+"""The things that a plan leaves out, with the reason and the saving of each: the plan is
+compared with the same plan and that one thing added.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,6 +10,7 @@ from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.albedo_nodes import mixing_error
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import (
     LONGEST_PATH,
@@ -21,7 +22,6 @@ from isogi_core.plan.budget import (
 from isogi_core.plan.inputs import PlanInputs
 from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
-from isogi_core.plan.surfaces import mixing_error
 
 LOBE_KERNELS = (
     *(
@@ -35,26 +35,28 @@ LOBE_KERNELS = (
     ),
     *("see_discs", "share_rays", "light_points", "add_halves", "add_lobes"),
 )
-"""Names of the kernels that only lights with lobes call."""
+"""Names of the kernels that are called only under lights with lobes."""
 
 
 def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int) -> tuple[str, ...]:
-    """Names of kernels that no frame calls: constant and fixed lights are not rotated."""
+    """Return the names of kernels that no frame calls: constant and fixed lights are not
+    rotated.
+    """
     called = {"rotate": rotating and bool(environment.image.any()), "project_lamps": lamps.any}
     called |= dict.fromkeys(LOBE_KERNELS, lobes > 0)
     return tuple(name for name, needed in called.items() if not needed)
 
 
 MEASURED_BANDS = 5
-"""The order of the harmonics in S1."""
+"""Order of the harmonics in S1."""
 
 S1_BYTES = 3 * MEASURED_BANDS**2 * 4
-"""Bytes of a texel in S1, whatever the light: 25 floats for each channel."""
+"""Bytes of a texel in S1 for any light: 25 floats for each channel."""
 
 FLOAT_BYTES = 4
 
 MAX_MEASURED_ALBEDO = 0.95
-"""The highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the
+"""Highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the
 planner chooses.
 """
 
@@ -65,18 +67,18 @@ REASONS = {
     ),
     "irradiance": "The light stays where it is: a texel keeps how much arrives, not from where.",
 }
-"""Why a representation needs no harmonics."""
+"""Reason for which a representation needs no harmonics."""
 
 
 def left_out(plan: ScenePlan, inputs: PlanInputs) -> tuple[LeftOut, ...]:
-    """Everything that a plan leaves out because of the scene's lights, material and target
-    error.
+    """Return all things that a plan leaves out because of the scene's lights, material and
+    target error.
     """
     return tuple(each for find in FINDERS for each in find(plan, inputs))
 
 
 def harmonics(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
-    """S1's harmonics, where a texel keeps none."""
+    """Yield S1's harmonics, if texels keep none."""
     if plan.representation in REASONS:
         saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel beside S1")
         yield LeftOut(
@@ -85,7 +87,9 @@ def harmonics(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 
 def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
+    """Yield the bands of direct light that S1 keeps and this plan does not, and those of
+    reflected light that direct light has.
+    """
     if plan.representation != "transfer":
         return
     direct, *reflected = (layer for layer in plan.layers if layer.kind != GLOW_KIND)
@@ -99,17 +103,14 @@ def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
-    """The bands below ``order`` that a layer does not keep, and the relative ``error`` that this
-    causes.
+    """Return the entry for the bands below ``order`` that a ``layer`` does not keep, with the
+    relative ``error`` that this causes.
     """
     if layer.order < order - 1:
         names = f"bands {layer.order} to {order - 1}"
     else:
         names = f"band {layer.order}"
-    if layer.kind == "indirect":
-        kind = "reflected"
-    else:
-        kind = "direct"
+    kind = "reflected" if layer.kind == "indirect" else "direct"
     why = (
         f"Without them the error of the lit surface is {percent(error)}; the target is "
         f"{percent(inputs.target_error)}."
@@ -118,7 +119,7 @@ def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
 
 
 def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Lobes that would be lit by shadow rays of their own."""
+    """Yield the lobes that the light has and the plan does not take out."""
     more = len(inputs.lobes) - plan.lobes
     if plan.representation == "transfer" and more:
         errors = [
@@ -130,7 +131,7 @@ def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         else:
             what = f"lobe {plan.lobes + 1}"
         why = (
-            "As light of their own they would bring the error of direct light's harmonics "
+            "Lit by shadow rays they would bring the error of direct light's harmonics "
             f"from {percent(errors[0])} to"
         )
         yield LeftOut(
@@ -141,7 +142,7 @@ def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
-    """Colour channels that would all be the same."""
+    """Yield the colour channels that would all be the same."""
     for layer in plan.layers:
         if layer.colours == 1 and not layer.nodes:
             what, why = SINGLE_CHANNELS[layer.kind]
@@ -150,20 +151,20 @@ def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 
 SINGLE_CHANNELS = {
-    "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
+    "direct": ("direct light", "Light that was not reflected has no colour of the surface."),
     "indirect": (
         "reflected light",
         "The albedo is grey, so that reflected light keeps its colour.",
     ),
     "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
-    GLOW_KIND: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
+    GLOW_KIND: ("what glows", "The albedo is grey: glows have the colours that frames give them."),
 }
-"""Light by the kind of its layer, and why one channel is enough."""
+"""Name of a layer's light by its kind, and the reason for which one channel is enough."""
 
 
 def one_albedo(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """What one albedo would allow, where the surface has colours."""
+    """Yield the choice of albedos by views, if the surface has colours."""
     if inputs.by_data and plan.bounces:
         one = [layer for layer in plan.layers if layer.reflected and layer.channels == 3]
         more = sum(added(replace(layer, channels=1), layer).amount for layer in one)
@@ -171,21 +172,18 @@ def one_albedo(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
             cost = f", which takes {more:g} bytes a texel more than that of one grey albedo"
         else:
             cost = ""
-        why = (
-            f"Reflected light carries the colours of what it met{cost}: it is baked for "
-            "these alone."
-        )
+        why = f"Reflected light carries the colours of surfaces{cost}: it is baked for these alone."
         yield LeftOut("albedos that views choose", why)
 
 
 def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
-    """Light after each bounce on its own, where views may ask for another albedo."""
+    """Yield light after each bounce, if light of any albedo is mixed from that of a few nodes."""
     for layer in plan.layers:
         if 0 < len(layer.nodes) < plan.bounces:
             albedos = ", ".join(f"{node:.2g}" for node in layer.nodes)
             error = mixing_error(layer.nodes, plan.bounces)
-            mixed = f"Light of any other albedo is mixed of that of {albedos}"
-            why = f"{mixed}, at an error of {percent(error)} where all hits are alike."
+            mixed = f"Light of any other albedo is mixed from that of {albedos}"
+            why = f"{mixed}, at an error of {percent(error)} if all hits are alike."
             yield LeftOut(
                 "light after each bounce",
                 why,
@@ -194,7 +192,7 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 
 def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Reflected light, or what paths of more bounces would bring of it."""
+    """Yield reflected light, or the light of paths with more bounces than the plan's."""
     tail = tail_of_bounces(inputs.reflecting, plan.bounces)
     if plan.bounces == 0:
         if tail == 0.0:
@@ -217,33 +215,33 @@ def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """The rest of paths that end by chance, with the rays that this saves where that was
+    """Yield the rest of paths that roulette ends, with the rays that this saves if that was
     measured.
     """
     if plan.survival == 1.0:
         return
     why = (
-        f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and "
+        f"From its second hit on a path continues with probability {plan.survival:.2g}, and "
         "stands for those that end."
     )
     long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
-    saved = (
-        (Saving(ROULETTE_RAYS, "percent of rays", True),)
-        if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO
-        else ()
-    )
+    saved: tuple[Saving, ...] = ()
+    if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
+        saved = (Saving(ROULETTE_RAYS, "percent of rays", True),)
     yield LeftOut("the rest of paths that end by chance", why, saved)
 
 
 def unreflected(plan: ScenePlan, inputs: PlanInputs) -> Iterator[Saving]:
-    """The bytes of the layer that holds reflected light, where it would be one of its own."""
+    """Yield the bytes of reflected light, if that would be a layer of its own."""
     if plan.representation == "transfer":
         layer = Layer("indirect", plan.order, 1 if inputs.grey else 3, plan.half)
         yield Saving(layer.bytes_per_texel, "bytes per texel")
 
 
 def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """The second half of each float, and the second byte of what is kept in bytes."""
+    """Yield the second half of each float, and the second byte of each coefficient that is kept
+    in a byte.
+    """
     if not plan.half:
         return
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
@@ -263,8 +261,8 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
-    """Facts of a texel that can be recovered without being stored."""
-    why = "A texel lies on the surface of the volume's own value there."
+    """Yield facts of a texel that can be recovered without being stored."""
+    why = "A texel lies on the isosurface of the volume's value at it."
     yield LeftOut("isovalue of each texel", why, (Saving(FLOAT_BYTES, "bytes per texel"),))
     codes = sum(layer.noises + 1 for layer in plan.layers)
     why = "A byte holds noise to 5 %, and sample counts, which are powers of two, exactly."
@@ -280,7 +278,7 @@ def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 
 def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Rotation of the light."""
+    """Yield rotation of the light."""
     if plan.representation in ("vicinity", "constant"):
         yield LeftOut(
             "turning of the light", "It is the same from all sides, however it is turned."
@@ -290,8 +288,8 @@ def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Shadow rays towards bright parts of the environment, and the table that they are sampled
-    from.
+    """Yield shadow rays towards bright parts of the environment, and the table that they are
+    sampled from.
     """
     if inputs.environment.sharp:
         return
@@ -306,7 +304,7 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Kernels that neither frames under global illumination nor their bake call."""
+    """Yield kernels that neither frames under global illumination nor their bake call."""
     if plan.representation == "irradiance":
         bakes = ["bake_texels"]
     else:
@@ -325,7 +323,9 @@ def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
-    """Texels and chunks that no view ever shows, and texels that can hold no light."""
+    """Return the texels and chunks that no view ever shows, and the texels that can hold no
+    light.
+    """
     empty = texels.chunks - texels.shown_chunks
     kept = Saving(
         lattice_bytes(empty, texels.chunk, plan.bytes_per_texel) / 1e6,
@@ -334,12 +334,12 @@ def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     left = (
         (
             "unseen",
-            "No isovalue that may be asked for has a surface at them.",
+            "No isovalue that views may show has a surface at them.",
             texels.total - texels.shown,
         ),
         (
             "void",
-            "They have no gradient, no side of their own in a thin wall, or no room in a crease.",
+            "They have no gradient, no separate side in a thin wall, or no room in a crease.",
             texels.void,
         ),
     )
@@ -349,13 +349,13 @@ def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
         if count
     ]
     if empty:
-        why = "None of their texels is ever shown: they are neither asked for nor written."
+        why = "None of their texels is ever shown: they are neither baked nor written."
         found.append(LeftOut("empty chunks", why, (Saving(empty, "chunks"), kept)))
     return tuple(found)
 
 
 def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut, ...]:
-    """Surface-projected texels, where views of an ``isovalue`` have none."""
+    """Return surface-projected texels, if views of an ``isovalue`` have none."""
     if projection.projects(isovalue):
         return ()
     error = projection.error(isovalue)
@@ -364,7 +364,7 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
         f"The error of interpolation is about {percent(error)} where views start; "
         f"{percent(allowed)} is allowed."
     )
-    if not (allowed):
+    if not allowed:
         why = "The scene forbids them."
     return (
         LeftOut(
@@ -373,9 +373,9 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
     )
 
 
-def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
-    """Rays that a surface without ``shine`` does not mirror, or light that one with it does not
-    keep.
+def left_out_of_shine(shine: Shine | None) -> tuple[LeftOut, ...]:
+    """Return mirrored rays, if the surface has no ``shine``; else baked light of shine, as its
+    rays read diffuse light.
     """
     if shine is not None:
         return (
@@ -387,9 +387,11 @@ def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
     return (LeftOut("shine", why, (Saving(1, "ray per pixel, or more"),)),)
 
 
-def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
-    """What several surfaces do not show, and the isovalues at which those that are ``pinned`` keep
-    no light: all but so many ``levels``.
+def left_out_of_several(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """Return the parts of several surfaces that are not shown or kept.
+
+    These are surfaces behind the first ones in a pixel, and, if some are ``pinned``, their light at
+    isovalues between the ``levels``.
     """
     why = (
         "The last that a pixel shows is the first opaque one that is left; what counts less "
@@ -411,11 +413,13 @@ def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
     return (deep, LeftOut("light of pinned surfaces at each isovalue", why))
 
 
-def untold_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
-    """What texels of a surface that light gets through, diffuse, do not tell apart."""
+def left_out_of_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """Return the irradiance of each side by itself, which texels of a transmitting surface do
+    not distinguish.
+    """
     why = (
-        "A texel keeps what leaves its own side: some of its paths start on the other, by "
-        "what gets through."
+        "A texel keeps the light that leaves its side: some of its paths start on the other "
+        "side, in proportion to the transmission."
     )
     return (
         LeftOut(
@@ -427,7 +431,9 @@ def untold_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
 
 
 def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:
-    """Bytes of ``chunks`` chunks before compression; each has room for all of its texels."""
+    """Return the bytes of ``chunks`` chunks before compression; each has room for all of its
+    texels.
+    """
     return chunks * side**3 * bytes_per_texel
 
 
@@ -437,7 +443,7 @@ def percent(share: float) -> str:
 
 
 def added(layer: Layer, larger: Layer) -> Saving:
-    """The bytes that the larger layer would add."""
+    """Return the bytes that the ``larger`` layer would add to a ``layer``."""
     return Saving(larger.bytes_per_texel - layer.bytes_per_texel, "bytes per texel")
 
 
@@ -445,4 +451,4 @@ FINDERS: tuple[Callable[[ScenePlan, PlanInputs], Iterator[LeftOut]], ...] = (
     *(harmonics, bands, lobes, channels, one_albedo, nodes, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
-"""Each finds one sort of what a plan leaves out."""
+"""The finders of ``left_out``: each yields one sort of thing that a plan leaves out."""

@@ -1,4 +1,4 @@
-"""The lighting of a scene: lights, walls and what glows, as its file says."""
+"""The lighting of a scene: its lights, walls and glows, read from its file."""
 
 import hashlib
 from collections.abc import Sequence
@@ -37,22 +37,25 @@ from isogi_core.model.lights import (
 )
 from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.volume import Volume
-from isogi_core.plan.surfaces import SceneSurfaces, refuse_lamps
+from isogi_core.plan.materials import refuse_lamps
+from isogi_core.plan.surfaces import SceneSurfaces
 from isogi_core.plan.volumes.colours import volume_grids
 from isogi_core.plan.volumes.masks import MaskTable, place
 from isogi_core.plan.volumes.opening import open_beside
 
 SKY_SIZE = (512, 1024)
-"""Rows and columns of the grid on which a sky is laid out."""
+"""Rows and columns of the image that a sky is computed on."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneLighting:
-    """What lights a scene, and the walls that it meets.
+    """The lights of a scene, and the walls that light meets.
 
-    The ``environment`` sums all of the ``lights`` that are far away; ``lamps`` are the others, and
-    the luminaires of the ``room``. ``rotating`` is whether views may turn the light. ``glowing`` is
-    what glows in the volume.
+    - ``lights``: as the scene names them.
+    - ``environment``: the sum of all lights that are infinitely far away.
+    - ``lamps``: the other lights, and the luminaires of the ``room``.
+    - ``rotating``: True if views may turn the light.
+    - ``glowing``: glows in the volume.
     """
 
     lights: tuple[Light, ...]
@@ -64,33 +67,32 @@ class SceneLighting:
 
     @property
     def sources(self) -> list[Any]:
-        """What digests hold of the lights."""
+        """The part of digests that describes the lights."""
         return [self.environment.digest, self.lamps.digest]
 
     @property
     def walls(self) -> list[Any]:
-        """What digests hold of the walls; nothing where there are none."""
+        """The part of digests that describes the walls; empty if there are none."""
         if self.room.any:
             return ["walls", self.room.digest]
         return []
 
     @property
     def glow(self) -> list[Any]:
-        """What digests hold of what glows; nothing where nothing does."""
+        """The part of digests that describes the glows; empty if there are none."""
         if self.glowing.any:
             return ["glow", self.glowing.digest, self.glowing.radiances.tolist()]
         return []
 
     def glow_for(self, asked: float) -> float:
-        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where
-        nothing glows.
+        """Return the strength of glows, over the scene's, that a view has ``asked`` for. Raises
+        ViewError if it is out of range, or nothing glows and it is not 1.
         """
         if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= MAX_GLOW_STRENGTH):
             return asked
         if self.glowing.any:
             raise ViewError(
-                f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's own, not "
-                f"{asked:g}."
+                f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's, not {asked:g}."
             )
         raise ViewError(
             "glow is for scenes in which something glows: leave it out, or give the scene a "
@@ -101,10 +103,11 @@ class SceneLighting:
 def read_lighting(
     settings: Settings, volume: Volume, surfaces: SceneSurfaces, glow_bits: np.ndarray | None
 ) -> SceneLighting:
-    """The scene's lighting; of masks of its glows that were read, their ``glow_bits``.
+    """Read the scene's lighting. ``glow_bits`` are the masks of its glows, if they were read
+    before.
 
-    Raises SceneError, VolumeError and LightError where a value has no meaning, or the ``surfaces``
-    cannot be lit so.
+    Raises SceneError, VolumeError and LightError if a value has no meaning, or the ``surfaces``
+    cannot be lit by such lights.
     """
     room = read_room(settings, volume)
     glowing = read_glow(settings, volume, glow_bits)
@@ -112,17 +115,18 @@ def read_lighting(
     refuse_lamps(surfaces.material, lights)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     environment = assemble_environment(lights)
-    rotating = may_rotate(settings, lamps, room, surfaces.passed)
+    rotating = may_rotate(settings, lamps, room, surfaces.light_passes)
+    # Light that does not turn is kept in the axes of the volume's box, and so is baked without a
+    # rotation.
     if volume.orientation.turned and not rotating:
         environment = environment.turned(volume.orientation.matrix)
     return SceneLighting(lights, environment, lamps, rotating, room, glowing)
 
 
 def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
-    """The scene's lights: the environment that it names, in whose place its [[lights]] are not
-    read, or those.
+    """Read the scene's lights: the environment that it names, or else its [[lights]].
 
-    Raises SceneError, and LightError where a value has no meaning.
+    Raises SceneError, and LightError if a value has no meaning.
     """
     tables = settings.lights(room.lamps)
     base = settings.source.base
@@ -133,8 +137,8 @@ def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:
-    """The scene's walls: those of a whole room that it names, and its own. SceneError where one has
-    no meaning.
+    """Read the scene's walls: those of a whole room that it names, and its [[walls]]. Raises
+    SceneError if one has no meaning.
     """
     if settings.choice("room", ROOMS):
         named = cornell_room(volume)
@@ -144,8 +148,8 @@ def read_room(settings: Settings, volume: Volume) -> Room:
 
 
 def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Glowing:
-    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has
-    no meaning, and VolumeError where a mask cannot be used.
+    """Read the glows of the volume; ``bits`` are their masks, if they were read before. Raises
+    SceneError if a table has no meaning, and VolumeError if a mask cannot be used.
     """
     glows = [glow_from_mapping(table) for table in settings.tables("glow")]
     return place_glows(
@@ -154,13 +158,14 @@ def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Gl
 
 
 def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -> np.ndarray:
-    """Of each voxel of a ``volume`` the numbers of the ``glows`` whose masks take it, a bit each;
-    as ``Glowing.bits``.
+    """Return, for each voxel of a ``volume``, one bit for each of the ``glows`` whose mask holds
+    it, as in ``Glowing.bits``.
 
-    Raises SceneError and VolumeError where a mask cannot be used.
+    Raises SceneError and VolumeError if a mask cannot be used.
     """
     if not any(glow.mask for glow in glows):
         return NO_BITS
+    # Place each mask in the volume's grid, and set its bit layer by layer.
     require_memory(volume.voxels.size, "Masks of glows take a byte a voxel,", "leave them out")
     whole, straight = volume_grids(settings, volume)
     bits = np.zeros(volume.shape, np.uint8)
@@ -175,10 +180,13 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bool:
-    """Whether the light may be turned: the scene decides, by default yes; never where there are
-    lamps or walls, or light passes surfaces (SceneError).
+    """Return True if views may turn the light, as the scene says, or by default.
+
+    It is False if there are lamps or walls, or if light has ``passed`` surfaces. Raises SceneError
+    if the scene then asks for light that turns.
     """
     rotating = settings.flag("rotating", not (lamps.any or room.any or passed))
+    # Refuse light that the scene asks to turn, but that is baked in place.
     for what, there in (("walls", room.any), ("lamps", lamps.any)):
         if rotating and there:
             raise SceneError(
@@ -187,21 +195,22 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bo
             )
     if rotating and passed:
         raise SceneError(
-            "Light that passes surfaces is baked as it falls: leave out rotating = true."
+            "Light that passes through surfaces is baked in place: leave out rotating = true."
         )
     return rotating
 
 
 ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()
-"""The environments in use: scenes under the same lights share one, which takes megabytes. Those
-that come from no file are found by their lights, others by their digest."""
+"""Environments in use: scenes under the same lights share one, as each takes megabytes. Those
+without a file are found by their lights, others by their digest, as a file may have changed.
+"""
 
 
 def assemble_environment(lights: Sequence[Light]) -> Environment:
-    """Sum the lights that are no lamps. Images are resampled to the largest grid without change of
-    energy.
+    """Sum the lights that are not lamps. Images are resampled to the largest grid without a change
+    of energy.
 
-    Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
+    Raises LightError if a probe cannot be read, or holds a negative or non-finite radiance.
     """
     around = tuple(light for light in lights if not isinstance(light, Lamp))
     if any(isinstance(light, ProbeLight) for light in around):  # its file may have changed
@@ -214,7 +223,7 @@ def assemble_environment(lights: Sequence[Light]) -> Environment:
 
 
 def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLight]) -> Environment:
-    """The sum of lights that are no lamps."""
+    """Sum lights that are not lamps into one environment."""
     constant = np.zeros(3)
     images = []
     for light in around:
@@ -222,6 +231,7 @@ def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLig
             constant += light.radiance
         else:
             images.append(_image(light))
+    # Bring all images to the grid of the largest, and add them.
     height = max((image.shape[0] for image in images), default=1)
     width = max((image.shape[1] for image in images), default=1)
     total = np.zeros((height, width, 3))
@@ -236,7 +246,7 @@ def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLig
 
 
 def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
-    """The lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
+    """Return the lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
     if isinstance(light, ProbeLight):
         return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(
             np.float64
@@ -246,8 +256,8 @@ def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
-    """The image of light by formula, read-only: scenes that are planned again have the sky they
-    had.
+    """Compute the image of a light by formula, read-only. It is kept, so that a scene that is
+    planned again finds it.
     """
     grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
     if isinstance(light, SkyLight):
@@ -259,7 +269,9 @@ def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
 
 
 def _checked(image: np.ndarray, what: str) -> np.ndarray:
-    """Return the image; LightError where a radiance is not finite or is negative."""
+    """Return the ``image``. Raises LightError if a radiance is not finite or negative; ``what``
+    names the light.
+    """
     bad = int((~(np.isfinite(image) & (image >= 0.0))).any(axis=-1).sum())
     if bad:
         raise LightError(

@@ -1,14 +1,15 @@
-"""Projection: at which isovalues a view's texels are to lie on the isosurface that it shows.
+"""Projection: the isovalues at which a view's texels are moved onto the isosurface that it shows,
+and evenly spaced isosurfaces of a range.
 
-That follows from stiffness: the shares of each isosurface that are steep, on a plateau, noisy,
-beside holes or cut by the box.
+Projection pays on stiff surfaces. Stiffness is measured as the shares of an isosurface that are
+steep, on a plateau, noisy, next to holes, or cut by the box.
 
-Levels in a range of isovalues: evenly spaced, or by S3's adaptive rule, whose surfaces are evenly
-spaced. S3 steps from c to c + ε (gMin(c) + k²), where gMin(c) is the least gradient on the
-isosurface c: the next surface is then nowhere further than ε (1 + k²/gMin). Here ε follows from how
-many levels are wanted, and k² is the gradient of a field that takes the box's diagonal for the
-whole range. Where noise or a plateau makes gMin small at most isovalues, k² decides, and the levels
-are even ones: ``softened`` says how much of the range that is. Source: S3, section 2.3.
+Levels in a range of isovalues are either even, or spaced by S3's adaptive rule so that their
+surfaces are. S3 steps from c to c + ε (gMin(c) + k²), where gMin(c) is the least gradient on the
+isosurface c: the next surface is then nowhere farther away than ε (1 + k²/gMin). Here ε follows
+from the number of levels, and k² is the gradient of a field that takes the box's diagonal for the
+whole range. If noise or a plateau makes gMin small at most isovalues, k² decides and the levels are
+even; ``softened`` is the share of the range in which it does. Source: S3, section 2.3.
 """
 
 import math
@@ -35,34 +36,36 @@ from isogi_core.runs import Run, serially
 
 COUNTED_LAYERS = 8
 SAMPLED_LAYERS = 2
-"""Layers of cells that are counted together, in all and in a sample; the voxels between two of
-these are read twice.
+"""Layers of cells that are counted together, in a whole volume and in a sample; the layer of
+voxels between two such groups is read twice.
 """
 
 SMOOTH_ERROR = 0.005
 STEEP_ERROR = 0.01
 NOISY_ERROR = 0.12
-"""Error of light on a surface that is not stiff, and what is added on one that is all steep, or all
-noisy.
+"""Error of interpolated light on a surface that is not stiff, and the addition to it on one that is
+steep everywhere, or noisy everywhere.
 
-Fitted to 48 surfaces of real volumes and made ones (`benchmarks.accuracy stiffness`), each a view
-of 48 × 48 pixels under constant light with texels at 2 %: relative RMSE against paths from each
-pixel, without its noise. Ranks agree (Spearman's ρ = 0.7); steep surfaces err little, as their
-texels are lit half-way of the step.
+Fitted to 48 surfaces of real and synthetic volumes (`benchmarks.accuracy stiffness`), each in a
+view of 48 × 48 pixels under constant light with texels at 2 %: relative RMSE against paths from
+each pixel, without its noise. The ranks agree (Spearman's ρ = 0.7). Steep surfaces have a small
+error, as their texels are lit half-way up the step.
 """
 
 MIN_ERROR_FACTOR = 0.2
 MAX_ERROR_FACTOR = 3.5
 """The error of nine in ten of these surfaces was between these multiples of the estimate.
 
-The estimate does not know what stands behind a surface at other isovalues: a table under a teapot,
-say.
+The estimate does not see matter behind a surface at other isovalues, such as a table under a
+teapot.
 """
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """Expected error of interpolation between texels: relative RMSE, and its likely range."""
+    """Expected error of interpolation between texels: ``likely`` relative RMSE, and the range
+    from ``low`` to ``high`` that it probably lies in.
+    """
 
     low: float
     likely: float
@@ -71,14 +74,17 @@ class Expectation:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Counts of cells, (m,) int64 each, for isovalues ``levels`` (m,) float32 in voxel units,
-    ascending.
+    """Counts of cells for isovalues ``levels`` (m,) float32 in voxel units, ascending; (m,) int64
+    each.
 
-    ``cells`` are those that the surface passes; of these, ``steep`` are those where the field leaps
-    from one plateau to another, ``plateau`` those where it hardly changes, ``noisy`` those whose
-    normals stray, and ``holed`` those beside a voxel that is no number. ``faces`` (6, m) are cells
-    whose surface meets a face of the box, x = 0 first, then the other end along x, y = 0, … . See
-    ``kernels.tracing.stiffness`` for what exactly makes them so.
+    - ``cells``: cells that the surface passes. The next four count those of them with a property;
+      ``kernels.tracing.stiffness`` defines it exactly.
+    - ``steep``: the field leaps from one plateau to another.
+    - ``plateau``: the field hardly changes.
+    - ``noisy``: normals deviate from those around.
+    - ``holed``: a voxel next to the cell is NaN.
+    - ``faces`` (6, m): cells whose surface meets a face of the box: x = 0, the other end along x, y
+      = 0, ….
     """
 
     levels: np.ndarray
@@ -90,12 +96,12 @@ class Stiffness:
     faces: np.ndarray
 
     def share(self, some: np.ndarray) -> np.ndarray:
-        """``some`` counts over all cells of the surface, 0 where there are none; (m,)."""
+        """Return counts ``some`` over all cells of the surface, 0 if there are none; (m,)."""
         return np.asarray(some / np.maximum(self.cells, 1))
 
     def expectation(self, place: int) -> Expectation:
-        """Expected error of light on the surface at ``levels[place]``, from its STEEP_ROW and
-        NOISY_ROW shares.
+        """Return the expected error of light on the surface at ``levels[place]``, from its
+        steep and noisy shares.
         """
         steep, noisy = (float(self.share(each)[place]) for each in (self.steep, self.noisy))
         likely = SMOOTH_ERROR + STEEP_ERROR * steep + NOISY_ERROR * noisy
@@ -105,10 +111,12 @@ class Stiffness:
 def measure_stiffness(
     field: Field, levels: Any, run: Run = serially, most: int | None = None
 ) -> Stiffness:
-    """Count the cells of all surfaces of a ``field`` at ``levels`` (m,), in one pass.
+    """Count the cells of all surfaces of a ``field`` at ``levels`` (m,), in one pass over the
+    voxels by means of ``run``.
 
-    Of an even sample of layers, where there are more than ``most`` cells.
+    If there are more than ``most`` cells, an even sample of layers is counted.
     """
+    # Take every n-th group of layers so that about ``most`` cells are read.
     layers = field.voxels.shape[0] - 1
     if most is None:
         stride = 1
@@ -124,13 +132,15 @@ def measure_stiffness(
     lock = threading.Lock()
 
     def piece(first: int, last: int) -> None:
-        own = np.zeros_like(counts)
+        part = np.zeros_like(counts)
         for begin in begins[first:last]:
-            count_stiffness(field, ascending, begin, min(begin + thick, layers), own)
+            count_stiffness(field, ascending, begin, min(begin + thick, layers), part)
         with lock:
-            np.add(counts, own, out=counts)
+            np.add(counts, part, out=counts)
 
     run(piece, len(begins), 1)
+    # The kernel counts by differences: a cell adds at the first level that passes it, and subtracts
+    # after the last.
     rows = counts.cumsum(axis=1)[:, :-1]
     return Stiffness(
         ascending,
@@ -143,18 +153,18 @@ def measure_stiffness(
     )
 
 
-INTERPOLATION = 0.5
+INTERPOLATION_SHARE = 0.5
 """Share of the target error that interpolation between texels may take: a quarter of its variance.
 
-The survey may expect a third of the true error, see MAX_ERROR_FACTOR, and projecting in vain costs
-half a bake.
+The true error may be three times the expected one, see MAX_ERROR_FACTOR, while projecting without
+need costs half a bake.
 """
 
 SURVEYED_LEVELS = 33
-"""Isovalues that a volume is surveyed at, evenly spaced."""
+"""Number of evenly spaced isovalues at which a volume is surveyed."""
 
 MAX_SURVEYED_CELLS = 1 << 20
-"""Cells that the survey looks at, at most."""
+"""Most cells that a survey reads."""
 
 Span = tuple[Isovalue, Isovalue]
 """Isovalues from one to another, both included."""
@@ -162,12 +172,12 @@ Span = tuple[Isovalue, Isovalue]
 
 @dataclass(frozen=True, eq=False)
 class ProjectionPlan:
-    """Where texels are projected: at isovalues where the expected error of interpolation is above
-    ``allowed``.
+    """The isovalues at which texels are projected: those at which the expected error of
+    interpolation is above ``allowed``.
 
-    ``levels`` (m,) are the isovalues that were surveyed, ascending, and ``errors`` (m,) what
-    interpolation between texels on their own isosurfaces errs by there, relative; that of the
-    nearest level counts.
+    ``levels`` (m,) are the isovalues that were surveyed, ascending; ``errors`` (m,) are the
+    relative errors expected there of interpolation between texels on the isosurfaces through their
+    points. The nearest level decides.
     """
 
     levels: np.ndarray
@@ -176,24 +186,26 @@ class ProjectionPlan:
 
     @classmethod
     def settled(cls, span: Span, projects: bool) -> "ProjectionPlan":
-        """At every isovalue of a ``span``, or at none: what a scene settles itself."""
+        """Return the plan of a scene that projects at every isovalue of a ``span``, or at none,
+        by its own choice.
+        """
         return cls(np.array(span, float), np.full(2, np.inf if projects else 0.0), 0.0)
 
     @property
     def any(self) -> bool:
-        """Whether texels are projected at any isovalue."""
+        """True if texels are projected at any isovalue."""
         return bool((self.errors > self.allowed).any())
 
     def error(self, isovalue: Isovalue) -> float:
-        """The expected error of interpolation at an isovalue; relative."""
+        """Return the expected relative error of interpolation at an ``isovalue``."""
         return float(self.errors[np.searchsorted(self._between, isovalue)])
 
     def projects(self, isovalue: Isovalue) -> bool:
-        """Whether texels are projected onto the isosurface at an isovalue."""
+        """Return True if texels are projected onto the isosurface at an ``isovalue``."""
         return self.error(isovalue) > self.allowed
 
     def spans(self) -> list[tuple[float, float]]:
-        """The isovalues at which texels are projected, normalised, as ascending spans."""
+        """Return the normalised isovalues at which texels are projected, as ascending spans."""
         above = np.concatenate([[False], self.errors > self.allowed, [False]])
         edges = np.concatenate([self.levels[:1], self._between, self.levels[-1:]])[
             above[1:] != above[:-1]
@@ -202,45 +214,49 @@ class ProjectionPlan:
 
     @property
     def _between(self) -> np.ndarray:
-        """Half-way between each two levels; (m - 1,)."""
+        """The midpoints between neighbouring levels; (m - 1,)."""
         return np.asarray((self.levels[1:] + self.levels[:-1]) / 2)
 
 
 def plan_projection(field: Field, span: Span, start: Isovalue, target: float) -> ProjectionPlan:
-    """Survey how stiff isosurfaces of a ``field`` are: over a ``span`` of isovalues, and at that
-    where views ``start``.
+    """Survey the stiffness of isosurfaces of a ``field`` over a ``span`` of isovalues, and at the
+    isovalue at which views ``start``.
 
-    ``target`` is the relative error of the scene; macrocells are not asked for. What stiff surfaces
-    err by is of ``Stiffness``.
+    ``target`` is the scene's relative error. The field needs no macrocells.
+    ``Stiffness.expectation`` predicts the errors.
     """
     levels = np.append(np.linspace(*span, SURVEYED_LEVELS), start)
     found = measure_stiffness(field, levels, most=MAX_SURVEYED_CELLS)
     errors = np.array([found.expectation(place).likely for place in range(len(found.levels))])
-    return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION * target)
+    return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION_SHARE * target)
 
 
 RANGE_BINS = 1024
-"""Even parts of a range in which the isosurfaces are looked at."""
+"""Number of even parts of a range in which isosurfaces are examined."""
 
 CELLS_WAITED_FOR = 1 << 21
-"""Cells that are looked at for what a person waits for, about: they take a tenth of a second."""
+"""Number of cells, about, that are read for a result that a person waits for: a tenth of a
+second.
+"""
 
 SPACING_KINDS = ("uniform", "adaptive")
-"""How levels are spaced."""
+"""Ways to space levels."""
 
 MAX_ROUNDED_STEP = 1e300
-"""Steps from here on are not rounded to: a double may have no room for the next multiple."""
+"""Steps above this are not rounded: a double may have no room for the next multiple."""
 
 SLIDER_STOPS = 20
-"""Stops of a slider. S3 lit 17 to 52 levels; twenty stand 16 pixels apart on the page, and a held
+"""Stops of a slider. S3 lit 17 to 52 levels; twenty are 16 pixels apart on the page, and a held
 key passes them in a second.
 """
 
 
 @dataclass(frozen=True)
 class SampledRange:
-    """Isovalues ascending, in a volume's own units, and the share of the range in which k² is above
-    gMin: at least, where ``few`` cells were looked at.
+    """Isovalues ``levels``, ascending in the units of the volume's file.
+
+    ``softened`` is the share of the range in which k² is above gMin; at least that share, if
+    ``few`` cells were read.
     """
 
     levels: tuple[float, ...]
@@ -249,7 +265,9 @@ class SampledRange:
 
     @property
     def note(self) -> str:
-        """Where the adaptive rule says nothing, in a sentence; empty where that is nowhere."""
+        """A sentence on the part of the range in which the adaptive rule has no effect; empty
+        if there is none.
+        """
         if not self.softened:
             return ""
         why = "noise or a plateau makes the gradient vanish somewhere on the surface"
@@ -260,24 +278,25 @@ class SampledRange:
 def sample_range(
     volume: Volume, isovalues: tuple[float, float], count: int, way: str, most: float = math.inf
 ) -> SampledRange:
-    """Choose ``count`` levels in a range by one of the SPACING_KINDS: each is in the middle of an
-    equal part of it.
+    """Choose ``count`` levels in a range by one of the SPACING_KINDS, ``way``: each in the middle
+    of an equal part.
 
-    Adaptive ones are ``shortened``. For them about so many cells are looked at, at ``most``: see
+    Adaptive levels are rounded by ``shortened``. They read about ``most`` cells, see
     ``least_gradients``.
     """
     shares = (np.arange(count) + 0.5) / count
     (low, high) = isovalues
     if way == "uniform":
         return SampledRange(tuple((low * (1.0 - shares) + high * shares).tolist()))
+    # Place levels by the adaptive rule, and round them for display.
     shares, softened = adaptive_shares(volume, isovalues, shares, most)
     levels = shortened((low * (1.0 - shares) + high * shares).tolist(), isovalues)
     return SampledRange(levels, softened, volume.voxels.size > most)
 
 
 def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
-    """The isovalues where a slider over a range stops, by the adaptive rule; none where the range
-    is one isovalue.
+    """Return the isovalues at which a slider over a range stops, by the adaptive rule; none if
+    the range is one isovalue.
     """
     if isovalues[0] == isovalues[1]:
         return SampledRange(())
@@ -285,8 +304,8 @@ def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
 
 
 def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[float, ...]:
-    """Ascending levels in a range with fewer digits: each moves by a 20th of the way to its
-    neighbours at most.
+    """Round ascending levels in a range to fewer digits: each moves by at most a 20th of the
+    distance to its neighbours.
     """
     low, high = isovalues
     around = (low - (levels[0] - low), *levels, high + (high - levels[-1]))
@@ -297,8 +316,8 @@ def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[floa
 
 
 def rounded(value: float, most: float) -> float:
-    """The nearest multiple of a power of ten that is ``most`` at most; the value where there is
-    none, or it is huge.
+    """Round ``value`` to a multiple of the largest power of ten that is at most ``most``. The
+    value is returned as it is if there is none, or if ``most`` is huge.
     """
     if 0.0 < most < MAX_ROUNDED_STEP:
         return round(value, -math.floor(math.log10(most))) + 0.0
@@ -308,15 +327,17 @@ def rounded(value: float, most: float) -> float:
 def adaptive_shares(
     volume: Volume, isovalues: tuple[float, float], shares: np.ndarray, most: float = math.inf
 ) -> tuple[np.ndarray, float]:
-    """Where S3's rule comes to after these ``shares`` of its steps, as shares of the range; and how
-    much is softened.
+    """Return the places that S3's rule reaches after these ``shares`` of its steps, as shares of
+    the range; and the share of it that is softened.
 
-    Its steps are taken as small: the way from one level to the next is ∫ dc / (gMin + k²). No step
-    falls into a part of the range that has no surface.
+    In the limit of small steps the way from one level to another is ∫ dc / (gMin + k²). No level
+    falls into a part of the range that has no surface. At most ``most`` cells are read, see
+    ``least_gradients``.
     """
     ends = [float(volume.normalise_isovalue(value)) for value in isovalues]
     if ends[0] == ends[1]:
         return shares, 0.0
+    # Find gMin over the range, in the direction from its first isovalue to its last.
     gradients = least_gradients(volume, (min(ends), max(ends)), most)
     if not (ends[0] < ends[1]):
         gradients = gradients[::-1]
@@ -324,6 +345,8 @@ def adaptive_shares(
     there = np.isfinite(gradients)
     if not there.any():
         return shares, 0.0
+    # Integrate the way. Parts without a surface take none, and are left out so that it can be
+    # inverted.
     way = np.append(
         0.0, np.cumsum(np.where(there, 1.0 / (np.where(there, gradients, 0.0) + soft), 0.0))
     )
@@ -336,14 +359,16 @@ def adaptive_shares(
 def least_gradients(
     volume: Volume, span: tuple[float, float], most: float = math.inf
 ) -> np.ndarray:
-    """gMin in the middle of RANGE_BINS even parts of a ``span``, both in the voxels' units over the
-    world's; (RANGE_BINS,) float64.
+    """Return gMin in the middle of each of RANGE_BINS even parts of a ``span``, in units of voxels
+    per unit of the world; (RANGE_BINS,) float64.
 
-    The gradient of a cell is that in its middle, and counts at all isovalues between its least and
-    its greatest corner; inf where no cell has a surface. One pass over the voxels, two layers at a
-    time. Of a volume of more cells than ``most`` it takes evenly spread rows: what it finds is then
-    at least gMin.
+    The gradient of a cell is that in its middle. It counts at all isovalues between the cell's
+    least and greatest corner. A part is inf if no cell has a surface in it. The voxels are read
+    once, two layers at a time. If there are more than ``most`` cells, evenly spread rows are read:
+    the result is then an upper bound of gMin.
     """
+    # The table holds minima over intervals of 2^l parts for each l: a cell writes to at most two,
+    # which together cover its range.
     depth = RANGE_BINS.bit_length()
     step = max(math.ceil(math.sqrt(volume.voxels.size / most)), 1)
     table = np.full(depth * RANGE_BINS, np.inf)
@@ -355,9 +380,11 @@ def least_gradients(
             (each.astype(np.float64) - span[0]) / (span[1] - span[0]) * RANGE_BINS
             for each in (low, high)
         )
+        # Find the parts whose middle lies in the cell's range.
         first, last = (np.ceil(place - 0.5) for place in places)
         met = (np.clip(last, 0, RANGE_BINS) > np.clip(first, 0, RANGE_BINS)) & np.isfinite(gradient)
         begin, end = (np.clip(each[met], 0, RANGE_BINS).astype(np.int64) for each in (first, last))
+        # Write the gradient to the two longest intervals of a power of two within the range.
         level = np.frexp(end - begin)[1] - 1
         for place in (begin, end - (1 << level)):
             np.minimum.at(table, level * RANGE_BINS + place, gradient[met])
@@ -365,15 +392,15 @@ def least_gradients(
 
 
 def edges_between(lower: np.ndarray, upper: np.ndarray, step: int = 1) -> tuple[np.ndarray, ...]:
-    """The four edges along x of every ``step``th row of cells between two layers (ny, nx); (rows,
-    nx) each.
+    """Return the four edges along x of every ``step``-th row of cells between two layers (ny,
+    nx); (rows, nx) each.
     """
     return tuple(rows for layer in (lower, upper) for rows in (layer[:-1:step], layer[1::step]))
 
 
 def extremes_between(edges: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest corner of the cells between ``edges`` along x, (rows, nx); (rows,
-    nx - 1) each.
+    """Return the least and the greatest corner of the cells between ``edges`` along x, (rows,
+    nx) each; (rows, nx - 1) each.
     """
     low, high = reduce(np.minimum, edges), reduce(np.maximum, edges)
     return np.minimum(low[:, 1:], low[:, :-1]), np.maximum(high[:, 1:], high[:, :-1])
@@ -382,10 +409,10 @@ def extremes_between(edges: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndar
 def cells_between(
     lower: np.ndarray, upper: np.ndarray, spacing: tuple[float, float, float], step: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The least and the greatest corner of the cells between two layers, and the gradient's length
-    in their middle.
+    """Return the least and the greatest corner of the cells between two layers, and the length of
+    the gradient in their middle.
 
-    (rows, nx - 1) each, of every ``step``th row of cells; no number beside a voxel that is none.
+    (rows, nx - 1) each, for every ``step``-th row of cells; NaN next to a voxel that is NaN.
     """
     edges = edges_between(lower, upper, step)
     square = sum(slope**2 for slope in slopes_between(edges, spacing))
@@ -395,9 +422,11 @@ def cells_between(
 def slopes_between(
     edges: tuple[np.ndarray, ...], spacing: tuple[float, float, float]
 ) -> tuple[np.ndarray, ...]:
-    """The gradient in the middle of the cells between ``edges`` along x: its x, y and z, (rows, nx
-    - 1) each.
+    """Return the gradient in the middle of the cells between ``edges`` along x: its x, y and z,
+    (rows, nx - 1) each.
     """
+    # Average the differences over the four edges of a cell along each axis: a and b lie in the
+    # lower layer of voxels, c and d in the upper one.
     a, b, c, d = (each.astype(np.float64) for each in edges)
     along = a + b + c + d
     across = b - a + d - c
@@ -407,10 +436,11 @@ def slopes_between(
 
 
 def spread_down(table: np.ndarray) -> np.ndarray:
-    """The least of all entries over each place, where entry (l, i) is of places i … i + 2^l - 1;
-    (places,).
+    """Return the minimum of all entries that cover each place, if entry (l, i) of the ``table``
+    covers the places i … i + 2^l - 1; (places,).
     """
     for level in range(len(table) - 1, 0, -1):
+        # Push each interval down to its two halves.
         half = 1 << (level - 1)
         above = table[level]
         np.minimum(table[level - 1], above, out=table[level - 1])

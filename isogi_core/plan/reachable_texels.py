@@ -1,5 +1,5 @@
-"""Texels that views can ever show, counted before anything is baked, and the texels of whole
-isosurfaces.
+"""The texels that views can ever show, counted before anything is baked, and the texels of
+whole isosurfaces.
 """
 
 import math
@@ -17,19 +17,19 @@ from isogi_core.model.volume import Isovalue
 Shape = tuple[int, int, int]
 
 Cells = Callable[[int, int], np.ndarray]
-"""Gives the marks of a range of layers of cells, the last excluded."""
+"""Function that marks a range of layers of cells, from the first to before the last."""
 
 SAMPLED_TEXELS = 1 << 15
-"""Shown texels, evenly sampled, among which void ones are counted."""
+"""Number of shown texels, evenly sampled, among which void ones are counted."""
 
 
 @dataclass(frozen=True)
 class TexelCount:
-    """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones
-    that are never lit.
+    """Counts of the texels of a lattice.
 
-    ``chunks`` and ``shown_chunks`` count chunks likewise; a chunk has ``chunk`` texels along each
-    side. ``void`` is estimated from at most SAMPLED_TEXELS of the shown ones.
+    - ``total``: all; ``shown``: texels that some view can read; ``void``: shown texels that cannot
+      be lit, estimated from at most SAMPLED_TEXELS of them.
+    - ``chunks``, ``shown_chunks``: the same in chunks of ``chunk`` texels along each side.
     """
 
     total: int
@@ -43,23 +43,25 @@ class TexelCount:
 def count_texels(
     field: Field, shape: Shape, lowest: Isovalue, highest: Isovalue, chunk: int
 ) -> TexelCount:
-    """Count the texels of a lattice of ``shape`` (z, y, x) over a ``field`` for a range of
-    isovalues.
+    """Count the texels of a lattice of ``shape`` (z, y, x) over a ``field`` that views of isovalues
+    from ``lowest`` to ``highest`` can read.
 
-    Macrocells are not asked for. The outermost texels lie on the outermost voxels; ``chunk`` is the
-    side of a chunk in texels.
+    The outermost texels lie on the outermost voxels; ``chunk`` is the side of a chunk in texels.
+    The field needs no macrocells.
     """
     nz, ny, nx = (n - 1 for n in field.voxels.shape)
 
     def cells(first: int, last: int) -> np.ndarray:
         return surface_cells(field.voxels[first : last + 1], lowest, highest)
 
+    # Count shown texels one layer of chunks at a time, and sample their places.
     sample = Sample(SAMPLED_TEXELS)
     touched = 0
     for n, block in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
         for z, layer in enumerate(block):
             sample.add(np.flatnonzero(layer) + (n * chunk + z) * layer.size)
         touched += touched_chunks(block, chunk)
+    # Estimate the void ones from the sample, as locating each texel takes longer than counting.
     few = sample.places
     count = sample.passed
     if len(few):
@@ -71,8 +73,8 @@ def count_texels(
 
 
 def touched_chunks(block: np.ndarray, chunk: int) -> int:
-    """Count the chunks of one layer of chunks that hold any mark of the ``block`` (layers, y,
-    x).
+    """Count the chunks of one layer of chunks in which any texel of the ``block`` (layers, y,
+    x) is marked.
     """
     columns = np.asarray(block.any(axis=0))
     firsts = [np.arange(0, n, chunk) for n in columns.shape]
@@ -84,19 +86,22 @@ def touched_chunks(block: np.ndarray, chunk: int) -> int:
 
 
 class Sample:
-    """An even sample of at most ``most`` places out of a stream; ``passed`` counts the stream."""
+    """An even sample of at most ``most`` places out of a stream; ``passed`` is the length of
+    the stream so far.
+    """
 
     def __init__(self, most: int) -> None:
-        """Begin with every place; later take every second, fourth and so on."""
+        """Begin by taking every place; later every second, fourth and so on is taken."""
         self._most = most
         self._step = 1
         self._taken = [np.zeros(0, np.int64)]
         self.passed = 0
 
     def add(self, places: np.ndarray) -> None:
-        """Add places (m,) of the stream."""
+        """Add the next ``places`` (m,) of the stream."""
         self._taken.append(places[-self.passed % self._step :: self._step].copy())
         self.passed += len(places)
+        # Too many: keep every second, and take half as many from now on.
         while sum(map(len, self._taken)) > self._most:
             self._taken = [self.places[::2]]
             self._step = 2 * self._step
@@ -108,11 +113,11 @@ class Sample:
 
 
 def surface_cells(voxels: np.ndarray, lowest: Isovalue, highest: Isovalue) -> np.ndarray:
-    """Whether each cell of ``voxels`` may show a surface of some isovalue from ``lowest`` to
+    """Return which cells of ``voxels`` may show a surface of some isovalue from ``lowest`` to
     ``highest``; bool.
 
-    A cell does where such an isovalue lies between its least and greatest corner, both included, as
-    a hit on a face may be rounded into the cell beyond. A cell with a NaN shows none.
+    Such an isovalue lies between the least and greatest corner of the cell, both included, as a hit
+    on a face may be rounded into the next cell. A cell with a NaN shows none.
     """
     cells = np.empty(tuple(n - 1 for n in voxels.shape), np.bool_)
     mark_cells(voxels, lowest, highest, cells)
@@ -120,28 +125,31 @@ def surface_cells(voxels: np.ndarray, lowest: Isovalue, highest: Isovalue) -> np
 
 
 def shown_blocks(cells: Cells, extent: Shape, shape: Shape, size: int) -> Iterator[np.ndarray]:
-    """Whether each texel is a corner of a lattice cell that shares some room with a marked one of
-    the ``cells``; bool.
+    """Yield which texels are corners of a lattice cell that overlaps a marked one of the ``cells``;
+    (layers, y, x) bool.
 
     There are ``extent`` cells (z, y, x), of which ``cells(first, last)`` marks some layers, and
-    ``shape`` texels; these come ``size`` layers at a time, so that no more need be in memory.
+    ``shape`` texels. These come ``size`` layers at a time, so that no more need to be in memory.
     """
     spans = [lattice_spans(n, t) for n, t in zip(extent, shape, strict=True)]
     (first, count) = spans[0]
     top = shape[0] - 1
     for a in range(0, shape[0], size):
+        # Read the lattice cells on both sides of these layers of texels.
         low = max(a - 1, 0)
         high = min(a + size, top)
         begin = first[low]
         marks = cells(begin, first[high - 1] + count[high - 1])
-        own = [(first[low:high] - begin, count[low:high]), *spans[1:]]
-        held = any_within(marks, [each for each, _ in own], [each for _, each in own])
+        part = [(first[low:high] - begin, count[low:high]), *spans[1:]]
+        # Mark the lattice cells that overlap a marked cell, then all of their corners.
+        held = any_within(marks, [each for each, _ in part], [each for _, each in part])
         yield widened(widened(widened(held, 2), 1), 0, before=a == 0, after=a + size > top)
 
 
 def widened(held: np.ndarray, axis: int, before: bool = True, after: bool = True) -> np.ndarray:
-    """Corners along an axis that belong to a marked cell; the cells ``before`` and ``after`` all
-    count as unmarked.
+    """Return which corners along an ``axis`` belong to a marked cell. The cells ``before`` and
+    ``after`` the first and last count as unmarked; without one of them, the corners at that end
+    are left out.
     """
     wide = [(0, 0)] * 3
     wide[axis] = (int(before), int(after))
@@ -150,8 +158,8 @@ def widened(held: np.ndarray, axis: int, before: bool = True, after: bool = True
 
 
 def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each lattice cell along an axis: the first voxel cell that it overlaps, and the number of
-    these.
+    """Return, for each lattice cell along an axis, the first voxel cell that it overlaps, and
+    the number of these.
     """
     edges = np.arange(texels) * (cells / (texels - 1))
     first = np.floor(edges[:-1]).astype(int)
@@ -160,22 +168,25 @@ def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndarray]) -> np.ndarray:
-    """Whether any mark is set in each box of ``counts`` marks from ``firsts`` on, both by axis;
-    none is set outside.
+    """Return True for each box that holds a set mark. A box has ``counts`` marks from
+    ``firsts`` on, both given by axis; outside of the array no mark is set.
     """
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1
+        # The boxes are single marks along this axis.
         if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
             continue
+        # Combine the k-th mark of each box, for each k; shorter boxes repeat their last mark.
         steps = (np.minimum(first + np.minimum(k, count - 1), most) for k in range(count.max()))
         marks = reduce(np.logical_or, map(partial(marks.take, axis=axis), steps))
     return marks
 
 
 def void_texels(field: Field, shape: Shape, places: np.ndarray) -> np.ndarray:
-    """Whether the texels at flat ``places`` of the lattice can hold no light, see
+    """Return which texels at flat ``places`` of the lattice can hold no light, see
     ``locate_texels``; bool.
     """
+    # Voxels per texel along x, y, z.
     step = np.array(
         [(n - 1) / (m - 1) for n, m in zip(field.voxels.shape[::-1], shape[::-1], strict=True)]
     )
@@ -195,8 +206,8 @@ Range = tuple[Isovalue, Isovalue]
 def surface_texels(
     voxels: np.ndarray, shape: Shape, chunk: int, ranges: Sequence[Range]
 ) -> Iterator[tuple[Shape, np.ndarray]]:
-    """The chunks (z, y, x) that hold texels of isosurfaces in the ``ranges``, with ascending
-    offsets of these texels.
+    """Yield the chunks (z, y, x) that hold texels of isosurfaces in the ``ranges``, with the
+    ascending offsets of these texels in their chunk.
 
     The lattice of ``shape`` (z, y, x) has ``chunk`` texels along each side of a chunk; offsets are
     int32. One layer of chunks is in memory at a time.
@@ -207,6 +218,7 @@ def surface_texels(
         slab = voxels[first : last + 1]
         return reduce(np.logical_or, [surface_cells(slab, low, high) for low, high in ranges])
 
+    # Divide each layer of chunks into its chunks, and list the marked texels of each.
     for layer, shown in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
         for y in range(0, shape[1], chunk):
             for x in range(0, shape[2], chunk):

@@ -1,4 +1,4 @@
-"""A scene: a volume, its lights, its material and its plan, and the digests that name its light."""
+"""A scene: a volume with its lights, surfaces and plan, and the digests that name its light."""
 
 import math
 from dataclasses import astuple, dataclass, replace
@@ -22,7 +22,8 @@ from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, Sc
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
-from isogi_core.plan.inputs import PlanInputs, PlanOverrides, found
+from isogi_core.plan.inputs import PlanInputs, PlanOverrides, find_once
+from isogi_core.plan.isovalue_levels import find_levels
 from isogi_core.plan.isovalue_presets import (
     Preset,
     SeenNormals,
@@ -32,20 +33,27 @@ from isogi_core.plan.isovalue_presets import (
     front_of,
     suggested_presets,
 )
-from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
+from isogi_core.plan.left_out import (
+    left_out_of_several,
+    left_out_of_shine,
+    left_out_of_sides,
+    unprojected,
+    unseen,
+)
 from isogi_core.plan.lighting import SceneLighting
+from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, SampledRange, find_stops, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
-from isogi_core.plan.surfaces import SceneSurfaces, find_levels, unrefracted
+from isogi_core.plan.surfaces import SceneSurfaces
 
 BAKE_FORMAT = 6
-"""Version of baked light: increased when a chunk's content, or the way its light is computed,
+"""Version of baked light: increased if a chunk's content, or the computation of its light,
 changes.
 """
 
 NORMAL_KINDS = ("bspline", "gradient")
-"""Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure
-5).
+"""Gradients that normals may be computed from: smoothed with the tricubic B-spline, or plain
+(S1, figure 5).
 """
 
 ROOM_KIND = "room"
@@ -53,8 +61,8 @@ COLOURED_KIND = "coloured"
 AMONG_KIND = "among"
 INSIDE_KIND = "inside"
 GLOW_AMONG_KIND = "glow among"
-"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its
-light may turn, among several surfaces, or inside of one.
+"""Kinds of layers whose paths need other kernels: among walls; on a surface with colours, if
+light may turn; among several surfaces; inside a subsurface; and glow among several surfaces.
 """
 
 PATH_KINDS: dict[tuple[type, type], str] = {
@@ -65,25 +73,28 @@ PATH_KINDS: dict[tuple[type, type], str] = {
     },
     **{(InRoom, Glows): GLOW_KIND, (Among, Glows): GLOW_AMONG_KIND},
 }
-"""The kinds of layers by what their paths meet and gather: those of ``transport.entries``."""
+"""Kind of a layer by the two records that select its kernel, the geometry that paths meet and
+the light that they gather: those of ``transport.entries``.
+"""
 
 CHUNK_SIDES = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are
-fewer objects.
+fewer objects in the store.
 """
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """What a scene's file says of texels, rays and views.
+    """The settings of a scene's file that concern texels, rays and views.
 
-    ``lattice`` is texels per voxel along each axis, ``chunk`` texels along each side of a chunk.
-    ``normals`` names the gradient that they are made of, "bspline" (smoothed) or "gradient"
-    (plain). Rays start ``offset`` voxels above a surface. ``projected`` settles whether texels that
-    are far from the isosurface of a view at rest are projected onto it; None leaves that to the
-    plan, see ``plan.projection``. ``presets`` are the isovalues that the scene names, and
-    ``projection``, one of PROJECTIONS, is that of views that ask for none, and ``first`` the view
-    that the scene names. ``overrides`` are choices for the plan.
+    - ``lattice``: texels per voxel along each axis; ``chunk``: texels along each side of a chunk.
+    - ``normals``: one of NORMAL_KINDS; ``offset``: distance in voxels above a surface at which rays
+      start.
+    - ``projected``: True if texels are projected onto the isosurface of a view at rest; None leaves
+      that to ``plan.projection``.
+    - ``presets``: isovalues that the scene names.
+    - ``projection``: one of PROJECTIONS, for views that ask for none; ``first``: the first view.
+    - ``overrides``: choices for the planner.
     """
 
     lattice: float
@@ -99,12 +110,14 @@ class SceneSettings:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scene that can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's
-    own units.
+    """A scene that can be rendered: volume, surfaces, lighting and settings, and the ``plan`` made
+    for ``inputs``.
 
-    ``target_error`` is the relative error at which a pixel counts as final. ``plan`` was made for
-    ``inputs``. Where the scene is a variant of another, or cut open, ``exposed_for`` is the other's
-    surface as it is seen at first: the same light is as bright in pictures of both.
+    ``isovalue``, at which views start, and the range ``isovalues`` that views may ask for are in
+    the units of the volume's file. ``target_error`` is the relative error at which a picture is
+    final. ``exposed_for`` is given if the scene is a variant of another one or cut open: it is the
+    surface of that other scene as first seen, so that the same light is equally bright in pictures
+    of both.
     """
 
     id: str
@@ -122,22 +135,23 @@ class Scene:
 
     @property
     def bakes(self) -> frozenset[str]:
-        """The kinds of layers that are baked; see ``kind_of``. Glass has none."""
+        """The kinds of layers that are baked, see ``kind_of``; none for glass."""
         if self.surfaces.material.refracts:
             return frozenset()
         return frozenset(self.kind_of(layer, self.plan) for layer in self.plan.layers)
 
     @property
     def many_albedos(self) -> bool:
-        """Whether paths meet more than one albedo: of walls, or of colours."""
+        """True if paths meet more than one albedo: those of walls, or of colours."""
         return self.lighting.room.any or self.surfaces.colours is not None
 
     @property
     def meets(self) -> type:
-        """The record of what paths meet that gather light: it chooses their kernels, see
+        """The record of the geometry that paths of light meet; it selects their kernels, see
         ``transport.entries``.
 
-        One place decides: paths go Through matter, Among several surfaces, InRoom, or in the Open.
+        Paths go Through matter, Among several surfaces, InRoom, or in the Open. All other code asks
+        this property.
         """
         if self.surfaces.material.passable:
             return Through
@@ -147,12 +161,14 @@ class Scene:
 
     @property
     def glow_meets(self) -> type:
-        """The record of what paths meet that gather glow: a room, too, where there are no walls."""
+        """The record of the geometry that paths of glow meet: InRoom also serves scenes without
+        walls.
+        """
         return Among if self.surfaces.several else InRoom
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
-        """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is
-        baked.
+        """Return the kind of a ``layer`` of a ``plan`` that names its kernel: the layer's, or
+        one of PATH_KINDS or COLOURED_KIND that stands for it.
         """
         if layer.kind == "irradiance":
             return PATH_KINDS.get((self.meets, Surroundings), layer.kind)
@@ -170,32 +186,32 @@ class Scene:
 
     @property
     def bounces(self) -> int:
-        """Surface hits after the first that light paths may take."""
+        """Number of surface hits after the first that light paths may take."""
         return self.plan.bounces
 
     @property
     def solid(self) -> str:
-        """Which side of the isovalue is solid, "above" or "below"."""
+        """The solid side of the isovalue, "above" or "below"."""
         return self.volume.solid
 
     @property
     def lattice_shape(self) -> tuple[int, int, int]:
-        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at
-        least 2.
+        """Number of texels along z, y, x, at least 2: ``lattice`` per voxel, with the outermost
+        texels on the outermost voxels.
         """
         z, y, x = (max(round((n - 1) * self.settings.lattice) + 1, 2) for n in self.volume.shape)
         return z, y, x
 
     @property
     def seen(self) -> SeenNormals:
-        """How the surface lies that is seen at first, and that the exposure is found for."""
+        """The normals of the surface as first seen, from which the exposure is found."""
         inside = self.lighting.room.any
         find = partial(find_seen, self.volume, self.start, front_of(self.volume, inside))
-        return self.exposed_for or found(self.volume, ("seen", self.start, inside), find)
+        return self.exposed_for or find_once(self.volume, ("seen", self.start, inside), find)
 
     @property
     def front(self) -> tuple[float, float]:
-        """The azimuth and the elevation that the scene is seen from at first."""
+        """Azimuth and elevation that the scene is first seen from, degrees."""
         first = self.settings.first
         azimuth, elevation = front_of(self.volume, self.lighting.room.any)
         return (
@@ -205,12 +221,17 @@ class Scene:
 
     @cached_property
     def default_exposure(self) -> float:
-        """The exposure of pictures that ask for none: the scene's, or see ``exposure_for``."""
+        """The exposure of pictures that ask for none: the scene's, or the one of
+        ``exposure_for``.
+        """
         if self.settings.first.exposure is not None:
             return self.settings.first.exposure
+        # Take all light as harmonics, without shadows: environment, lamps as if far away, and glows
+        # as an even light.
         lamps = self.lighting.lamps.approximate(MAX_ORDER, self.volume.centre, self.volume.radius)
         light = self.inputs.harmonics + lamps
         light[:, 0] += self.glow_around * math.sqrt(4.0 * math.pi)
+        # Light that turns is kept in world axes: turn the normals there.
         if self.lighting.rotating:
             turn = self.volume.orientation.matrix.T
         else:
@@ -221,14 +242,12 @@ class Scene:
 
     @property
     def glow_around(self) -> np.ndarray:
-        """What arrives of glows, E/π linear RGB (3,), as far from them as the volume reaches from
-        its middle.
-        """
+        """E/π of all glows, linear RGB (3,), at the distance of the volume's radius."""
         return self.lighting.glowing.seen_from(self.volume.radius)
 
     @property
     def start(self) -> Isovalue:
-        """The isovalue where views start, normalised."""
+        """The isovalue at which views start, normalised."""
         return self.volume.normalise_isovalue(self.isovalue)
 
     @cached_property
@@ -238,9 +257,9 @@ class Scene:
 
     @property
     def texels(self) -> TexelCount:
-        """Texels of the lattice, and how many of them views can show."""
+        """The number of texels of the lattice, and of those that some view can show."""
         facts = self.lattice_shape, *self.span, self.settings.chunk
-        return found(
+        return find_once(
             self.volume,
             ("texels", *facts, *self._rays),
             partial(count_texels, self._bare_field, *facts),
@@ -248,18 +267,20 @@ class Scene:
 
     @property
     def projection(self) -> ProjectionPlan:
-        """At which isovalues texels are projected."""
+        """The isovalues at which texels are projected."""
         if self.settings.projected is not None:
             return ProjectionPlan.settled(self.span, self.settings.projected)
         facts = self.span, self.start, self.target_error
         find = partial(plan_projection, self._bare_field, *facts)
-        return found(self.volume, ("projection", *facts, *self._rays), find)
+        return find_once(self.volume, ("projection", *facts, *self._rays), find)
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Isovalues that pinned surfaces' light is kept for, ascending, and mixed between."""
+        """Isovalues for which light of pinned surfaces is kept, ascending; views between two of
+        them mix their light.
+        """
         facts = self.isovalues, (self.isovalue, *(each.isovalue for each in self.settings.presets))
-        return found(self.volume, ("levels", *facts), partial(find_levels, self.volume, *facts))
+        return find_once(self.volume, ("levels", *facts), partial(find_levels, self.volume, *facts))
 
     @property
     def _rays(self) -> tuple[str, float]:
@@ -277,48 +298,51 @@ class Scene:
 
     @property
     def presets(self) -> tuple[Preset, ...]:
-        """Isovalues worth seeing: the scene's own, else boundaries in its volume, but of labels."""
+        """Isovalues that are suggested to people: those that the scene names, else boundaries
+        in its volume. A segmentation gets none that it does not name.
+        """
         colours = self.surfaces.colours
-        own = self.settings.presets
-        if own or (colours is not None and colours.scale.labels):
-            return own
+        named = self.settings.presets
+        if named or (colours is not None and colours.scale.labels):
+            return named
         find = partial(find_boundaries, self.volume, self.isovalues)
-        return found(self.volume, ("presets", self.isovalues), lambda: suggested_presets(find()))
+        return find_once(
+            self.volume, ("presets", self.isovalues), lambda: suggested_presets(find())
+        )
 
     @property
     def stops(self) -> SampledRange:
-        """Isovalues where the slider stops, evenly spaced surfaces."""
+        """Isovalues at which the page's slider stops: evenly spaced surfaces."""
         find = partial(find_stops, self.volume, self.isovalues)
-        return found(self.volume, ("stops", self.isovalues), find)
+        return find_once(self.volume, ("stops", self.isovalues), find)
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Everything that is left out: by the plan, texels that are never lit or not projected, and
-        shine.
+        """All things that are left out: by the plan, texels that are never lit or not
+        projected, light of pinned surfaces between levels, and shine.
         """
-        texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        if self.surfaces.pinned:
-            levels = len(self.levels)
-        else:
-            levels = 0
-        if self.surfaces.pinned or self.surfaces.clear > 0.0:
-            beside = unshared(len(self.surfaces.pinned), levels, self.plan)
-        else:
-            beside = ()
-        if self.surfaces.transmits:
-            beside += untold_sides(self.plan)
-        beside += unrefracted(
-            self.surfaces.material, self.lighting.lights, self.lighting.environment.sharp
-        )
-        return (*self.plan.left_out, *texels, *beside, *unshining(self.surfaces.shine))
+        surfaces = self.surfaces
+        found = [*self.plan.left_out]
+        found += unseen(self.texels, self.plan)
+        found += unprojected(self.projection, self.start)
+        # Several surfaces leave out light between levels, or surfaces deep in a pixel.
+        if surfaces.pinned or surfaces.clear > 0.0:
+            levels = len(self.levels) if surfaces.pinned else 0
+            found += left_out_of_several(len(surfaces.pinned), levels, self.plan)
+        if surfaces.transmits:
+            found += left_out_of_sides(self.plan)
+        sharp = self.lighting.environment.sharp
+        found += unrefracted(surfaces.material, self.lighting.lights, sharp)
+        found += left_out_of_shine(surfaces.shine)
+        return tuple(found)
 
     def with_settings(self, **changes: Any) -> "Scene":
-        """The scene with ``changes`` of its settings; its plan stays."""
+        """Return the scene with ``changes`` of its settings; its plan stays."""
         return replace(self, settings=replace(self.settings, **changes))
 
     def require_texels(self) -> None:
-        """Raise SceneError where the surface keeps no texels: what is asked for is the light that
-        these keep.
+        """Raise SceneError if the surface keeps no texels, as glass does, and their light is
+        asked for.
         """
         if self.surfaces.material.refracts:
             raise SceneError(
@@ -327,31 +351,45 @@ class Scene:
             )
 
     def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
-        """Digest (hex) of everything that a layer's light depends on, and of nothing else.
+        """Return the digest (hex) of everything that a layer's light depends on, and of nothing
+        else: equal digests share light.
 
-        Irradiance depends on the scene's lights (S1, eq. 6), and reflected light on bounces and
-        albedos. Texels that lie on the isosurface ``shown``, a normalised isovalue, depend on that.
+        Irradiance depends on the scene's lights (S1, eq. 6), reflected light on bounces and
+        albedos. Texels that are projected onto the isosurface ``shown``, a normalised isovalue,
+        depend on it.
         """
         if isinstance(layer, GlowLayer):
             return self._glow_digest(layer, shown)
         surfaces = self.surfaces
         lighting = self.lighting
+        # All layers depend on the volume, the lattice and the settings of rays.
         *kept, nodes = astuple(layer)
         parts = [BAKE_FORMAT, self.volume.digest, self.settings.lattice, *kept, *self.departures]
-        parts += [] if shown is None else ["shown", shown]
+        if shown is not None:
+            parts += ["shown", shown]
+        # Reflected light also depends on the albedos that paths meet, and on their rules.
         if layer.reflected:
-            parts += [["nodes", *nodes] if nodes else surfaces.albedo[: layer.channels]]
+            if nodes:
+                parts += [["nodes", *nodes]]
+            else:
+                parts += [surfaces.albedo[: layer.channels]]
             parts += [self.bounces, self.plan.survival]
             if self.plan.branches > 1:
                 parts += ["branches", self.plan.branches]
+        # Irradiance has met the scene's lights, walls and other surfaces.
         if layer.kind == "irradiance":
             parts += [*lighting.sources, surfaces.albedo, *lighting.walls]
-            parts += [*surfaces.company, *(surfaces.matter if surfaces.material.scatters else [])]
-        return digest_of(parts + (surfaces.by_data if layer.reflected else []))
+            parts += surfaces.several_facts
+            if surfaces.material.scatters:
+                parts += surfaces.material_facts
+        if layer.reflected:
+            parts += surfaces.colour_facts
+        return digest_of(parts)
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
-        """The digest of a layer of glow: where glow is, and what reflects it; no colour or
-        strength, no other light.
+        """Return the digest of a layer of glow: of the places of glows and of all surfaces that
+        reflect, but not of colours and strengths of glows or of other lights, as frames apply
+        these.
         """
         surfaces = self.surfaces
         lighting = self.lighting
@@ -362,36 +400,30 @@ class Scene:
             *astuple(layer),
             *self.departures,
         ]
-        parts += [
-            "shown",
-            shown,
-            surfaces.albedo[: layer.colours],
-            self.bounces,
-            self.plan.survival,
-        ]
+        parts += ["shown", shown]
+        parts += [surfaces.albedo[: layer.colours], self.bounces, self.plan.survival]
+        parts += [lighting.glowing.digest]
+        # Walls reflect glow, but their light is not part of it.
         if lighting.room.any:
-            walls = ["walls", lighting.room.dark_digest]
-        else:
-            walls = []
-        return digest_of(
-            [*parts, lighting.glowing.digest, *walls, *surfaces.company, *surfaces.by_data]
-        )
+            parts += ["walls", lighting.room.dark_digest]
+        return digest_of([*parts, *surfaces.several_facts, *surfaces.colour_facts])
 
     def wall_digest(self, *state: Any) -> str:
-        """Digest (hex) of everything that the light of walls depends on, besides the numbers of a
-        ``state``.
+        """Return the digest (hex) of everything that the light of walls depends on, and of the
+        numbers of a ``state``.
         """
         surfaces = self.surfaces
         lighting = self.lighting
-        lights = [*lighting.sources, lighting.room.digest, *lighting.glow]
-        paths = [self.bounces, self.plan.survival, self.settings.normals, self.settings.offset]
-        parts = [BAKE_FORMAT, self.volume.digest, *lights, *paths]
-        return digest_of([*parts, *surfaces.company, *surfaces.matter, *surfaces.by_data, *state])
+        parts = [BAKE_FORMAT, self.volume.digest]
+        parts += [*lighting.sources, lighting.room.digest, *lighting.glow]
+        parts += [self.bounces, self.plan.survival, self.settings.normals, self.settings.offset]
+        parts += [*surfaces.several_facts, *surfaces.material_facts, *surfaces.colour_facts]
+        return digest_of([*parts, *state])
 
     @property
     def departures(self) -> list[Any]:
-        """Settings of rays and chunks that differ from the defaults; digests hold these alone, and
-        old ones last.
+        """Settings of rays and chunks that differ from the defaults. Digests hold these alone,
+        so that names of light made before such a setting existed stay valid.
         """
         if self._rays == (NORMAL_KINDS[0], RAY_OFFSET_VOXELS):
             rays = []
@@ -402,42 +434,40 @@ class Scene:
         return [*rays, self.settings.chunk]
 
     def plan_digest(self, plan: ScenePlan, shown: Isovalue | None = None) -> str:
-        """Digest (hex) of all layers of a ``plan`` for this scene."""
+        """Return the digest (hex) of all layers of a ``plan`` for this scene, on the isosurface
+        ``shown`` if texels are projected.
+        """
         return digest_of([self.layer_digest(layer, shown) for layer in plan.layers])
 
     @cached_property
     def bake_digest(self) -> str:
-        """Digest (hex) of all layers of the plan."""
+        """Digest (hex) of all layers of the scene's plan."""
         return self.plan_digest(self.plan)
 
     @cached_property
     def digest(self) -> str:
-        """Digest (hex) of everything that a frame of this scene depends on, its view left out."""
+        """Digest (hex) of everything that a frame of this scene depends on, except its view."""
         surfaces = self.surfaces
         lighting = self.lighting
-        projected = self.settings.projected
-        if projected is None:
-            settled = []
-        else:
-            settled = ["projected", projected]
+        # Parts that a scene does not have are left out, so that digests of other scenes stay as
+        # they are.
+        parts = [self.bake_digest, *lighting.sources]
+        parts += [surfaces.albedo, self.plan.order, self.plan.lobes, self.target_error]
+        if self.settings.projected is not None:
+            parts += ["projected", self.settings.projected]
         orientation = self.volume.orientation
         if orientation.placed:
-            placed = [orientation.rotation, orientation.origin]
-        else:
-            placed = []
-        lit = [surfaces.albedo, self.plan.order, self.plan.lobes, self.target_error]
+            parts += [orientation.rotation, orientation.origin]
+        parts += lighting.walls
         if surfaces.shine:
-            shine = ["shine", *astuple(surfaces.shine)]
-        else:
-            shine = []
-        beside = [*lighting.walls, *shine, *surfaces.by_data, *surfaces.company, *surfaces.matter]
-        return digest_of(
-            [self.bake_digest, *lighting.sources, *lit, *settled, *placed, *beside, *lighting.glow]
-        )
+            parts += ["shine", *astuple(surfaces.shine)]
+        parts += [*surfaces.colour_facts, *surfaces.several_facts, *surfaces.material_facts]
+        return digest_of([*parts, *lighting.glow])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
-        """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in
-        bounding radii.
+        """Return a camera around the middle of the volume, in the volume's box. Angles are in
+        the world, degrees; ``distance`` is in radii of the volume; ``fov`` is vertical,
+        degrees.
         """
         camera = orbit(
             self.volume.world_centre, self.volume.radius, azimuth, elevation, distance, fov
@@ -445,8 +475,8 @@ class Scene:
         return self.in_box(camera)
 
     def in_box(self, camera: Camera, projection: str | None = None) -> Camera:
-        """A perspective ``camera`` of the world, in the volume's box, with a ``projection``: by
-        default the scene's.
+        """Return a perspective ``camera`` of the world in the volume's box, with a
+        ``projection``, by default the scene's.
         """
         if (projection or self.settings.projection) == "orthographic":
             camera = orthographic(camera, self.volume.radius)

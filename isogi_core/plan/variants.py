@@ -1,12 +1,13 @@
-"""Scenes made over: in other light, cut open, at another time, smoothed, with other surfaces
-beside, with labels hidden, of another material, or in finer light: more texels and more bands, for
-views whose control pixels ask for it.
+"""Variants of a scene: in other light, cut open, at another time, smoothed, with other surfaces
+next to it, with labels hidden, of another material, or in finer light, with more texels and bands
+for views whose control pixels ask for it.
 
-Each is a scene like any other, by another id. What it has in common with the first it shares.
+A variant is a scene like any other, by another id, and shares with the original the parts that both
+have.
 
-The light on either side of each of several surfaces is that of a scene, too: there this surface is
-the one that slides, and the others are pinned beside it, the one that slides at the isovalue which
-is shown. Of inner sides the volume is turned inside out, so that they are outer ones.
+Light on each side of several surfaces is that of a variant too: there this surface is the one that
+slides, and the others are pinned, the original's sliding one at the isovalue that is shown. For an
+inner side the volume is turned inside out, so that the side becomes an outer one.
 """
 
 from collections.abc import Mapping
@@ -40,11 +41,13 @@ from isogi_core.plan.volumes.masks import cut_away, voxels_left
 def remade(
     scene: Scene, document: dict[str, Any], volume: Volume | None, name: str | None = None
 ) -> Scene:
-    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open:
-    see build_scene.
+    """Make the scene that another ``document`` describes, with the ``volume`` if it is open, else
+    by opening it; see ``build_scene``.
 
-    It has another id where there is a ``name``. The same light is as bright in pictures of both.
+    It has the id ``name`` if one is given. Colours and masks of glows are shared with ``scene`` if
+    the volume is. The same light is equally bright in pictures of both.
     """
+    # Settings that change voxels are done already in an open volume.
     bare = {
         key: value for key, value in document.items() if volume is None or key not in VOXEL_SETTINGS
     }
@@ -55,16 +58,15 @@ def remade(
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
-    """The scene in the light of an ``environment``, as a scene file names it, by another id,
+    """Make the scene in the light of an ``environment``, named as in a scene file, by the id
     ``name``.
 
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume is
-    shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
+    shared. Raises LightError, and SceneError if the scene's choices do not fit that light.
     """
     document = {**scene.source.document, "environment": environment}
-    if isinstance(
-        document.get("view"), Mapping
-    ):  # an exposure is for the light that it was found in
+    # An exposure is for the light that it was chosen in.
+    if isinstance(document.get("view"), Mapping):
         document["view"] = {
             key: value for key, value in document["view"].items() if key != "exposure"
         }
@@ -72,25 +74,24 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
-    """The scene with a ``cut`` in addition to its own, by another id, ``name``: see ``cut_away``.
+    """Make the scene with a ``cut`` in addition to its own, by the id ``name``; see ``cut_away``.
 
-    Where there is a ``volume`` that is cut so, it is taken.
-
-    Raises SceneError and VolumeError.
+    A ``volume`` that is cut in this way is used if it is given. Raises SceneError and VolumeError.
     """
-    own = scene.source.document.get("cut")
-    both = f"{own};{cut}" if own else cut
-    voxels_left(scene.volume, both)  # each by itself may leave something
+    former = scene.source.document.get("cut")
+    both = f"{former};{cut}" if former else cut
+    # Each cut by itself may leave something, and both together nothing.
+    voxels_left(scene.volume, both)
     left = volume or cut_away(scene.volume, cut)
     return remade(scene, {**scene.source.document, "cut": both}, left, name)
 
 
 def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
-    """The scene at another step of its series in time, by another id, ``name``; of a ``volume``
-    where it is open.
+    """Make the scene at another step of its series in time, by the id ``name``, with its ``volume``
+    if it is open.
 
-    It starts at the same isovalue, as far as there is such. Raises SceneError for a step that is
-    not there.
+    It starts at the same isovalue, moved into its range. Raises SceneError if there is no such
+    step.
     """
     steps = scene.volume.moment[1]
     if not 0 <= time < steps:
@@ -99,6 +100,7 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
         else:
             last = "is no series in time: leave time out"
         raise SceneError(f"time = {time}: the volume '{scene.volume.name}' {last}.")
+    # The step of the variant replaces one that the name of the file may choose.
     place, chosen = split_part(str(scene.source.document["volume"]))
     rest = "&".join(
         value if key == "part" else f"{key}={value}"
@@ -116,8 +118,8 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
 
 
 def smoothed_by(scene: Scene, sigma: float, name: str, volume: Volume | None = None) -> Scene:
-    """The scene with its volume smoothed by a Gaussian of ``sigma`` voxels in place of its own, by
-    another id, ``name``; of a ``volume`` where it is open.
+    """Make the scene with its volume smoothed by a Gaussian of ``sigma`` voxels in place of the
+    scene's own, by the id ``name``, with the smoothed ``volume`` if it is open.
 
     Its range of isovalues stays. Raises SceneError and VolumeError.
     """
@@ -126,8 +128,8 @@ def smoothed_by(scene: Scene, sigma: float, name: str, volume: Volume | None = N
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
-    """The scene with other shares of rays that pass its pinned surfaces, and without surfaces of
-    None, by another id.
+    """Make the scene with other shares of rays that pass its pinned surfaces, and without the
+    surfaces that ``clears`` has as None, by the id ``name``.
 
     The volume is shared. Raises as ``build_scene`` does.
     """
@@ -138,15 +140,16 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
 
 
 def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:
-    """The scene of a segmentation with these labels ``hidden`` in place of its own, by another id,
-    ``name``.
+    """Make the scene of a segmentation with the labels ``hidden`` in place of its own choice, by
+    the id ``name``.
 
-    It is another volume, which is read again unless a scene ``like`` it has it. Raises SceneError
-    and VolumeError.
+    Its volume is another one, which is read again unless it is that of ``like``, a scene with the
+    same labels hidden. Raises SceneError and VolumeError.
     """
     document = put_hidden(scene.source.document, hidden)
     if like is None:
         return remade(scene, document, None, name)
+    # Share the volume and the colours of the labels.
     coloured = replace(
         scene,
         surfaces=replace(scene.surfaces, colours=like.surfaces.colours),
@@ -156,22 +159,22 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
 
 
 def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
-    """The scene of another material, by these ``settings`` of its surface, by another id, ``name``.
+    """Make the scene of another material, by ``settings`` of its surface, by the id ``name``.
 
-    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The
-    volume is shared. Raises as ``build_scene`` does.
+    Keys that the material excludes are dropped: albedos for glass, and a range of albedos for a
+    subsurface. The volume is shared. Raises as ``build_scene`` does.
     """
     return remade(scene, put_material(scene.source.document, settings), scene.volume, name)
 
 
 def made_of(scene: Scene, settings: MaterialSettings) -> bool:
-    """Whether a scene says these ``settings`` of its surface already."""
+    """Return True if the scene's file says these ``settings`` of its surface already."""
     return put_material(scene.source.document, settings) == scene.source.document
 
 
 def find_materials(scene: Scene) -> dict[str, Scene | str]:
-    """The scene of each of MATERIALS, with the numbers that it has by itself; a sentence that says
-    why where the scene cannot be of it.
+    """Return the scene of each of MATERIALS, with default numbers; or, if the scene cannot be
+    of it, a sentence that says why.
     """
     return {
         kind: scene if kind == scene.surfaces.material.kind else _of_material(scene, kind)
@@ -180,6 +183,7 @@ def find_materials(scene: Scene) -> dict[str, Scene | str]:
 
 
 def _of_material(scene: Scene, kind: str) -> Scene | str:
+    """Return the scene of a material, or the message of the error that refuses it."""
     try:
         return with_material(scene, {"material": kind}, scene.id)
     except (SceneError, LightError) as error:
@@ -187,18 +191,18 @@ def _of_material(scene: Scene, kind: str) -> Scene | str:
 
 
 MAX_FINENESS = 4.0
-"""Texels per voxel along each axis, at most."""
+"""Most texels per voxel along each axis."""
 
 FINER_FACTOR = 2.0
-"""How many times as many texels finer light has along each axis."""
+"""Factor on the number of texels along each axis in finer light."""
 
 FURTHER = 2
-"""Bands of harmonics that finer light has besides, of light that turns."""
+"""Number of bands that finer light has in addition, if light turns."""
 
 
 def has_finer(scene: Scene) -> bool:
-    """Whether there is finer light of a ``scene``: not beyond MAX_FINENESS, and not among walls,
-    which have light of their own, nor of several surfaces.
+    """Return True if a ``scene`` can have finer light: not beyond MAX_FINENESS, not among
+    walls, whose light is in texels of theirs, and not of several surfaces.
     """
     return (
         FINER_FACTOR * scene.settings.lattice <= MAX_FINENESS
@@ -208,7 +212,9 @@ def has_finer(scene: Scene) -> bool:
 
 
 def finer(scene: Scene) -> Scene:
-    """The ``scene`` with finer light."""
+    """Return the ``scene`` with finer light: FINER_FACTOR times the texels along each axis, and
+    FURTHER bands.
+    """
     lattice = FINER_FACTOR * scene.settings.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
     plan = complete(further(scene.plan), scene.inputs, scene.settings.overrides)
@@ -216,7 +222,7 @@ def finer(scene: Scene) -> Scene:
 
 
 def further(plan: ScenePlan) -> ScenePlan:
-    """A ``plan`` with more bands of light that turns; any other as it is."""
+    """Return a ``plan`` with more bands if its light turns; any other plan as it is."""
     if plan.representation != "transfer":
         return plan
     layers = tuple(further_layer(layer) for layer in plan.layers)
@@ -224,7 +230,7 @@ def further(plan: ScenePlan) -> ScenePlan:
 
 
 def further_layer(layer: Layer) -> Layer:
-    """A ``layer`` with more bands; what glows keeps none."""
+    """Return a ``layer`` with more bands, at most MAX_ORDER; a layer of glow has none."""
     if layer.kind == GLOW_KIND:
         return layer
     return replace(layer, order=min(layer.order + FURTHER, MAX_ORDER))
@@ -232,8 +238,10 @@ def further_layer(layer: Layer) -> Layer:
 
 @dataclass(frozen=True)
 class Side:
-    """One side of a surface of a scene: its ``number``, 0 of the one that slides and k of the
-    pinned one k - 1, and whether it is the ``inner`` one, which faces what is solid.
+    """One side of a surface of a scene.
+
+    ``number`` is 0 for the sliding surface and k for pinned surface k - 1; ``inner`` is True for
+    the side that faces the solid.
     """
 
     number: int
@@ -241,7 +249,7 @@ class Side:
 
     @property
     def peeled(self) -> int:
-        """The number of the side among all sides, as of ``Peeled``."""
+        """The number of the side among all sides, as in ``Peeled``."""
         return 2 * self.number + self.inner
 
 
@@ -249,11 +257,11 @@ OUTER = Side(0)
 """The side whose light is that of the scene itself."""
 
 WALLS_SIDE = Side(MAX_SURFACES)
-"""Stands for the sides of the walls about the surfaces."""
+"""Stands for the sides of the walls around the surfaces."""
 
 
 def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:
-    """All surfaces of a scene that shows the isovalue ``shown``, the one that slides first."""
+    """Return all surfaces of a scene that shows the isovalue ``shown``, the sliding one first."""
     return (
         PinnedSurface(
             shown,
@@ -266,7 +274,7 @@ def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:
 
 
 def sides_of(scene: Scene) -> tuple[Side, ...]:
-    """Both sides of all surfaces of a ``scene``."""
+    """Return both sides of all surfaces of a ``scene``."""
     return tuple(
         Side(number, inner)
         for number in range(1 + len(scene.surfaces.pinned))
@@ -275,50 +283,59 @@ def sides_of(scene: Scene) -> tuple[Side, ...]:
 
 
 def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
-    """The scene whose light is that on a ``side``, where the one that slides shows the isovalue
-    ``shown``.
+    """Return the scene whose light is that of a ``side`` while the sliding surface shows the
+    isovalue ``shown``.
 
     Raises as ``build_scene`` does.
     """
     if side == OUTER:
         return scene
+    # The surface of the side slides in its scene, and all others are pinned there.
     every = surfaces_of(scene, shown)
-    own = every[side.number]
+    sliding = every[side.number]
     if side.number:
         others = every
     else:
         others = scene.surfaces.pinned
-    others = distinct_surfaces((own, *others), scene)[1:]
+    # Of surfaces at one isovalue only the first counts.
+    others = distinct_surfaces((sliding, *others), scene)[1:]
+    # Write the document of that scene: the keys of its surface, its solid side, its range and the
+    # other surfaces.
     document: dict[str, Any] = {
         key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS
     }
-    document |= {key: value for key, value in own.table.items() if key != "name"} | lying(
-        scene, side
-    )
-    document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
+    document |= {key: value for key, value in sliding.table.items() if key != "name"}
+    document |= solid_keys(scene, side)
+    if side.number:
+        document["isovalues"] = [sliding.isovalue] * 2
+    else:
+        document["isovalues"] = list(scene.isovalues)
     if others:
-        document |= {"surfaces": [each.table for each in others]}
-    return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
+        document["surfaces"] = [each.table for each in others]
+    if side.inner:
+        return remade(scene, document, scene.volume.inside_out)
+    return remade(scene, document, scene.volume)
 
 
 def distinct_surfaces(
     surfaces: tuple[PinnedSurface, ...], scene: Scene
 ) -> tuple[PinnedSurface, ...]:
-    """The ``surfaces`` without any that lies at the isovalue of one before it."""
+    """Return the ``surfaces`` without any at the isovalue of an earlier one."""
     found: dict[Isovalue, PinnedSurface] = {}
     for each in surfaces:
         found.setdefault(scene.volume.normalise_isovalue(each.isovalue), each)
     return tuple(found.values())
 
 
-def lying(scene: Scene, side: Side) -> dict[str, Any]:
-    """Which side of its isosurfaces is solid in the scene of a ``side``: what a process that opens
-    it is to know.
+def solid_keys(scene: Scene, side: Side) -> dict[str, Any]:
+    """Return the keys that say which side of the isovalue is solid in the scene of a ``side``,
+    so that another process that opens it gets the same scene.
     """
     document = scene.source.document
     turned = document.get("inside_out", False)
     if str(document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return {"inside_out": turned != side.inner}
+    # The volume is turned already: name the solid side that its file has.
     if turned:
         solid = {"above": "below", "below": "above"}[scene.solid]
     else:
@@ -327,4 +344,4 @@ def lying(scene: Scene, side: Side) -> dict[str, Any]:
 
 
 SIDE_SETTINGS = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
-"""What each side's scene has for itself."""
+"""Keys of a scene that the scene of each side has for itself."""

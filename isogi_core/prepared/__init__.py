@@ -1,3 +1,1 @@
-"""Prepared scenes: what rays meet. The field, its active-cell maps and its lattice, worked out
-once.
-"""
+"""Prepared scenes: the field, active-cell maps and lattice that rays meet, computed once."""

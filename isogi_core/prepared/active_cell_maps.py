@@ -1,8 +1,8 @@
-"""Voxel codes and active-cell maps of one volume, kept for the next isovalues.
+"""Active-cell maps and voxel codes of one volume.
 
-Voxel codes: a volume's voxels in the smallest numbers that hold them exactly, for drawing away from
-here. Voxels that no isosurface of a range is drawn by may be any number on their side, which takes
-no bytes.
+Maps serve rays: they are kept for the next isovalues. Voxel codes serve drawing elsewhere: they
+hold the voxels exactly in the smallest numbers. Voxels that no isosurface of a range needs may have
+any value on their side of it; equal values take almost no bytes once compressed.
 """
 
 import math
@@ -31,47 +31,51 @@ from isogi_core.plan.reachable_texels import surface_cells
 from isogi_core.runs import Run, serially
 
 CORE_GROUPS = 64
-"""Groups over the core of the values, [0, 1] as voxels have it.
+"""Number of groups over the core of the values, which is [0, 1] for voxels.
 
-A map 1/64 of the value range wide made 512 × 512 primary rays up to 7 % slower than one of the
-isovalue alone (engine 1 %, bonsai 5 %, CT head 6 %), one of 1/32 up to 13 %; a slider crosses four
-values of a byte in such a step, for which one map is made.
+With a map 1/64 of the value range wide, 512 × 512 primary rays took up to 7 % longer than with one
+of the isovalue alone (engine 1 %, bonsai 5 %, CT head 6 %); with 1/32 up to 13 %. Four values of a
+byte lie in such a step, so that a slider needs one map for all four.
 """
 
 CROWDED_SHARE = 15 / 16
-"""Share of a volume's values in one group from which on it is parted by their ranks: smooth fields
-reach 0.86.
+"""Share of a volume's distinct values in one group from which the group is divided by their
+ranks: smooth fields reach 0.86.
 """
 
 
 NEAR_ZERO_LEVEL = 2.0**-30
-"""A level next to 0, which empty space often is: maps of isovalues above it hold none of that."""
+"""A level just above 0, which empty space often is: maps of isovalues above it hold no empty
+space.
+"""
 
 
 def find_levels(voxels: np.ndarray) -> np.ndarray:
-    """The levels of a volume, ascending from -inf to inf, float64: parts of the core, and of a
-    crowded group.
+    """Return the levels of a volume, at which maps begin and end, ascending from -inf to inf;
+    float64.
 
-    Where one bright voxel stretches the range, or values fall off by powers of ten, all surfaces
-    lie in one part of it: a map of that would hold every cell. Such a part has CORE_GROUPS
-    quantiles of its own values between its ends.
+    They divide the core evenly. If one bright voxel stretches the range, or values fall by powers
+    of ten, all surfaces lie in one of these groups, whose map would hold every cell: such a group
+    is divided by CORE_GROUPS quantiles of its values.
     """
     values = sample_values(voxels).astype(np.float64)
+    # Divide each group that holds nearly all values; keep the others.
     levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
     return np.unique(
         [
-            *chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)),
+            *chain.from_iterable(divide_group(values, *ends) for ends in pairwise(levels)),
             NEAR_ZERO_LEVEL,
             np.inf,
         ]
     )
 
 
-def parted(values: np.ndarray, low: float, high: float) -> list[float]:
-    """The levels of one group, without its upper end; ``values`` are all, distinct and
-    ascending.
+def divide_group(values: np.ndarray, low: float, high: float) -> list[float]:
+    """Return the levels of one group from ``low`` to before ``high``; ``values`` are all
+    distinct values, ascending.
     """
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
+    # Few values, or a moderate share of them, need no division.
     if len(inner) <= max(CROWDED_SHARE * len(values), CORE_GROUPS):
         return [low]
     ranks = np.arange(CORE_GROUPS) * len(inner) // CORE_GROUPS
@@ -79,49 +83,55 @@ def parted(values: np.ndarray, low: float, high: float) -> list[float]:
 
 
 MAP_BYTES = 768 << 20
-"""Bytes of maps that are kept (for each 64 cells and map 4 bytes, and 16 more where any of them is
-marked).
+"""Bytes of maps that are kept. A map takes 4 bytes for each block of 64 cells, and 16 more if
+any of them is marked.
 """
 
 USUAL_BLOCK_BYTES = 6
-"""Bytes that a map which is yet to be made is taken to have for each 64 cells."""
+"""Bytes per block of 64 cells that are assumed for a map before it is made."""
 
 NARROW_LEVELS = 2
-"""Levels across which the maps of a bake reach, as long as all that it asks for are kept.
+"""Number of levels that the maps of a bake span, as long as all maps that it asks for are kept.
 
-Through maps 12 levels wide paths in a volume of 1024³ voxels took 1.7 times as long: they look at
-more cells.
+Through maps 12 levels wide, paths in a volume of 1024³ voxels took 1.7 times as long, as they look
+at more cells.
 """
 
 MARKED_LAYERS = 4
-"""Layers of bricks that are marked in one go."""
+"""Layers of bricks that are marked in one piece of work."""
 
 
 Survey = Callable[[str, Callable[[], np.ndarray]], np.ndarray]
-"""Gives what is measured of all voxels, by a name and how."""
+"""Function that returns an array measured on all voxels, by a name and a function that measures
+it.
+"""
 
 
-def anew(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
-    """Measure it."""
+def measure_now(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
+    """Return the result of ``measure``; the survey that keeps nothing."""
     return measure()
 
 
 class ActiveCellMaps:
-    """The maps of one volume. Safe to use from many threads; two that want the same map make it
-    once.
+    """The active-cell maps of one volume. Safe to use from many threads; two that ask for the same
+    map make it once.
 
-    ``levels`` are where maps begin and end, from -inf to inf in the voxels' units, as all isovalues
-    here are.
+    ``levels`` are the values at which maps begin and end, from -inf to inf, in the voxels' units,
+    as all isovalues here are.
     """
 
-    def __init__(self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = anew) -> None:
-        """Find the ranges of the ``voxels``' blocks, by a ``survey``; keep maps of at most ``most``
-        bytes.
+    def __init__(
+        self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = measure_now
+    ) -> None:
+        """Find the ranges of the blocks of ``voxels`` by a ``survey``; keep maps of at most
+        ``most`` bytes.
 
-        Maps that are large beside the budget of voxels lie in files, as voxels do.
+        Maps that take much of the memory budget lie in files, as voxels do.
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
+        # Maps that take much of the memory budget also take seconds to make; they are kept in
+        # scratch files.
         self._dear = USUAL_BLOCK_BYTES * self._bricks > UNMAPPED_SHARE * budget()
         self._take = get_scratch if self._dear else np.empty
         measured = survey("ranges", lambda: measure_ranges(voxels))
@@ -132,6 +142,7 @@ class ActiveCellMaps:
         self._most = most
         self._sizes = dict[tuple[int, int], int]()
         self._lock = threading.Lock()
+        # Groups start narrow, and widen as more isovalues are asked for.
         self._asked = np.zeros(len(self.levels) - 1, np.bool_)
         self._width = NARROW_LEVELS
         self._grouped: tuple[np.ndarray, np.ndarray] | None = None
@@ -142,33 +153,35 @@ class ActiveCellMaps:
         return self._kept.nbytes
 
     def at(self, isovalue: Isovalue, run: Run = serially) -> ActiveCells:
-        """The map of one isosurface and those near it, made by means of ``run`` when it is not
-        kept.
+        """Return the map of one isosurface and those near it; it is made by means of ``run`` if
+        it is not kept.
         """
         return self._between(float(isovalue), float(isovalue), run)
 
     def covering(self, isovalues: np.ndarray, run: Run = serially) -> ActiveCells:
-        """The map from the least to the greatest of some ``isovalues`` (m,), made by means of
-        ``run`` if not kept.
+        """Return the map from the least to the greatest of some ``isovalues`` (m,); it is made
+        by means of ``run`` if it is not kept.
         """
         return self._between(float(isovalues.min()), float(isovalues.max()), run)
 
     def _between(self, lowest: float, highest: float, run: Run) -> ActiveCells:
-        """The map of a range of isovalues, widened to levels."""
+        """Return the map of a range of isovalues, widened to levels."""
+        # Find the levels around the range.
         first = int(np.searchsorted(self.levels, lowest, "right")) - 1
         last = max(int(np.searchsorted(self.levels, highest)), first + 1)
         return self._kept.get((first, last), lambda: self._make(first, last, run))
 
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For isovalues (m,), none NaN: the number of the group that each is in; and the span (2,)
-        of each group.
+        """Return the number of the group of each of ``isovalues`` (m,), none NaN; and the span (2,)
+        of isovalues that the map of each group is to cover.
 
-        Spans reach over what was asked for. Groups are NARROW_LEVELS, or so wide that the maps of
-        all that were asked for are kept: each may be needed again and again. They become wider as
-        more is asked for; each call has its own.
+        Groups are NARROW_LEVELS wide, or as wide as needed for the maps of all groups that were
+        asked for to be kept, as each may be needed again. They widen as more isovalues are asked
+        for: a group's number is valid for the result of one call.
         """
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
+            # New levels are asked for: note them, and divide into groups again.
             if not self._asked[places].all():
                 self._ask(places)
                 self._widen()
@@ -180,9 +193,10 @@ class ActiveCellMaps:
         return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def _ask(self, places: np.ndarray) -> None:
-        """Note what was asked for. Where maps are dear it becomes twice as wide whenever it grows.
+        """Note the levels at ``places`` as asked for. If maps are dear, the noted range at least
+        doubles whenever it grows.
 
-        In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for a little
+        In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for slightly
         more than the last.
         """
         before = np.flatnonzero(self._asked)
@@ -190,6 +204,7 @@ class ActiveCellMaps:
         if self._dear and len(before):
             first = int(before[0])
             last = int(before[-1])
+            # Extend the noted range by its width on the side that it grows to.
             width = last + 1 - first
             if places.min() < first:
                 self._asked[max(first - width, 0) : first] = True
@@ -197,35 +212,38 @@ class ActiveCellMaps:
                 self._asked[last + 1 : last + 1 + width] = True
 
     def forget(self) -> None:
-        """Keep no map, as if every isovalue were new."""
+        """Drop all maps."""
         self._kept.clear()
 
     def _make(self, first: int, last: int, run: Run) -> ActiveCells:
-        """The map from one level to another."""
+        """Make the map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
         self._kept.make_room(USUAL_BLOCK_BYTES * self._bricks)
         made = make_active_cells(
             self._voxels, self._ranges, *ends, partial(run, size=MARKED_LAYERS), self._take
         )
+        # Its true size may show that groups must be wider for all maps to be kept.
         with self._lock:
             self._sizes[first, last] = made.nbytes
             self._widen()
         return made
 
     def _widen(self) -> None:
-        """Make groups so wide that the maps of all that were asked for are kept."""
-        while self._together() > self._most and self._width < len(self._asked):
+        """Widen groups until the maps of all that were asked for fit into the limit."""
+        while self._asked_bytes() > self._most and self._width < len(self._asked):
             self._width = self._width + 1
             self._grouped = None
 
     def _edges(self) -> np.ndarray:
-        """Places of the groups' ends among the levels."""
+        """Return the places of the groups' ends among the levels. The first group is the level
+        below the core alone.
+        """
         last = len(self._asked)
         return np.array([0, *range(1, last, self._width), last])
 
     def _spans(self) -> np.ndarray:
-        """Places of the ends of what was asked for in each group, of the group's own where that is
-        nothing; (m, 2).
+        """Return, for each group, the places of the first and last level asked for in it; its
+        ends if none was; (m, 2).
         """
         edges = self._edges()
         asked = [np.flatnonzero(self._asked[first:last]) for first, last in pairwise(edges)]
@@ -235,8 +253,10 @@ class ActiveCellMaps:
         ]
         return np.array(spans)
 
-    def _together(self) -> int:
-        """Bytes of the maps of all groups that were asked for, as far as their sizes are known."""
+    def _asked_bytes(self) -> int:
+        """Return the bytes of the maps of all groups that were asked for; USUAL_BLOCK_BYTES
+        stand in for sizes that are not known.
+        """
         usual = USUAL_BLOCK_BYTES * self._bricks
         spans = map(tuple, self._spans().tolist())
         asked = [span for span in spans if self._asked[slice(*span)].any()]
@@ -244,10 +264,10 @@ class ActiveCellMaps:
 
 
 HOLE_CODE = -float(np.finfo(np.float32).max)
-"""The code of a voxel without a value: graphics cards may take NaN for any number."""
+"""Code of a voxel without a value: graphics cards may take NaN for any number."""
 
 SLAB_CODE_BYTES = 1 << 22
-"""Bytes of codes in a slab at most, but for volumes of which one layer takes more."""
+"""Most bytes of codes in a slab, unless one layer takes more."""
 
 
 CodeType = Literal["uint8", "uint16", "float32"]
@@ -257,10 +277,10 @@ INTEGER_CODES: tuple[CodeType, ...] = ("uint8", "uint16")
 
 @dataclass(frozen=True)
 class VoxelCodes:
-    """``voxel = base + gain · code`` exactly, with codes of a NumPy type, their ``kind``.
+    """Codes of voxels, of NumPy type ``kind``: ``voxel = base + gain · code`` exactly.
 
     ``gain`` is a power of two, so that order and normals are those of the voxels. Voxels without a
-    value have the code ``hole``, None where there are none; ``shape`` are the codes along z, y, x.
+    value have the code ``hole``, None if there are none. ``shape`` is that of the volume, z, y, x.
     """
 
     kind: CodeType
@@ -276,13 +296,13 @@ class VoxelCodes:
 
     @property
     def slabs(self) -> tuple[tuple[int, int], ...]:
-        """The first layer of each slab along z, and the first after it."""
+        """First layer of each slab along z, and the first after it."""
         depth = self.shape[0]
         layers = max(SLAB_CODE_BYTES * depth // self.nbytes, 1)
         return tuple((z, min(z + layers, depth)) for z in range(0, depth, layers))
 
     def code(self, voxels: np.ndarray) -> np.ndarray:
-        """The codes of ``voxels`` of any shape, little-endian."""
+        """Return the codes of ``voxels`` of any shape, little-endian."""
         if self.kind == "float32":
             if self.hole is None:
                 codes = voxels
@@ -294,21 +314,22 @@ class VoxelCodes:
         )
 
     def holds(self, voxels: np.ndarray) -> bool:
-        """Whether the codes of ``voxels`` are these voxels again."""
+        """Return True if the codes of ``voxels`` give exactly these voxels again."""
         return bool(
             np.array_equal((self.base + self.gain * self.code(voxels)).astype(np.float32), voxels)
         )
 
 
 def find_codes(volume: Volume) -> VoxelCodes:
-    """The codes of a ``volume``: of whole numbers where its file has such, and few enough, else its
-    voxels as they are.
+    """Return the codes of a ``volume``: whole numbers if its file holds such and their range fits,
+    else its voxels as they are.
 
-    All voxels are looked at.
+    All voxels are read.
     """
     ends = sorted(float(volume.normalise_isovalue(value)) for value in volume.value_range)
     gain = 1.0 / abs(volume.scale)
     if np.issubdtype(np.dtype(volume.dtype), np.integer) and not volume.holes:
+        # Take the smallest type that holds the range, if it gives every voxel exactly.
         for kind in INTEGER_CODES:
             codes = VoxelCodes(kind, gain, ends[0], None, volume.shape)
             if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(
@@ -320,14 +341,14 @@ def find_codes(volume: Volume) -> VoxelCodes:
 
 VOXELS_BEFORE = 1
 VOXELS_AFTER = 2
-"""Voxels along each axis that drawing a cell reads before the cell's first one, and from that on:
-the B-spline's.
+"""Voxels along each axis that drawing a cell reads before the cell's first voxel, and from it
+on: those of the B-spline.
 """
 
 
 class IdleVoxels:
-    """A volume's ``voxels`` (z, y, x), as isosurfaces from the ``low`` isovalue to the ``high`` one
-    need them.
+    """The ``voxels`` (z, y, x) of a volume as isosurfaces from isovalue ``low`` to ``high``
+    need them: idle voxels are those that drawing these surfaces never reads.
     """
 
     def __init__(self, voxels: np.ndarray, low: Isovalue, high: Isovalue) -> None:
@@ -339,28 +360,32 @@ class IdleVoxels:
         self._sides = max(below), min(above)
 
     def flattened(self, first: int, last: int) -> np.ndarray:
-        """Layers from ``first`` to before ``last`` with all idle voxels of a side alike; those
-        without a value stay.
+        """Return the layers from ``first`` to before ``last`` with all idle voxels of one side
+        set to the same value; voxels without a value stay.
         """
+        # Read the layers that cells of these layers need as well.
         a = max(first - VOXELS_AFTER, 0)
         b = min(last + VOXELS_AFTER, len(self._voxels))
         slab = self._voxels[a:b]
         (low, high) = self._range
         (below, above) = self._sides
+        # Mark the cells that may show a surface, then the voxels that drawing them reads.
         needed = surface_cells(slab, low, high)
         for axis in range(3):
             needed = voxels_read(needed, axis)
-        own = slab[first - a : last - a]
+        # Set idle voxels of each side to its value; those that are needed stay.
+        asked = slab[first - a : last - a]
         idle = ~needed[first - a : last - a]
-        sided = np.where(idle & (own <= low), np.float32(below), own)
-        return np.asarray(np.where(idle & (own > high), np.float32(above), sided), np.float32)
+        sided = np.where(idle & (asked <= low), np.float32(below), asked)
+        return np.asarray(np.where(idle & (asked > high), np.float32(above), sided), np.float32)
 
 
 def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:
-    """The voxels along an ``axis`` that drawing marked ``cells`` reads; bool, one more along that
-    axis.
+    """Return which voxels along an ``axis`` drawing the marked ``cells`` reads; bool, one more
+    than cells along that axis.
     """
     marks = np.moveaxis(cells, axis, 0)
+    # A marked cell marks the voxels before it and after it; drop those beyond the volume.
     wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)
     for shift in range(VOXELS_BEFORE + VOXELS_AFTER + 1):
         wide[shift : shift + len(marks)] |= marks

@@ -1,6 +1,4 @@
-"""A prepared scene: the field, lattice, surfaces and lights as kernels take them, worked out
-once.
-"""
+"""A prepared scene: the field, lattice, surfaces and lights as kernels take them, computed once."""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -33,8 +31,8 @@ from isogi_core.prepared.active_cell_maps import (
     ActiveCellMaps,
     Survey,
     VoxelCodes,
-    anew,
     find_codes,
+    measure_now,
 )
 from isogi_core.runs import Run, serially
 
@@ -52,33 +50,35 @@ class Surface:
     maps: ActiveCellMaps
 
     def cells(self, run: Run = serially) -> ActiveCells:
-        """The cells that may hold the surface; made when first needed, by means of ``run``, and
-        kept by ``maps``.
+        """Return the cells that may hold the surface; they are found by means of ``run`` when
+        first needed, and kept by ``maps``.
         """
         return self.maps.at(self.isovalue, run)
 
     def traced(self, run: Run = serially) -> TracedSurface:
-        """The surface as kernels that cast rays take it: the field, the cells and the isovalue."""
+        """Return the surface as kernels that cast rays take it: the field, the cells and the
+        isovalue.
+        """
         return TracedSurface(self.field, self.cells(run), float(self.isovalue))
 
 
 UNSHADOWED_ORDER = 3
-"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it
-(Ramamoorthi, Hanrahan).
+"""Order of the harmonics of unshadowed light: the cosine lobe keeps 99 % of any light in it
+(Ramamoorthi and Hanrahan 2001).
 """
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
 
 Met = Open | InRoom | Among | Through
-"""What paths may meet, as kernels take it: see ``transport.entries``."""
+"""Geometry that paths may meet, as kernels take it: see ``transport.entries``."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """A scene as kernels take it; at most ``most`` bytes of active-cell maps are kept.
+    """A ``scene`` as kernels take it. At most ``most`` bytes of active-cell maps are kept.
 
-    A ``survey`` gives what is measured of the voxels, if others have measured it.
+    ``survey`` returns arrays that are measured on the voxels, if another process has measured them.
     """
 
     scene: Scene
@@ -103,17 +103,15 @@ class PreparedScene:
         return find_codes(self.scene.volume)
 
     def beside(self, scene: Scene) -> "PreparedScene":
-        """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels
-        serves both.
+        """Prepare another ``scene`` of the same volume, in finer or other light: both share
+        everything that was computed from the voxels.
         """
         made = PreparedScene(scene, self.most, self.survey)
         vars(made).update(field=self.field, maps=self.maps)
         return made
 
     def surface(self, isovalue: float) -> Surface:
-        """The isosurface at an ``isovalue`` in the units of the volume's file, as scenes and views
-        have it.
-        """
+        """Return the isosurface at an ``isovalue`` in the units of the volume's file."""
         return Surface(self.scene.volume.normalise_isovalue(isovalue), self.field, self.maps)
 
     @property
@@ -133,7 +131,7 @@ class PreparedScene:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """The lattice as the kernels take it."""
+        """The lattice as kernels take it."""
         x, y, z = (1.0 / self.step).tolist()
         return Lattice.of(self.shape, (x, y, z), self.scene.settings.chunk)
 
@@ -144,10 +142,10 @@ class PreparedScene:
 
     @cached_property
     def around(self) -> np.ndarray:
-        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²)
-        float64.
+        """SH coefficients of the unturned lights as an unshadowed surface receives them, linear
+        RGB, (3, n²) float64.
 
-        Of order UNSHADOWED_ORDER, and 1 for constant light.
+        The order is UNSHADOWED_ORDER, and 1 for constant light.
         """
         environment = self.scene.lighting.environment
         lamps = self.scene.lighting.lamps
@@ -161,14 +159,14 @@ class PreparedScene:
         )
 
     def room(self, albedo: tuple[float, float, float]) -> Room:
-        """The walls of the scene as paths meet them, about an isosurface with its colours, or with
-        this ``albedo``.
+        """Return the scene's walls as paths meet them, around an isosurface with its colours,
+        or with this ``albedo``.
         """
         return self._room._replace(albedo=np.array(albedo), colours=self.colours)
 
     @cached_property
     def colours(self) -> Colours:
-        """The isosurface's colours by data; none where it has one albedo."""
+        """The isosurface's colours by data; NO_COLOURS if it has one albedo."""
         given = self.scene.surfaces.colours
         if given is None:
             return NO_COLOURS
@@ -176,7 +174,7 @@ class PreparedScene:
 
     @cached_property
     def passable(self) -> Passable:
-        """The walls, and what is behind the isosurface, as rays meet them that pass it."""
+        """The walls, and the matter behind the isosurface, for rays that pass into it."""
         material = self.scene.surfaces.material
         scattering = 1.0 / material.mean_free_path, np.array(self.scene.surfaces.albedo, np.float64)
         return Passable(
@@ -184,31 +182,38 @@ class PreparedScene:
         )
 
     def met(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> Met:
-        """What paths meet that start on isosurfaces of this ``albedo``, within their active
-        ``cells``.
+        """Return the geometry that paths meet which start on isosurfaces of this ``albedo``, within
+        their active ``cells``.
+
+        The active cells of pinned surfaces are found by means of ``run``.
         """
         if self.scene.meets is Through:
             return Through(self.field, cells, *self.passable)
         if self.scene.meets is Among:
-            return Among(self.field, self.company(cells, run), self._room)
+            return Among(self.field, self.surfaces_around(cells, run), self._room)
         if self.scene.meets is InRoom:
             return InRoom(self.field, cells, self.room(albedo))
         return Open(self.field, cells)
 
     def met_by_glow(self, albedo: Colour, cells: ActiveCells) -> InRoom | Among:
-        """What paths ``met`` that gather glow alone: walls give off no light."""
+        """Return the geometry that paths of glow meet: as ``met``, but with walls that give off
+        no light.
+        """
         room = self.room(albedo)
         dark = room._replace(radiances=np.zeros_like(room.radiances))
         if self.scene.glow_meets is Among:
-            return Among(self.field, self.company(cells), dark)
+            return Among(self.field, self.surfaces_around(cells), dark)
         return InRoom(self.field, cells, dark)
 
     @cached_property
     def glows(self) -> Glows:
-        """What glows in the scene, as rays gather it."""
+        """The glows of the scene, as rays gather them."""
         given = self.scene.lighting.glowing
+        # Kernels take columns, one for each glow.
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
+        # An infinite range tells the kernel that all of a region glows, which a mask contradicts:
+        # make its low end finite.
         lows = np.where(given.masked, np.maximum(lows, np.finfo(np.float64).min), lows)
         rest = (
             given.radii,
@@ -222,9 +227,11 @@ class PreparedScene:
 
     @cached_property
     def _room(self) -> Room:
-        """The walls about a black isosurface; none of them lets any ray through."""
+        """The walls around a black isosurface; no wall lets any ray through."""
         room = self.scene.lighting.room
         spacing = np.array(self.scene.volume.spacing)
+        # Write corners, normals and edges in index space, in which rays are cast. ``across`` maps a
+        # point to its coordinates along both edges, from 0 to 1.
         normals = np.cross(room.edges[:, 0], room.edges[:, 1])
         areas = np.linalg.norm(normals, axis=1)
         normals = normals / areas[:, None]
@@ -240,17 +247,17 @@ class PreparedScene:
 
     @cached_property
     def walls_in_view(self) -> Walls | None:
-        """The walls as the camera meets them, which looks through backs that are not lit; None
-        where there are none.
+        """The walls as eye rays meet them: these pass through backs that are not lit. None if
+        there are no walls.
         """
         if not self.scene.lighting.room.any:
             return None
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
 
-    def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
-        """The surfaces of the scene as paths meet them about an isosurface whose active ``cells``
-        are given.
+    def surfaces_around(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
+        """Return all surfaces of the scene, as paths meet them around an isosurface whose
+        active ``cells`` are given.
         """
         scene = self.scene
         levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.surfaces.pinned]
@@ -261,6 +268,7 @@ class PreparedScene:
         clears = np.array(
             [scene.surfaces.clear, *(each.clear for each in scene.surfaces.pinned)], np.float64
         )
+        # Kernels take a fixed number of maps: repeat the first one.
         filled = tuple(maps + [cells] * (MAX_SURFACES - len(maps)))
         through = np.array(
             [scene.surfaces.transmission, *(each.transmission for each in scene.surfaces.pinned)],
@@ -269,12 +277,14 @@ class PreparedScene:
         return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
-        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).
+        """Return all light as it is, for paths that meet it, with the environment rotated by
+        ``matrix`` (3, 3).
 
-        Luminaires are left to the walls, which paths meet: see ``room``.
+        Luminaires are left out, as paths meet them on the walls; see ``room``.
         """
         environment = self.scene.lighting.environment
         arrays = self.scene.lighting.lamps.arrays
+        # The luminaires of walls are the last lamps.
         if luminaires := len(self.scene.lighting.room.lamps):
             arrays = LampArrays(*(each[:-luminaires] for each in arrays))
         return Surroundings(
@@ -283,20 +293,22 @@ class PreparedScene:
 
 
 def survey_of(volume: Volume) -> Survey:
-    """How a ``volume`` is measured: where it is large beside the budget once on this machine, by
-    files of its digest.
+    """Return the survey of a ``volume``, which measures arrays on its voxels.
 
-    To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays
-    need.
+    For a volume that takes much of the memory budget the survey keeps results in files by the
+    volume's digest, so that this machine measures once: reading all voxels of 1024³ takes each
+    process seconds, and pushes out of memory the pages that its rays need.
     """
     large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
     if large:
         return partial(get_survey, f"{volume.digest}-{SURVEY_VERSION}")
-    return anew
+    return measure_now
 
 
 SURVEY_VERSION = 1
-"""Version of what is measured of volumes: increased when the same voxels give other arrays."""
+"""Version of the arrays that are measured on volumes: increased if the same voxels give other
+arrays.
+"""
 
 
 def make_field(
@@ -305,8 +317,10 @@ def make_field(
     offset: float = RAY_OFFSET_VOXELS,
     survey: Survey | None = None,
 ) -> Field:
-    """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a
-    surface.
+    """Return the volume's voxels with the macrocells that serve every isovalue.
+
+    ``smooth`` selects the gradient that normals are made of, ``offset`` is the distance in voxels
+    at which rays leave a surface.
     """
 
     def measure() -> np.ndarray:

@@ -1,8 +1,9 @@
-"""Scenes that processes of this machine share: one has read and measured them, the others map its
-memory.
+"""Scenes that processes of this machine share: one process has read and measured them, the others
+map its memory.
 
-What is shared lies in a file without a name, which is gone with the process that made it. Others
-open it through /proc, as the same user; on a system without either they open scenes themselves.
+The shared data lies in a file without a name, which disappears with the process that made it.
+Others open it through /proc, as the same user; on a system that lacks either they open scenes
+themselves.
 """
 
 import mmap
@@ -25,13 +26,15 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 KEY_BYTES = 16
-"""Bytes at the start of a file by which it is known: its number may be another file's by now."""
+"""Bytes at the start of a file that identify it: its file descriptor may be another file's by
+now.
+"""
 
 LENGTH_BYTES = 8
 """Bytes that hold the length of a file's pickle."""
 
 ALIGNMENT = 64
-"""Bytes that arrays in a file are aligned to."""
+"""Alignment in bytes of arrays in a file."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +47,15 @@ class SharedFile:
 
 @dataclass(frozen=True)
 class SharedScene:
-    """A scene in a file, of a ``volume`` in another, which several scenes may have."""
+    """A scene in one file, and its ``volume`` in another, which several scenes may share."""
 
     scene: SharedFile
     volume: SharedFile
 
 
 class SharedScenes:
-    """The scenes that this process shares, each for as long as its volume. Safe to use from many
-    threads.
+    """The scenes that this process shares, each for as long as its volume exists. Safe to use
+    from many threads.
     """
 
     def __init__(self) -> None:
@@ -63,10 +66,11 @@ class SharedScenes:
         self._lock = threading.Lock()
 
     def share(self, prepared: PreparedScene) -> SharedScene | None:
-        """Share a scene with its volume and all that was measured of its voxels; None if it cannot
-        be shared.
+        """Share a scene with its volume and all that was measured of its voxels. Return None if it
+        cannot be shared.
 
-        Volumes that are large beside the budget lie in files already, which each process maps.
+        Volumes that take much of the memory budget are not shared: they lie in files already, which
+        each process maps.
         """
         scene = prepared.scene
         if scene.volume.voxels.nbytes > UNMAPPED_SHARE * budget():
@@ -77,8 +81,9 @@ class SharedScenes:
         return None
 
     def _shared(self, owner: Volume | Scene, content: Callable[[], Any]) -> SharedFile:
-        """The file of an ``owner``, written once, and closed when the owner is gone."""
+        """Return the file of an ``owner``, written once, and closed when the owner is deleted."""
         if owner not in self._files:
+            # The file lives in memory, and as long as its descriptor is open.
             number = os.memfd_create("isogi", os.MFD_CLOEXEC)
             weakref.finalize(owner, os.close, number)
             key = secrets.token_bytes(KEY_BYTES)
@@ -90,7 +95,7 @@ class SharedScenes:
 
 
 def parts_of(prepared: PreparedScene) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The fields of a scene's volume, and what was measured of its voxels, by name."""
+    """Return the fields of a scene's volume, and the arrays measured on its voxels, by name."""
     volume = prepared.scene.volume
     facts = {each.name: getattr(volume, each.name) for each in fields(volume)}
     macrocells = prepared.field.low, prepared.field.high
@@ -101,28 +106,31 @@ class ScenePickler(pickle.Pickler):
     """Pickles a scene without its volume."""
 
     def persistent_id(self, thing: Any) -> str | None:
-        """Name the volume in its place."""
+        """Return the name that stands for a volume; None for everything else."""
         if isinstance(thing, Volume):
             return "volume"
         return None
 
 
 class SceneUnpickler(pickle.Unpickler):
-    """Reads a scene, with a ``volume`` that is here."""
+    """Unpickles a scene, with a ``volume`` that this process has."""
 
     def __init__(self, packed: bytes, volume: Volume | None, buffers: Sequence[memoryview]) -> None:
         super().__init__(BytesIO(packed), buffers=buffers)
         self._volume = volume
 
     def persistent_load(self, name: Any) -> Any:
-        """The volume, by its name."""
+        """Return the volume, whatever its name."""
         return self._volume
 
 
 def packed(thing: Any) -> list[bytes | memoryview]:
-    """What a file holds after its key: the pickle's length, the pickle, and its arrays, aligned."""
+    """Return the contents of a file after its key: the pickle's length, the pickle, and its
+    arrays, aligned.
+    """
     buffers: list[pickle.PickleBuffer] = []
     body = BytesIO()
+    # Protocol 5 leaves the bytes of arrays out of the pickle.
     ScenePickler(body, protocol=5, buffer_callback=buffers.append).dump(thing)
     views = [each.raw() for each in buffers]
     head = pickle.dumps((body.getvalue(), [len(view) for view in views]))
@@ -136,9 +144,10 @@ def packed(thing: Any) -> list[bytes | memoryview]:
 
 
 def unpacked(file: SharedFile, volume: Volume | None = None) -> Any:
-    """What a file holds; its arrays are mapped. Raises SharedMemoryError if it is gone.
+    """Read a file that ``packed`` wrote; its arrays are mapped. Raises SharedMemoryError if the
+    file is gone.
 
-    Writing to an array would take memory of this process, and change nothing for others.
+    Writing to an array takes memory of this process, and changes nothing for others.
     """
     try:
         with Path(file.path).open("rb") as opened:
@@ -146,6 +155,7 @@ def unpacked(file: SharedFile, volume: Volume | None = None) -> Any:
     except (OSError, ValueError) as error:
         raise SharedMemoryError(f"A scene that was shared is gone: {error}.") from error
     view = memoryview(mapping)
+    # The descriptor may be in use for another file by now.
     if view[:KEY_BYTES] != file.key:
         raise SharedMemoryError("A scene that was shared is gone: another file is in its place.")
     at = KEY_BYTES + LENGTH_BYTES
@@ -161,17 +171,18 @@ def unpacked(file: SharedFile, volume: Volume | None = None) -> Any:
 
 
 VOLUMES: weakref.WeakValueDictionary[bytes, PreparedScene] = weakref.WeakValueDictionary()
-"""A scene that this process has open of each shared volume, by the volume's key: what was worked
-out of the voxels serves the others.
+"""For each shared volume, by its key, a scene that this process has open: later scenes share
+everything that was computed from the voxels.
 """
 
 
 def receive_scene(shared: SharedScene, most: int) -> PreparedScene:
-    """A scene that another process shares, with at most ``most`` bytes of active-cell maps of its
-    own.
+    """Open a scene that another process shares, with at most ``most`` bytes of active-cell maps in
+    this process.
 
     Raises SharedMemoryError if it is gone.
     """
+    # Map the volume, unless this process has it from another scene.
     known = VOLUMES.get(shared.volume.key)
     if known is None:
         facts, measured = unpacked(shared.volume)
@@ -179,6 +190,8 @@ def receive_scene(shared: SharedScene, most: int) -> PreparedScene:
     else:
         volume = known.scene.volume
     scene = unpacked(shared.scene, volume)
+    # Share field and maps if rays leave the surfaces of both scenes alike, else only the measured
+    # arrays.
     if known is not None and alike(known.scene, scene):
         prepared = known.beside(scene)
     elif known is not None:
@@ -190,7 +203,7 @@ def receive_scene(shared: SharedScene, most: int) -> PreparedScene:
 
 
 def alike(one: Scene, other: Scene) -> bool:
-    """Whether rays leave the surfaces of two scenes alike, so that one field serves both."""
+    """Return True if rays leave the surfaces of two scenes alike, so that one field serves both."""
     return (one.settings.normals, one.settings.offset) == (
         other.settings.normals,
         other.settings.offset,

@@ -15,7 +15,7 @@ from isogi_core.bake.refine import add, locate, sample_transfer
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.plan.budget import MIXING
+from isogi_core.plan.budget import MIXING_SHARE
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import (
     ALBEDO,
@@ -239,8 +239,10 @@ def test_colours_are_judged_by_their_luminance() -> None:
     halves = np.random.default_rng(5).normal(size=(10, 2, 3, 25))
     mix = LUMINANCE_WEIGHTS * np.array(ALBEDO)
     expected = (halves * (mix / mix.sum())[:, None]).sum(axis=2)
-    np.testing.assert_allclose(spec.judged(halves, Layer("indirect", 5, 3)), expected)
-    assert np.array_equal(spec.judged(halves[:, :, :1], Layer("direct", 5)), halves[:, :, 0])
+    np.testing.assert_allclose(spec.luminance_sums(halves, Layer("indirect", 5, 3)), expected)
+    assert np.array_equal(
+        spec.luminance_sums(halves[:, :, :1], Layer("direct", 5)), halves[:, :, 0]
+    )
 
 
 # --- which spec
@@ -353,7 +355,7 @@ def test_light_of_any_albedo_is_that_of_its_bounces() -> None:
         true = sums.sum(axis=1)[~void, 0, 0] / PATHS
         mixed = kept @ live.of_albedo((layer.nodes[0], 0.5, 0.1)).mixing[0]
         error = np.sqrt(((mixed - true) ** 2).mean()) / (straight[:, 0] + true).mean()
-        assert 0.0 < error <= MIXING * live.prepared.scene.target_error
+        assert 0.0 < error <= MIXING_SHARE * live.prepared.scene.target_error
 
 
 def test_three_bounces_and_three_nodes_leave_no_error() -> None:

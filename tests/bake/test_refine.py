@@ -186,7 +186,7 @@ def test_means_and_noise_are_those_of_the_kernels_sums(number: int) -> None:
     ]
     np.testing.assert_allclose(part.coefficients, sum(levels).sum(axis=1) / 64, atol=1e-6)
     decay = DECAYS[part.layer.kind]
-    seen = [spec.judged(sums, part.layer) for sums in levels]
+    seen = [spec.luminance_sums(sums, part.layer) for sums in levels]
     noises = [
         noise_of_halves(sums, count, part.layer.order)
         for sums, count in zip(seen, (16, 16, 32), strict=True)

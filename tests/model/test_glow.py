@@ -116,7 +116,7 @@ def test_values_are_those_of_the_file_on_either_solid_side() -> None:
     [
         (
             {"radiance": 1},
-            "A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask",
+            "A glow has no place: give it a box, a sphere, a range of values or a mask",
         ),
         ({**BALL, **BLOCK}, "A glow has a box and a sphere: give one of them"),
         ({**BALL, "radiance": -1}, "A glow's radiance is -1, -1, -1: it must be from 0"),
@@ -135,7 +135,10 @@ def test_values_are_those_of_the_file_on_either_solid_side() -> None:
         ({"box": [20, 20, 20]}, "give two opposite corners"),
         ({"box": [[20, 20, 20], [30, 24, 96]]}, "A glow reaches out of the volume's box"),
         ({"values": [2, 1]}, "A glow's values are \\[2, 1\\]: give the least and the greatest"),
-        ({"values": [2, 3]}, "A glow's values are 2 to 3, and the volume's .* to 1: none glows"),
+        (
+            {"values": [2, 3]},
+            "A glow's values are 2 to 3, and the volume's .* to 1: no voxel glows",
+        ),
     ],
 )
 def test_a_bad_glow_is_refused_in_a_sentence(glow: dict[str, Any], sentence: str) -> None:

@@ -92,12 +92,12 @@ def test_light_in_the_store_depends_on_the_walls() -> None:
         ),
         ({"walls": [{**WALL, "albedo": [1, 2]}]}, "give a number or \\[r, g, b\\]"),
         ({"walls": [{**WALL, "radiance": -1}]}, "A wall's radiance is -1, -1, -1"),
-        ({"walls": [{**WALL, "sides": 3}]}, "1 or 2 of them are lit"),
+        ({"walls": [{**WALL, "sides": 3}]}, "give 1 or 2, as many as are lit"),
         ({"walls": [WALL] * 65}, "has 65 walls: give it at most 64"),
         ({"walls": [WALL], "rotating": True}, "Walls stay where they are"),
         (
             {"walls": [WALL], "representation": "transfer"},
-            "there are walls or others: leave it out",
+            "there are walls or other surfaces: leave it out",
         ),
     ],
 )

@@ -106,7 +106,7 @@ def test_light_that_gets_through_is_in_digests() -> None:
         ({"surfaces": [{**SKIN, "albedo": 2}]}, "has albedo 2"),
         ({"surfaces": [{**SKIN, "name": 3}]}, "is named 3"),
         ({"surfaces": [{**SKIN, "colour": 3}]}, "no 'colour': choose from isovalue"),
-        ({"surfaces": [{**SKIN, "isovalue": 50 + i} for i in range(4)]}, "has 4 .* give 3"),
+        ({"surfaces": [{**SKIN, "isovalue": 50 + i} for i in range(4)]}, "has 4 .* give at most 3"),
         ({"surfaces": [SKIN, SKIN]}, "same isovalue"),
         ({"clear": 2}, "clear = 2"),
         ({"clear": 0.5, "rotating": True}, "leave out rotating"),

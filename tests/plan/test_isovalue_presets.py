@@ -14,8 +14,8 @@ from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.assembly import load_scene as load
 from isogi_core.plan.bands import project_image
 from isogi_core.plan.isovalue_presets import (
-    FALL,
     FRONT,
+    LEAST_FRONT_SHARE,
     MAX_SHOWN_ALBEDO,
     TRIED_ISOVALUES,
     SeenNormals,
@@ -242,7 +242,7 @@ def test_a_light_from_behind_darkens_no_other_side_to_white() -> None:
         lit(ball_volume(), 0.0, lamp_from(az, el)) for az, el in ((45.0, 25.0), (225.0, -25.0))
     )
     assert front.default_exposure == pytest.approx(1.0, abs=0.04)
-    assert behind.default_exposure == pytest.approx(1.0 / FALL, abs=0.04)
+    assert behind.default_exposure == pytest.approx(1.0 / LEAST_FRONT_SHARE, abs=0.04)
 
 
 def test_without_light_the_exposure_is_one() -> None:

@@ -21,7 +21,7 @@ from isogi_core.model.environment import (
 )
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.plan.bands import band_energy, project_environment, project_image, truncation_error
-from isogi_core.plan.budget import HARMONICS
+from isogi_core.plan.budget import HARMONICS_SHARE
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.lobe_choice import (
     FEW_LOBES_SEARCHED,
@@ -39,7 +39,7 @@ from isogi_core.plan.lobe_choice import (
     outlines,
     project_lobes,
 )
-from isogi_core.plan.planner import MOST_BANDS, MUCH, plan_scene
+from isogi_core.plan.planner import FEWER_LOBES_FACTOR, MOST_BANDS, plan_scene
 
 SHAPE = (128, 256)
 COLOUR = np.array([3.0, 2.0, 1.0])
@@ -257,7 +257,7 @@ def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
     plan = plan_scene(inputs, PlanOverrides())
     assert (
         FEW_LOBES_SEARCHED < plan.lobes <= MANY_LOBES_SEARCHED
-        and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW_LOBES_SEARCHED]
+        and errors[plan.lobes] <= HARMONICS_SHARE * 0.02 < errors[FEW_LOBES_SEARCHED]
     )
 
 
@@ -286,15 +286,15 @@ def test_the_plan_takes_the_fewest_lobes_within_the_share() -> None:
         for n in range(len(inputs.lobes) + 1)
     ]
     plan = plan_scene(inputs, PlanOverrides())
-    assert errors[plan.lobes] <= HARMONICS * inputs.target_error < errors[plan.lobes - 1]
+    assert errors[plan.lobes] <= HARMONICS_SHARE * inputs.target_error < errors[plan.lobes - 1]
     direct = plan.layers[0].order
     assert (
         truncation_error(inputs.energy_beside(plan.lobes), direct, "direct")
-        <= HARMONICS * inputs.target_error
+        <= HARMONICS_SHARE * inputs.target_error
     )
     assert (
         truncation_error(inputs.energy_beside(plan.lobes), direct - 1, "direct")
-        > HARMONICS * inputs.target_error
+        > HARMONICS_SHARE * inputs.target_error
     )
 
 
@@ -305,7 +305,7 @@ def test_lobes_are_taken_where_they_nearly_reach_the_best() -> None:
         for n in range(len(inputs.lobes) + 1)
     ]
     plan = plan_scene(inputs, PlanOverrides())
-    assert errors[plan.lobes] <= MUCH * min(errors)
+    assert errors[plan.lobes] <= FEWER_LOBES_FACTOR * min(errors)
     assert plan.notes and "expect an error of" in plan.notes[0]
 
 

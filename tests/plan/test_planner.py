@@ -173,7 +173,7 @@ def test_reflected_light_under_a_sun_has_the_order_it_needs(target: float) -> No
 def test_notes_advise_light_that_stays_only_where_it_turns() -> None:
     (turning,) = plan_of([SkyLight()], PlanOverrides(lobes=0)).notes
     (fixed,) = plan_of([SkyLight()], PlanOverrides("transfer"), rotating=False).notes
-    assert turning == f"{fixed} Where it need not turn, rotating = false bakes the light as it is."
+    assert turning == f"{fixed} If it need not turn, rotating = false bakes it in place."
 
 
 def test_notes_show_small_targets_with_all_digits() -> None:
@@ -185,7 +185,7 @@ def test_notes_show_small_targets_with_all_digits() -> None:
     ("albedo", "lost"),
     [
         (0.99, None),
-        (0.997, "Paths end after 1000 bounces: what is lost is 4.94% at most"),
+        (0.997, "Paths end after 1000 bounces: at most 4.94% of the light is lost"),
         (1.0, "100%"),
     ],
 )

@@ -14,7 +14,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan import projection
 from isogi_core.plan.projection import (
-    INTERPOLATION,
+    INTERPOLATION_SHARE,
     NOISY_ERROR,
     RANGE_BINS,
     SLIDER_STOPS,
@@ -321,7 +321,7 @@ def test_a_steep_surface_is_projected_and_a_smooth_one_is_not() -> None:
     field = field_of(stepped(2.0))
     span = (level(0.0), level(3.0))
     plan = plan_projection(field, span, level(2.0), 0.02)
-    assert plan.allowed == pytest.approx(INTERPOLATION * 0.02)
+    assert plan.allowed == pytest.approx(INTERPOLATION_SHARE * 0.02)
     assert plan.error(level(0.5)) == pytest.approx(SMOOTH_ERROR)
     assert plan.error(level(2.0)) == pytest.approx(SMOOTH_ERROR + STEEP_ERROR)
     assert not plan.projects(level(0.5)) and plan.projects(level(2.0))

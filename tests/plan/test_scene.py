@@ -205,7 +205,7 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("presets = 3", "presets"),
         ("presets = [70]", "presets"),
         ("presets = [{name = 'a'}]", "name and isovalue"),
-        ("presets = [{name = 'a', isovalue = 3, colour = 1}]", "no more"),
+        ("presets = [{name = 'a', isovalue = 3, colour = 1}]", "isovalue alone"),
         ("presets = [{name = '', isovalue = 3}]", "a word"),
         ("presets = [{name = 7, isovalue = 3}]", "a word"),
         (f"presets = [{{name = '{'a' * 41}', isovalue = 3}}]", "40"),

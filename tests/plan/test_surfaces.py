@@ -12,19 +12,18 @@ from isogi_core.errors import SceneError
 from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.scene_plan import Layer, LeftOut
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.budget import MIXING
-from isogi_core.plan.left_out import percent
-from isogi_core.plan.scene import INSIDE_KIND
-from isogi_core.plan.surfaces import (
+from isogi_core.plan.albedo_nodes import (
     MAX_NODES,
     choose_nodes,
-    find_levels,
-    levels_around,
     mixing_error,
     mixing_weights,
     spread_nodes,
-    unrefracted,
 )
+from isogi_core.plan.budget import MIXING_SHARE
+from isogi_core.plan.isovalue_levels import find_levels, levels_around
+from isogi_core.plan.left_out import percent
+from isogi_core.plan.materials import unrefracted
+from isogi_core.plan.scene import INSIDE_KIND
 from tests.frame.conftest import ball
 from tests.loaded import load_scene
 
@@ -194,7 +193,9 @@ def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(
     direct, indirect = scene.plan.layers
     assert scene.plan.representation == representation and scene.surfaces.albedos == (0.0, 0.9)
     assert (direct.kind, indirect.kind, scene.plan.channels) == ("direct", "indirect", 1)
-    assert indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING * 0.02) == scene.plan.nodes
+    assert (
+        indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING_SHARE * 0.02) == scene.plan.nodes
+    )
     assert indirect.channels == len(indirect.nodes) == 3
     fixed = load_scene("demo:orbital", lights=[light], albedo=0.9)
     assert (scene.bounces, scene.plan.survival) == (fixed.bounces, fixed.plan.survival), (
@@ -240,7 +241,7 @@ def test_unreflected_light_is_of_any_albedo() -> None:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"albedos": [0.5, 0.9]}, "leaves out the scene's own albedo"),
+        ({"albedos": [0.5, 0.9]}, "leaves out the scene's albedo"),
         ({"albedos": [0.3, 0.3]}, "two ascending numbers from 0 to 1"),
         ({"albedos": [0.0, 1.5]}, "two ascending numbers from 0 to 1"),
         ({"albedos": 0.9}, "a list of 2 numbers"),

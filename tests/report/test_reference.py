@@ -190,7 +190,7 @@ def test_a_file_of_something_else_or_of_nothing_is_refused(
     whole = path.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], b"PK" + bytes(1000)):
         path.write_bytes(damaged)
-        with pytest.raises(ReportError, match=r"a\.npz is no whole reference"):
+        with pytest.raises(ReportError, match=r"a\.npz is no complete reference"):
             load_reference(path, bench.scene, view)
 
 

@@ -45,8 +45,8 @@ from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
+from isogi_core.plan.isovalue_levels import levels_around
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.surfaces import levels_around
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 

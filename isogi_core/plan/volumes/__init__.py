@@ -1,3 +1,1 @@
-"""What volumes a scene is of: opened from files, masked, cut open, labelled, and coloured by
-data.
-"""
+"""The volumes of a scene: opened from files, masked, cut, labelled, and coloured by data."""

@@ -1,11 +1,11 @@
-"""Colours of a scene: the table [[volumes]] with use = "colour", and its values at the voxels of
-the scene's volume.
+"""Colours of a scene by data: the table [[volumes]] with use = "colour", and its values at the
+voxels of the scene's volume.
 
-Colours of labels: at each place the two that weigh most around it, so that seams between them are
-smooth. Labels are weighed by the Gaussian that smooths their field, whose surface is theirs. Frames
-and paths interpolate the shares of both labels and take the greatest one's colour
-(``label_albedo``): where two touch it changes on a surface as smooth as the one that is seen, and
-no third label comes up between them.
+Colours of labels: each place has the two labels of greatest weight around it, so that seams between
+labels are smooth. Labels are weighted by the Gaussian that smooths their field, whose surface is
+theirs. Frames and paths interpolate the shares of both labels and take the colour of the greatest
+(``label_albedo``): where two labels touch, the colour changes on a surface as smooth as the visible
+one, and no third label appears between them.
 """
 
 import math
@@ -38,42 +38,43 @@ from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
 from isogi_core.plan.volumes.opening import open_beside, open_own, stem_of
 
 OF = ("gradient", "curvature")
-"""What of the scene's own volume colours can be of."""
+"""Quantities of the scene's volume that colours can show."""
 
 CURVATURE_BLUR = 1.5
-"""Standard deviation in voxels of the Gaussian that curvature is smoothed by: else it would be that
-of stairs.
+"""Standard deviation in voxels of the Gaussian that curvature is smoothed with: without it
+curvature would show the steps between voxels.
 """
 
 MOST_CODES = 1 << 26
-"""Places of a grid of codes, at most: a larger volume has them some voxels apart."""
+"""Most places of a grid of codes: a larger volume has one every few voxels."""
 
 SAMPLED_LAYERS = 48
-"""Layers of the volume in which the usual range of values is looked up."""
+"""Number of layers of the volume from which the usual range of values is found."""
 
 COLOUR_PERCENTILES = (1.0, 99.0)
-"""Percentiles of the values on the surface that views start with: the range where a scene gives
-none.
+"""Percentiles of the values on the surface that views start with: the range of a scene that
+gives none.
 """
 
 USUAL_EVEN = 90.0
-"""Percentile of the magnitudes of values that lie about 0: that of the ends of their range."""
+"""Percentile of the magnitudes of values around 0 that is the end of their range."""
 
 MIN_PERCENTILE_VALUES = 64
-"""Values of which percentiles tell something."""
+"""Least number of values from which percentiles are taken."""
 
 Layer = Callable[[float, np.ndarray, np.ndarray], None]
-"""Fills values (ny, nx) float32 at places of layer z that lie a step (3,) of voxels apart; NaN
-where there is none.
+"""Function that fills values (ny, nx) float32 at places of layer z that are a step (3,) of
+voxels apart; NaN if a place has none.
 """
 
 
 @dataclass(frozen=True)
 class ColourTable:
-    """The table [[volumes]] of colours: its ``file``, or what ``of`` the volume itself it is.
+    """The table [[volumes]] of colours: its ``file``, or ``of``, one of OF, for values of the
+    scene's volume.
 
-    ``map`` is None where the scene gives its own ``colours``; ``span`` is None where the values on
-    the surface decide.
+    ``map`` is None if the scene gives ``colours``; ``span`` is None if the values on the surface
+    decide. ``outside`` is the albedo of places without a value.
     """
 
     file: str
@@ -86,7 +87,7 @@ class ColourTable:
 
 
 def find_table(settings: Settings) -> ColourTable | None:
-    """The table of a scene's colours, None where it has none. Raises SceneError."""
+    """Find and read the table of a scene's colours; None if it has none. Raises SceneError."""
     tables = [
         table
         for table in settings.nested("volumes")
@@ -104,17 +105,17 @@ def find_table(settings: Settings) -> ColourTable | None:
 def read_colours(
     table: ColourTable, settings: Settings, volume: Volume, isovalue: float
 ) -> SurfaceColours:
-    """The colours of a scene by its ``table``; ``volume`` is the whole of it, and views start at an
-    ``isovalue``.
+    """Read the colours of a scene by its ``table``. ``volume`` is all of its volume, before a cut;
+    views start at ``isovalue``, in the file's units.
 
-    Raises SceneError, and VolumeError where a file cannot be read.
+    Raises SceneError, and VolumeError if a file cannot be read.
     """
     name, layer, factor = source_of(table, settings, volume)
     return coloured(table, name, volume, layer, factor, volume.normalise_isovalue(isovalue))
 
 
 def read_colour_table(table: Settings) -> ColourTable:
-    """The table of colours. Raises SceneError, also for keys that are unknown in it."""
+    """Read the ``table`` of colours. Raises SceneError, also for unknown keys."""
     source = table.source
     table.choice("use", ("colour",))
     file = table.text("file", "")
@@ -124,13 +125,13 @@ def read_colour_table(table: Settings) -> ColourTable:
             f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or "
             "'curvature': give one."
         )
+    # Colours are a named map, or a list; by default a map that suits the quantity.
     named = table.choice("map", tuple(COLOUR_MAPS))
     listed = source.document.get("colours")
+    colours: tuple[Colour, ...] = ()
     if listed is not None:
-        own = own_colours(listed, source.name)
-    else:
-        own = ()
-    if named and own:
+        colours = listed_colours(listed, source.name)
+    if named and colours:
         raise SceneError(f"The scene '{source.name}' gives a map and colours: leave one out.")
     table.known.add("colours")
     span = table.span("range", -math.inf, math.inf)
@@ -142,12 +143,12 @@ def read_colour_table(table: Settings) -> ColourTable:
     else:
         usual = "viridis"
     return ColourTable(
-        file, of, name, named or (None if own else usual), own, span, capped(outside)
+        file, of, name, named or (None if colours else usual), colours, span, capped(outside)
     )
 
 
-def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
-    """A list of two or more albedos. Raises SceneError."""
+def listed_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
+    """Read a list of two or more albedos of a ``scene``. Raises SceneError."""
     whole = isinstance(listed, list) and 2 <= len(listed) <= VALUES
     if not whole or not all(map(is_albedo, listed)):
         raise SceneError(
@@ -158,21 +159,21 @@ def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
 
 
 def is_albedo(each: Any) -> bool:
-    """Whether this is a list of three shares."""
+    """Return True for a list of three shares from 0 to 1."""
     return are_numbers(each, 3) and all(0 <= share <= 1 for share in each)
 
 
 def capped(albedo: Colour | list[float]) -> Colour:
-    """An albedo as dark as colours have to be."""
+    """Limit an albedo to MAX_ALBEDO."""
     return triple(np.minimum(albedo, MAX_ALBEDO))
 
 
 def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[str, Layer, float]:
-    """Where values come from: their name, how a layer is filled, and what filled values are
-    multiplied by.
+    """Return the source of values: their name, a function that fills a layer with them, and the
+    factor on filled values.
     """
     if table.of is not None:
-        return table.of, *own_layers(table.of, volume)
+        return table.of, *layers_of(table.of, volume)
     voxels, matrix = placed_file(table.file, settings, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
@@ -181,11 +182,12 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
     return stem_of(Path(table.file), {}), _sample, 1.0
 
 
-def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
-    """How layers are filled with what of the ``volume`` itself colours are, and what these values
-    are multiplied by.
+def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
+    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``,
+    and the factor on its values.
     """
-    shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
+    # In units of the shortest spacing, slopes stay far from the limits of float32.
+    shortest = min(volume.spacing)
     spacing = np.array(volume.spacing) / shortest
 
     def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
@@ -205,12 +207,15 @@ def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
 
 
 def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarray:
-    """The mean curvature of the isosurfaces through the voxels of layer ``z``, per unit of
+    """Return the mean curvature of the isosurfaces through the voxels of layer ``z``, per unit of
     ``spacing``; (ny, nx).
 
-    H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, less than 0 in
-    hollows; NaN where g is 0. (Kindlmann et al., Curvature-based transfer functions, 2003.)
+    H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, negative in
+    hollows, NaN if g is 0. Source: Kindlmann et al., "Curvature-based transfer functions for direct
+    volume rendering", 2003.
     """
+    # Combine the layers around z with each of the three weights; derivatives along y and x follow
+    # layer by layer.
     weights = gaussian_derivatives(CURVATURE_BLUR).astype(np.float32)
     around = np.clip(z + np.arange(weights.shape[1]) - weights.shape[1] // 2, 0, len(voxels) - 1)
     along_z = np.tensordot(weights, voxels[around].astype(np.float32), 1)
@@ -222,6 +227,7 @@ def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarra
     gx, gy, gz = _derivative(1, 0, 0), _derivative(0, 1, 0), _derivative(0, 0, 1)
     xx, yy, zz = _derivative(2, 0, 0), _derivative(0, 2, 0), _derivative(0, 0, 2)
     xy, xz, yz = _derivative(1, 1, 0), _derivative(1, 0, 1), _derivative(0, 1, 1)
+    # gᵀ∇²ρ g from first and second derivatives.
     square = gx * gx + gy * gy + gz * gz
     along = (
         gx * gx * xx
@@ -234,10 +240,10 @@ def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarra
 
 
 def gaussian_derivatives(sigma: float) -> np.ndarray:
-    """What samples in a row count in a Gaussian mean at the middle one, and in its two derivatives;
-    (3, n) float64.
+    """Return the weights of samples in a row in a Gaussian mean at the middle one, and in its first
+    two derivatives; (3, n) float64.
 
-    They are exact on squares: those of 1, x and x² / 2 are 1, 1 and 1.
+    They are exact on parabolas: of 1, x and x² / 2 they give 1, 1 and 1.
     """
     reach = math.ceil(3.0 * sigma)
     x = np.arange(-reach, reach + 1.0)
@@ -248,8 +254,8 @@ def gaussian_derivatives(sigma: float) -> np.ndarray:
 
 
 def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Each row of ``values`` (n, m) with those around it, by ``weights`` (odd); rows at the ends go
-    on for ever.
+    """Return weighted sums of each row of ``values`` (n, m) with the rows around it, by an odd
+    number of ``weights``; rows beyond the ends equal the outermost.
     """
     reach = len(weights) // 2
     count = len(values)
@@ -260,8 +266,8 @@ def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def placed_file(file: str, settings: Settings, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels'
-    indices.
+    """Read the values (nz, ny, nx) float32 in a ``file`` of colours; return them and the matrix
+    (3, 4) from the volume's voxel indices to theirs.
     """
     grid = open_beside(settings, file)
     whole, straight = volume_grids(settings, volume)
@@ -273,12 +279,13 @@ def placed_file(file: str, settings: Settings, volume: Volume) -> tuple[np.ndarr
 
 
 def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
-    """The grid of the scene's volume as its file says, and on right angles."""
+    """Return the grid of the scene's volume as its file has it, and the same on right angles."""
     spacing = settings.numbers("spacing", 3)
     if settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         grid = Grid.of(volume.voxels, volume.spacing)
         return grid, grid
     grid, _ = open_own(settings)
+    # Another spacing would move the volume in the world, but not the file of colours.
     if spacing and grid.affine is not None:
         raise SceneError(
             "spacing moves the volume away from its colours: leave it out, or add axes = 'raw'."
@@ -289,7 +296,10 @@ def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
 def coloured(
     table: ColourTable, name: str, volume: Volume, layer: Layer, factor: float, isovalue: Isovalue
 ) -> SurfaceColours:
-    """The colours of a ``volume`` whose values a ``layer`` fills, times the ``factor``."""
+    """Return the colours of a ``volume`` whose values a ``layer`` function fills, times the
+    ``factor``.
+    """
+    # A large volume has codes some voxels apart.
     step = max(math.ceil((math.prod(volume.shape) / MOST_CODES) ** (1.0 / 3.0)), 1)
     source = table.file or f"its {table.of}"
     span = table.span or usual_span(
@@ -299,6 +309,7 @@ def coloured(
     codes = np.empty(shape, np.uint8)
     values = np.empty(shape[1:], np.float32)
     steps = np.full(3, float(step))
+    # Fill a layer at a time with values, and keep their codes.
     for z in range(shape[0]):
         layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
         codes[z] = codes_of(factor * values.astype(np.float64), span)
@@ -311,8 +322,8 @@ def coloured(
 
 
 def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
-    """The codes of values: 1 at the low end of the ``span`` and below, 255 at the high end, 0 where
-    there is none.
+    """Return the codes of ``values``: 1 at the low end of the ``span`` and below, 255 at the
+    high end and above, 0 for NaN; uint8.
     """
     place = np.clip((values - span[0]) / (span[1] - span[0]), 0.0, 1.0)
     return np.where(np.isnan(place), 0.0, 1.0 + np.rint(place * (VALUES - 1))).astype(np.uint8)
@@ -321,21 +332,22 @@ def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 def usual_span(
     volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str, even: bool = False
 ) -> tuple[float, float]:
-    """The COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values where that
-    is nowhere.
+    """Return the COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values if
+    that surface hardly exists.
 
-    An ``even`` range has 0 in its middle. Raises SceneError where there is no value at all.
+    An ``even`` range has 0 in its middle. Raises SceneError if there is no value at all.
     """
     near = []
     everywhere = []
     for z in np.unique(np.linspace(0, volume.shape[0] - 1, SAMPLED_LAYERS).round()).astype(int):
         values = np.empty(volume.shape[1:], np.float32)
         layer(float(z), np.ones(3), values)
+        # A voxel is at the surface if a neighbour along x or y is on the other side.
         inside = volume.voxels[z] > isovalue
-        beside = np.zeros_like(inside)
-        beside[:, :-1] |= inside[:, 1:] != inside[:, :-1]
-        beside[:-1] |= inside[1:] != inside[:-1]
-        near.append(values[beside & ~np.isnan(values)])
+        border = np.zeros_like(inside)
+        border[:, :-1] |= inside[:, 1:] != inside[:, :-1]
+        border[:-1] |= inside[1:] != inside[:-1]
+        near.append(values[border & ~np.isnan(values)])
         everywhere.append(values[~np.isnan(values)][::7])
     found = np.concatenate(near)
     if len(found) < MIN_PERCENTILE_VALUES:
@@ -349,26 +361,27 @@ def usual_span(
     if even:
         high = factor * float(np.percentile(np.abs(found), USUAL_EVEN))
         low = -high
+    # A single value gets a range around it.
     if low < high:
         return (low, high)
     return (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))
 
 
 MAX_LABELLED_PLACES = 355**3
-"""Places with labels, at most, of three bytes each: larger volumes have labels at every second
+"""Most places with labels, of three bytes each: larger volumes have labels at every second
 voxel, or fewer.
 """
 
 MIDDLE_WEIGHT = 1024
-"""What the middle of the Gaussian weighs: weights are whole numbers, so that their sums are
-exact.
-"""
+"""Weight of the Gaussian's middle: weights are whole numbers, so that their sums are exact."""
 
 
 def colours_of_labels(
     listed: tuple[LabelTable, ...], settings: Settings, volume: Volume
 ) -> SurfaceColours:
-    """The colours of a scene's ``volume``, a segmentation. Raises SceneError and VolumeError."""
+    """Return the colours of a scene's ``volume``, a segmentation with the ``listed`` labels.
+    Raises SceneError and VolumeError.
+    """
     grid, straight = volume_grids(settings, volume)
     if straight.shape != volume.shape:
         raise VolumeError(
@@ -382,7 +395,7 @@ def colours_of_labels(
 
 
 def stride_of(shape: tuple[int, ...]) -> int:
-    """How many voxels apart places with a label of their own lie."""
+    """Return the distance in voxels between places with labels, for a volume of ``shape``."""
     stride = 1
     while math.prod(places(n, stride) for n in shape) > MAX_LABELLED_PLACES:
         stride += 1
@@ -390,27 +403,29 @@ def stride_of(shape: tuple[int, ...]) -> int:
 
 
 def places(n: int, stride: int) -> int:
-    """How many places a side of ``n`` voxels has."""
+    """Return the number of places along a side of ``n`` voxels."""
     return max(math.ceil((n - 1) / stride) + 1, 2)
 
 
 def sampled(
     codes: np.ndarray, matrix: np.ndarray, shape: tuple[int, ...], stride: int
 ) -> np.ndarray:
-    """The nearest of ``codes`` at every ``stride``-th voxel of a volume of a ``shape``, its last
-    ones at its end.
+    """Return the nearest of ``codes`` at every ``stride``-th voxel of a volume of ``shape``;
+    the last places lie at its end.
     """
     z, y, x = (np.minimum(np.arange(places(n, stride)) * stride, n - 1) for n in shape)
     return np.stack([nearest_layer(codes, matrix, (x, y[:, None]), int(layer)) for layer in z])
 
 
 def weighed(codes: np.ndarray) -> np.ndarray:
-    """The labels of places with ``codes`` (nz, ny, nx), as ``Colours`` has them, (nz, ny, nx, 3)
-    uint8.
+    """Return the labels of places with ``codes`` (nz, ny, nx) as ``Colours`` has them, (nz, ny, nx,
+    3) uint8.
 
-    A place without one has that of its neighbours as far as the Gaussian is summed: beyond, the
-    field is zero.
+    A place without a label takes that of its neighbours within the reach of the Gaussian: beyond,
+    the field is zero.
     """
+    # If all labels around a place are the same one, it needs no weights. Subtracting 1 turns the
+    # code 0, no label, into the greatest, so that it does not count as the lowest.
     highest = _extreme(codes, np.maximum)
     lowest = _extreme(codes - np.uint8(1), np.minimum) + np.uint8(1)
     labels = np.zeros((*codes.shape, 3), np.uint8)
@@ -424,10 +439,11 @@ def weighed(codes: np.ndarray) -> np.ndarray:
 
 
 def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """The extreme of the codes around each place, SMOOTHING_REACH along each axis."""
+    """Return the extreme of the codes within SMOOTHING_REACH of each place along each axis."""
     for axis in range(3):
         before = np.moveaxis(codes, axis, 0)
         after = before.copy()
+        # Shift in place of a window: each step extends the reach by one to both sides.
         for step in range(1, min(SMOOTHING_REACH, len(before) - 1) + 1):
             extreme(after[step:], before[:-step], out=after[step:])
             extreme(after[:-step], before[step:], out=after[:-step])
@@ -436,8 +452,8 @@ def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
 
 
 def scale_of(found: Segmentation, name: str) -> Scale:
-    """The labels as a table of albedos; places far from all of them have the mean of those that are
-    shown.
+    """Return the labels as a table of albedos; places far from all of them have the mean of the
+    shown ones.
     """
     shown = [capped(label.colour) for label in found.labels if label.shown]
     outside: Colour = capped(np.mean(shown, axis=0).tolist())

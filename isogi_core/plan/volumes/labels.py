@@ -1,5 +1,5 @@
-"""Labels of a segmentation: which are shown, and the field whose surfaces are theirs, smoothed over
-a voxel.
+"""Labels of a segmentation: those that are shown, and the smooth field whose surface at
+LABEL_ISOVALUE is theirs.
 """
 
 import re
@@ -21,30 +21,30 @@ from isogi_core.model.value_survey import check
 from isogi_core.model.volume import Volume
 
 ALL_LABELS = "all"
-"""What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not
-zero is shown.
+"""Value of ``labels`` in a scene that lists none: its volume is a segmentation, and every label
+but 0 is shown.
 """
 
 MAX_LABELS = 255
-"""Most labels that are shown: codes of a byte, less the one of places without a label."""
+"""Most labels that are shown: codes of a byte, except the one for places without a label."""
 
 LABEL_ISOVALUE = 0.5
-"""The isovalue of the labels' surfaces: half-way from voxels within to voxels without."""
+"""Isovalue of the labels' surfaces: half-way between voxels inside and outside."""
 
 SIGMA = 1.0
 SMOOTHING_REACH = 3
-"""Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each
-axis.
+"""Standard deviation of the Gaussian that smooths labels, and the distance to which it is
+summed, in voxels along each axis.
 """
 
 THIN_FIELD = 0.8
-"""What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width
+"""Value of the field in parts that the Gaussian would remove: of a lone voxel 0.8 of its width
 stays.
 """
 
 MAX_LABEL_VALUE = 2**53
-"""Values of labels are less: beyond, pages and scripts that read JSON cannot tell two from each
-other.
+"""Values of labels are below this: pages and scripts that read JSON cannot distinguish larger
+numbers.
 """
 
 VALUE_SETTINGS = (
@@ -61,8 +61,8 @@ VALUE_SETTINGS = (
     ),
     *("surfaces", "clear", "transmission"),
 )
-"""Settings that labels do not have: a scene with one of them shows the values of a file that says
-it is labels.
+"""Settings that labels do not have: a scene with one of them shows the values of a file, even
+if the file says that they are labels.
 """
 
 PALETTE = re.findall(
@@ -70,15 +70,15 @@ PALETTE = re.findall(
     "e6194b3cb44b4363d8f58231911eb442d4f4ffe119f032e64699909a6324"
     "bfef45fabed4800000dcbeff808000aaffc3000075ffd8b1a9a9a9fffac8",
 )
-"""Colours of labels that have none of their own, sRGB: twenty that differ well (S. Trubetskoy
-2017), and again.
+"""Colours of labels that have none, sRGB: twenty that are easy to distinguish (S. Trubetskoy
+2017), repeated.
 """
 
 
 @dataclass(frozen=True)
 class LabelTable:
-    """A table [[labels]] of a scene; ``colour`` is linear. Name and colour that it lacks may be in
-    the file.
+    """A table [[labels]] of a scene; ``colour`` is linear. A name and colour that it lacks may
+    be in the file.
     """
 
     value: int
@@ -88,8 +88,8 @@ class LabelTable:
 
 
 def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
-    """The labels that a scene lists; None where its volume is no segmentation. Raises
-    SceneError.
+    """Return the labels that a scene lists; an empty tuple if it shows all, None if its volume
+    is not a segmentation. Raises SceneError.
     """
     settings.known.add("labels")
     if settings.source.document.get("labels") == ALL_LABELS:
@@ -105,6 +105,7 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
 
 
 def _read_label(table: Settings) -> LabelTable:
+    """Read one table [[labels]]. Raises SceneError."""
     source = table.source
     value = source.document.get("value")
     if not isinstance(value, int) or isinstance(value, bool) or value == 0:
@@ -126,7 +127,7 @@ def _read_label(table: Settings) -> LabelTable:
 
 
 def _hex(code: str, scene: str) -> Colour:
-    """The linear colour of ``#rrggbb``; SceneError where it is none."""
+    """Return the linear colour of ``#rrggbb``. Raises SceneError if ``code`` is not such a text."""
     if not re.fullmatch(r"#[0-9a-fA-F]{6}", code):
         raise SceneError(
             f"colour = '{code}' in the scene '{scene}' is neither '#rrggbb' nor linear [r, g, b]."
@@ -135,14 +136,14 @@ def _hex(code: str, scene: str) -> Colour:
 
 
 def linear_hex(code: str) -> Colour:
-    """The linear colour of sRGB ``rrggbb``."""
+    """Return the linear colour of sRGB ``rrggbb``."""
     return triple(linear_of(byte / 255.0) for byte in bytes.fromhex(code))
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """A ``grid`` of labels, whole numbers of which 0 is nothing, and the labels that a scene has
-    ``listed``.
+    """A ``grid`` of labels, whole numbers of which 0 is no label, and the labels that a scene
+    has ``listed``.
     """
 
     grid: Grid
@@ -150,8 +151,8 @@ class Segmentation:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """The values that are there, ascending; with 0. VolumeError where one is no whole
-        number.
+        """The values that occur, ascending, and 0. Raises VolumeError if one is not a whole
+        number, or too large.
         """
         found = [np.zeros(1, np.int64)]
         for slab in self.grid.slabs():
@@ -160,9 +161,10 @@ class Segmentation:
             wrong = distinct[~whole]
             if len(wrong):
                 raise VolumeError(
-                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave "
-                    "labels out."
+                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers: correct it, "
+                    "or leave labels out."
                 )
+            # Values ascend, so that the largest in size is at an end.
             large = next(
                 (
                     int(value)
@@ -180,9 +182,7 @@ class Segmentation:
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
-        """All labels that are there. Raises SceneError and VolumeError where they cannot be
-        shown.
-        """
+        """All labels that occur. Raises SceneError and VolumeError if they cannot be shown."""
         values = [value for value in self.values.tolist() if value]
         if not values:
             raise VolumeError("The segmentation has no label: every voxel is 0.")
@@ -194,6 +194,8 @@ class Segmentation:
             raise SceneError(
                 f"The segmentation has no voxel of label {lacking.value}: it has {there}."
             )
+        # Colours of the palette follow the places of all labels, so that hiding one does not change
+        # the others.
         found = tuple(
             _label(place, tables.get(value, LabelTable(value)), named.get(value, LabelName(value)))
             for place, value in enumerate(values)
@@ -210,7 +212,7 @@ class Segmentation:
 
     @cached_property
     def codes(self) -> np.ndarray:
-        """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz,
+        """The number of each voxel's label among the shown ones, from 1 on; 0 for none; (nz,
         ny, nx) uint8.
         """
         require_memory(self.grid.size, "The segmentation takes", "give a coarser one")
@@ -221,18 +223,20 @@ class Segmentation:
         return gathered(self.grid.shape, np.uint8, coded)
 
     def field(self) -> Iterator[np.ndarray]:
-        """The slabs of the field whose surface at LABEL_ISOVALUE is that of the shown labels."""
+        """Yield the slabs of the field whose surface at LABEL_ISOVALUE is that of the shown
+        labels.
+        """
         return smooth(self.codes > 0)
 
     def stamp(self) -> str:
-        """What the field follows from."""
+        """Return a text that changes if the field does."""
         return repr(
             ["labels", self.grid.stamp(), [label.value for label in self.listed if label.hidden]]
         )
 
 
 def _distinct(slab: np.ndarray) -> np.ndarray:
-    """The values of a slab, ascending."""
+    """Return the distinct values of a ``slab``, ascending."""
     if slab.dtype.kind == "b":
         values = slab.view(np.uint8)
     else:
@@ -244,8 +248,8 @@ def _distinct(slab: np.ndarray) -> np.ndarray:
 
 
 def _label(place: int, listed: LabelTable, named: LabelName) -> Label:
-    """The label at a ``place`` among all that are there: as the scene lists it, else as the file
-    names it.
+    """Make the label at a ``place`` among all that occur: as the scene lists it, else as the
+    file names it.
     """
     code = named.colour[1:] or PALETTE[place % len(PALETTE)]
     name = listed.name or named.name or f"label {listed.value}"
@@ -253,13 +257,14 @@ def _label(place: int, listed: LabelTable, named: LabelName) -> Label:
 
 
 def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
-    """The field of voxels that are ``shown`` (nz, ny, nx): from 0 to 1 by a Gaussian, float32, slab
-    by slab.
+    """Yield the field of the voxels that are ``shown`` (nz, ny, nx), from 0 to 1 by a Gaussian,
+    slab by slab; float32.
 
-    Parts so thin that nothing of them or beside them would be above LABEL_ISOVALUE are THIN_FIELD
-    instead, up to what is. The volume's outermost voxels go on beyond it.
+    Parts so thin that nothing of them or next to them would be above LABEL_ISOVALUE get THIN_FIELD
+    instead. Beyond its ends the volume keeps its outermost voxels.
     """
     nz = len(shown)
+    # A slab needs the reach of the Gaussian, and two voxels more for the test of thin parts.
     halo = SMOOTHING_REACH + 2
     layers = slab_layers(4 * shown[0].size)
     for z in range(0, nz, layers):
@@ -268,6 +273,7 @@ def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
         field = part.astype(np.float32)
         for axis in range(3):
             field = _blurred(field, axis)
+        # A shown voxel is lost if no shown voxel near it stays above the isovalue.
         kept = part & (field >= LABEL_ISOVALUE)
         lost = part & ~kept & _widened(part & ~_widened(kept))
         field[lost] = THIN_FIELD
@@ -275,13 +281,15 @@ def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _moved(array: np.ndarray, axis: int, step: int) -> np.ndarray:
-    """The array moved by a ``step`` along an axis; its ends go on."""
+    """Return the ``array`` moved by a ``step`` along an ``axis``; its ends are repeated."""
     n = array.shape[axis]
     return array.take(np.clip(np.arange(n) + step, 0, n - 1), axis)
 
 
 def _blurred(field: np.ndarray, axis: int) -> np.ndarray:
-    """The field's Gaussian sums along an axis: the same numbers whichever way round it lies."""
+    """Return the Gaussian sums of a ``field`` along an ``axis``. Terms are added in pairs from
+    both sides, so that a mirrored field has the same bits.
+    """
     weights = np.exp(-0.5 * (np.arange(SMOOTHING_REACH + 1) / SIGMA) ** 2)
     weights = (weights / (2.0 * weights.sum() - weights[0])).astype(np.float32)
     total = weights[0] * field
@@ -291,15 +299,15 @@ def _blurred(field: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _widened(part: np.ndarray) -> np.ndarray:
-    """Whether a voxel or one of its 26 neighbours is in a ``part``."""
+    """Return which voxels are in a ``part``, or have one of their 26 neighbours in it."""
     for axis in range(3):
         part = part | _moved(part, axis, -1) | _moved(part, axis, 1)
     return part
 
 
 def are_labels(grid: Grid, settings: Settings) -> bool:
-    """Whether a volume's file says that it is a segmentation, and the scene nothing that labels do
-    not have.
+    """Return True if a volume's file says that it is a segmentation, and the scene has no
+    setting that labels do not have.
     """
     document = settings.source.document
     coloured = any(each.get("use") == "colour" for each in tables_in(document, "volumes"))
@@ -314,23 +322,26 @@ SAMPLED_VOXELS = 1 << 18
 SAMPLED_LAYERS = 16
 MIN_ALIKE_SHARE = 0.8
 MAX_LABEL_VALUES = 4096
-"""Voxels, of how many layers, that are looked at for labels; the share of neighbours within objects
-that are equal, at least, and how many values there are, at most. Seventeen real volumes had 0 to
-0.72, two segmentations 0.83 and 0.93."""
+"""Thresholds of ``look_like_labels``: voxels that are read, and the layers that they lie in;
+least share of equal neighbours within objects; most distinct values. Seventeen real volumes had
+shares of 0 to 0.72, two segmentations 0.83 and 0.93.
+"""
 
 
 def look_like_labels(volume: Volume) -> int:
-    """How many values a volume has that look like labels, of a sample of its rows; 0 where they do
-    not.
+    """Return the number of distinct values in a sample of rows, if the values of a volume look
+    like labels; else 0.
     """
     if not volume.dtype.startswith(("int", "uint")):
         return 0
     layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
     rows = layers[:, :: max(layers.size // SAMPLED_VOXELS, 1)]
     values, counts = np.unique(rows[~np.isnan(rows)], return_counts=True)
+    # The most frequent value counts as the space around objects.
     around = values[np.argmax(counts)]
     one = rows[..., :-1]
     other = rows[..., 1:]
+    # Labels are constant within objects: count the neighbours along x that are equal.
     within = (one != around) & (other != around)
     alike = np.count_nonzero((one == other) & within) >= MIN_ALIKE_SHARE * max(
         int(np.count_nonzero(within)), 1
@@ -350,7 +361,9 @@ BY_ITSELF = "The file says that it is a segmentation: its labels are shown."
 
 
 def solid_of_labels(grid: Grid, listed: tuple[LabelTable, ...], settings: Settings) -> Grid:
-    """The field of the labels in a segmentation's ``grid``. Raises SceneError and VolumeError."""
+    """Return the field of the labels in a segmentation's ``grid``, as a grid. Raises SceneError
+    and VolumeError.
+    """
     check(grid, "above")
     for key in ("solid", "missing"):
         if key in settings.source.document:
@@ -359,6 +372,7 @@ def solid_of_labels(grid: Grid, listed: tuple[LabelTable, ...], settings: Settin
                 "it out."
             )
     found = Segmentation(grid, listed)
+    # Note on the volume which labels are hidden, and that the file alone made it a segmentation.
     hidden = [label.name for label in found.labels if not label.shown]
     notes: tuple[str, ...] = (BY_ITSELF,) if "labels" not in settings.source.document else ()
     if hidden:

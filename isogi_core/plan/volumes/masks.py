@@ -1,10 +1,11 @@
-"""Masks: volumes of a scene's world, outside of which there is no surface. They lie there in grids
-of their own.
+"""Masks and cuts of a volume.
 
-Cuts: parts of a volume that are taken away, so that light comes in. What is left is a volume like
-any other. Voxels that are taken away hold CUT_AWAY_VALUE, outside of every isosurface. Between them
-and what is left the field falls so steeply that each isosurface has its face at the last voxels
-left: flat, at the same place for all isovalues.
+Masks are volumes of a scene's world, in grids of their own; outside of them there is no surface.
+
+Cuts take parts of a volume away, so that light comes in. The rest is a volume like any other.
+Voxels that are taken away hold CUT_AWAY_VALUE, outside of every isosurface. Between them and the
+rest the field falls so steeply that each isosurface has a face at the last voxels left: flat, and
+at the same place for all isovalues.
 """
 
 import hashlib
@@ -32,13 +33,13 @@ BEYOND_ALL_VOXELS = 1 << 40
 """An index beyond any voxel."""
 
 MASK_USES = ("mask", "colour")
-"""What a volume beside the first can be used for."""
+"""Uses that a volume next to the first can have."""
 
 
 @dataclass(frozen=True)
 class MaskTable:
-    """A table [[volumes]]: the mask's ``file``, and the values in it that are inside, or none for
-    all but zero.
+    """A table [[volumes]]: the mask's ``file``, and the values in it that are inside; if none
+    are given, all but zero.
     """
 
     file: str
@@ -46,10 +47,8 @@ class MaskTable:
 
 
 def read_tables(settings: Settings) -> list[MaskTable]:
-    """The tables [[volumes]] of a scene that are masks; those of colour are read by
-    ``plan.colours``.
-
-    Raises SceneError, also for keys that are unknown in them.
+    """Read the tables [[volumes]] of a scene that are masks; those of colour are read by
+    ``plan.volumes.colours``. Raises SceneError, also for unknown keys.
     """
     return [
         _read_table(table)
@@ -59,6 +58,7 @@ def read_tables(settings: Settings) -> list[MaskTable]:
 
 
 def _read_table(table: Settings) -> MaskTable:
+    """Read one table of a mask. Raises SceneError."""
     file = table.text("file", "")
     use = table.choice("use", MASK_USES)
     labels = table.listed("labels")
@@ -73,8 +73,8 @@ def _read_table(table: Settings) -> MaskTable:
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """A mask's ``grid``, with the ``matrix`` (3, 4) from a volume's voxel indices x, y, z to its
-    own.
+    """A mask's ``grid``, with the ``matrix`` (3, 4) from a volume's voxel indices x, y, z to
+    its voxel indices.
     """
 
     table: MaskTable
@@ -83,13 +83,13 @@ class Mask:
 
     @property
     def stamp(self) -> list[Any]:
-        """What the mask's voxels follow from."""
+        """The state that the mask's voxels follow from."""
         return [self.grid.stamp(), self.table.labels, self.matrix.tolist()]
 
     @cached_property
     def _inside(self) -> np.ndarray:
-        """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where
-        they are too many.
+        """True for the voxels of the mask that are inside, (nz, ny, nx) bool. Raises
+        VolumeError if they are too many.
         """
         require_memory(self.grid.size, f"The mask '{self.table.file}' takes", "give a coarser one")
         is_inside = (
@@ -98,8 +98,8 @@ class Mask:
         return gathered(self.grid.shape, bool, map(is_inside, self.grid.slabs()))
 
     def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
-        """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel;
-        (ny, nx) bool.
+        """Return which voxels of layer ``z`` of a volume of ``shape`` are inside, by the
+        nearest voxel of the mask; (ny, nx) bool.
         """
         ny, nx = shape[1:]
         return nearest_layer(self._inside, self.matrix, (np.arange(nx), np.arange(ny)[:, None]), z)
@@ -108,11 +108,11 @@ class Mask:
 def nearest_layer(
     voxels: np.ndarray, matrix: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int
 ) -> np.ndarray:
-    """The nearest ``voxels`` of places x (nx,) and y (ny, 1), the ``steps``, of a layer ``z`` of
-    another grid.
+    """Return the nearest ``voxels`` of places x (nx,) and y (ny, 1), the ``steps``, in layer ``z``
+    of another grid.
 
-    ``matrix`` (3, 4) is from that grid's voxel indices x, y, z. Returns (ny, nx), zero beyond the
-    voxels.
+    ``matrix`` (3, 4) maps that grid's voxel indices x, y, z to those of ``voxels``. Returns (ny,
+    nx), zero beyond the voxels.
     """
     sides = voxels.shape[::-1]
     found = [_nearest(row, steps, z) for row in matrix]
@@ -125,20 +125,22 @@ def nearest_layer(
 
 
 def is_one_of(slab: np.ndarray, labels: Sequence[float]) -> np.ndarray:
-    """Whether values equal one of the ``labels``, in the values' type: whole numbers of 64 bits are
-    told apart.
+    """Return which values of a ``slab`` equal one of the ``labels``, compared in the values'
+    type, which distinguishes whole numbers of 64 bits.
     """
     return np.isin(usable(slab), find_marks(labels, usable_type(slab.dtype)))
 
 
 def _is_something(slab: np.ndarray) -> np.ndarray:
-    """Whether values are neither zero nor NaN."""
+    """Return which values are neither zero nor NaN."""
     return np.asarray((slab != 0) & ~np.isnan(slab))
 
 
 def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> np.ndarray:
-    """One index of the mask's nearest voxels, of a shape that broadcasts to a layer's: an axis that
-    does not matter costs nothing."""
+    """Return one index of the nearest voxels, by one ``row`` of the matrix. Its shape
+    broadcasts to the layer: an axis that does not change the index is left out, which saves
+    time on aligned grids.
+    """
     place: Any = row[3] + row[2] * z
     for factor, along in zip(row, steps, strict=False):
         if abs(factor) * along.size > 1e-6:
@@ -148,11 +150,11 @@ def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> n
 
 @dataclass(frozen=True, eq=False)
 class Masked:
-    """The slabs of a ``grid`` whose voxels outside of one of the ``masks`` have the value farthest
-    outside.
+    """A ``grid`` whose voxels outside of any of the ``masks`` are set to the value farthest from
+    the solid side.
 
-    That is the least value of the volume, or the greatest where ``solid`` is "below"; ``missing``
-    ones do not count.
+    That is the least value of the volume, or the greatest if ``solid`` is "below"; ``missing``
+    values do not count.
     """
 
     grid: Grid
@@ -162,14 +164,16 @@ class Masked:
 
     @cached_property
     def _outermost(self) -> float:
+        """The value of voxels outside."""
         low, high = survey(self.grid, self.solid, self.missing).value_range
         return low if self.solid == "above" else high
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """The slabs; VolumeError where no voxel is inside."""
+        """Yield the slabs. Raises VolumeError if no voxel is inside."""
         z = 0
         kept = False
         for slab in self.grid.slabs():
+            # Write to a copy: the slab may belong to its source.
             filled = np.array(slab)
             for layer in filled:
                 inside = np.logical_and.reduce(
@@ -186,13 +190,13 @@ class Masked:
             )
 
     def stamp(self) -> str:
-        """The state of the volume's source and of those of its masks."""
+        """Return the state of the volume's source and of those of its masks."""
         return repr([self.grid.stamp(), *(mask.stamp for mask in self.masks)])
 
 
 def cut_out(grid: Grid, masks: Sequence[Mask], solid: str, missing: tuple[float, ...]) -> Grid:
-    """A volume's ``grid`` without surface outside of its ``masks``: only files' headers are read
-    now.
+    """Return a volume's ``grid`` without any surface outside of its ``masks``. Only the headers
+    of files are read now.
     """
     masked = Masked(grid, tuple(masks), solid, missing)
     notes = tuple(f"Outside of '{mask.table.file}' there is no surface." for mask in masks)
@@ -200,21 +204,21 @@ def cut_out(grid: Grid, masks: Sequence[Mask], solid: str, missing: tuple[float,
 
 
 def place(table: MaskTable, grid: Grid, whole: Grid, volume: Grid) -> Mask:
-    """The mask in a ``grid``, placed for a ``volume`` on right angles that the file's grid
-    ``whole`` became.
+    """Place the mask in a ``grid`` for a ``volume`` on right angles, made from the file's grid
+    ``whole``.
 
-    Raises SceneError, and VolumeError where it cannot be used; see ``matrix_into``.
+    Raises SceneError, and VolumeError if the mask cannot be used; see ``matrix_into``.
     """
     return Mask(table, grid, matrix_into(f"mask '{table.file}'", grid, whole, volume))
 
 
 def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
-    """From voxel indices x, y, z of a ``volume`` on right angles, that the file's grid ``whole``
-    became, to those of a ``grid``; (3, 4).
+    """Return the matrix (3, 4) from voxel indices x, y, z of a ``volume`` on right angles, made
+    from the file's grid ``whole``, to those of a ``grid``.
 
-    Both lie where their files say. Where one does not say, both have the same voxels, or neither
-    says and their first voxels lie together. Raises SceneError where these do not hold, and where
-    their units differ; it says ``what`` the grid is of.
+    Both lie where their files say. If a file does not say, both must have the same number of
+    voxels, which then coincide; if neither says, their first voxels coincide. Raises SceneError if
+    this is not so, or if their units differ; ``what`` names the grid in messages.
     """
     try:
         check(grid, "above")
@@ -224,21 +228,23 @@ def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
         raise SceneError(
             f"The {what} is in {grid.unit} and the volume in {whole.unit}: convert one."
         )
+    # A file that says nothing of its place takes that of the other, if both have the same voxels.
     silent = grid.affine is None or whole.affine is None
     if silent and grid.shape == whole.shape:
         grid = replace(grid, affine=whole.affine, spacing=volume.spacing)
     elif (grid.affine is None) != (whole.affine is None):
         reason = f"Of the {what} and the volume, one does not say where it lies"
         raise SceneError(f"{reason}: give both the same voxels, or axes = 'raw'.")
+    # Go from the volume's voxels to the world, and from there to the grid's voxels.
     theirs = _to_world(grid)
     ours = _to_world(volume)
     if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
-        raise SceneError(f"The axes of the {what} lie in one plane: mend its affine.")
+        raise SceneError(f"The axes of the {what} lie in one plane: correct its affine.")
     return np.asarray((np.linalg.inv(theirs) @ ours)[:3])
 
 
 def _to_world(grid: Grid) -> np.ndarray:
-    """From voxel indices x, y, z to the world, (4, 4)."""
+    """Return the matrix (4, 4) from voxel indices x, y, z to the world."""
     if grid.affine is None:
         rows = np.column_stack([np.diag(grid.spacing), np.zeros(3)])
     else:
@@ -247,44 +253,46 @@ def _to_world(grid: Grid) -> np.ndarray:
 
 
 CUT_AWAY_VALUE = -8.0
-"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1,
-but for outliers.
+"""Value of voxels that are taken away, in normalised units; the others are from 0 to 1, except
+outliers.
 
-A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left,
-f. Were it farther, faces would be flatter, and edges beside them rounder: normals are smoothed over
-four voxels.
+A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel beyond the last voxel left,
+of value f. A value farther from 0 would make faces flatter, but also edges next to them rounder, as
+normals are smoothed over four voxels.
 """
 
 AXIS_TOLERANCE = 1e-6
-"""How much a plane's normal may be off an axis of the voxels."""
+"""Largest deviation of a plane's normal from an axis of the voxels."""
 
 PLANE_TOLERANCE = 1e-6
-"""Voxels by which a plane may miss those that it leaves, and leave them still."""
+"""Distance in voxels up to which a voxel counts as lying on a plane."""
 
 NORMAL_REACH = 2.5
-"""Voxels from a face within which a texel is lit about another normal than in the whole volume:
-four are smoothed.
+"""Distance in voxels from a face within which a texel has another normal than in the whole
+volume: four voxels are smoothed.
 """
 
 Ranges = tuple[range, range, range]
-"""The voxels that are left, along x, y, z."""
+"""Ranges of the voxels that are left, along x, y, z."""
 
 
 def cut_away(volume: Volume, text: str) -> Volume:
-    """What planes leave of a ``volume``; ``text`` is as ``read_window`` has it, in the world.
+    """Cut a ``volume`` by planes; ``text`` is as ``read_window`` takes it, in the world.
 
-    Planes lie along the axes of the voxels; voxels on a plane are left. Raises SceneError where
-    they cannot be read, lie otherwise or leave nothing, and VolumeError where the copy of a large
-    volume cannot be kept.
+    Planes lie along the axes of the voxels; voxels on a plane are left. Raises SceneError if planes
+    cannot be read, lie otherwise or leave nothing, and VolumeError if the copy of a large volume
+    cannot be kept.
     """
     left = voxels_left(volume, text)
     digest = cut_digest(volume, text)
     if digest == volume.digest:
         return volume
+    # Histogram and core stay those of the whole volume, so that its range of isovalues does.
     known = replace(volume.counted(), digest=digest)
     if volume.voxels.nbytes <= UNMAPPED_SHARE * budget():
         return replace(known, voxels=np.concatenate(list(slabs_left(volume, left))))
 
+    # A large volume is written to a copy on disk, a layer at a time.
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
@@ -298,8 +306,8 @@ def cut_away(volume: Volume, text: str) -> Volume:
 
 
 def cut_digest(volume: Volume, text: str) -> str:
-    """The digest of a ``volume`` that is cut: plane by plane, so that one cut after another is both
-    at once.
+    """Return the digest of a ``volume`` that is cut: made plane by plane, so that cuts one
+    after another have the digest of both at once.
     """
     digest = volume.digest
     whole = tuple(map(range, volume.size))
@@ -312,12 +320,13 @@ def cut_digest(volume: Volume, text: str) -> str:
 
 
 def voxels_left(volume: Volume, text: str) -> Ranges:
-    """The voxels of a ``volume`` that planes leave. Raises SceneError, see ``cut_away``."""
+    """Return the voxels of a ``volume`` that planes leave. Raises SceneError, see ``cut_away``."""
     try:
         planes = read_window(text).in_box(volume.orientation).planes
     except ViewError as error:
         raise SceneError(f"cut = '{text}' cannot be read. {error}") from None
     left = [range(n) for n in volume.size]
+    # Each plane shortens the range of voxels along its axis.
     for plane in planes:
         axis = _axis_of(plane, text)
         place = -plane[3] / plane[axis] / volume.spacing[axis]
@@ -336,7 +345,7 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
 
 
 def _axis_of(plane: Plane, text: str) -> int:
-    """The axis that a plane's normal is along."""
+    """Return the axis that a plane's normal points along. Raises SceneError if there is none."""
     axis = int(np.argmax(np.abs(plane[:3])))
     if 1.0 - abs(plane[axis]) > AXIS_TOLERANCE:
         raise SceneError(
@@ -347,11 +356,11 @@ def _axis_of(plane: Plane, text: str) -> int:
 
 
 def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
-    """The box in which surfaces are what they are in the whole volume, of this ``size``:
+    """Return the box within which surfaces are the same as in the whole volume, of this ``size``:
     NORMAL_REACH from all faces.
 
-    (2, 3) float64, its least and its greatest corner in index space; infinite where nothing is
-    taken away.
+    (2, 3) float64, its least and greatest corner in index space; infinite on sides from which
+    nothing is taken.
     """
     low = [each.start + NORMAL_REACH if each.start else -np.inf for each in left]
     high = [
@@ -362,12 +371,15 @@ def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
 
 
 def values_beyond(volume: Volume, box: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest voxel of a ``volume`` at cells that are not wholly within a
-    ``box``: see ``box_left``.
+    """Return the least and the greatest voxel of a ``volume`` at cells that are not completely
+    within a ``box``, see ``box_left``.
 
-    Isosurfaces below and above these do not leave the box; (inf, -inf) where it holds all.
+    Isosurfaces outside of this range do not leave the box; the range is (inf, -inf) if the box
+    holds all cells.
     """
     size = np.array(volume.size)
+    # Voxels from ``first`` to before ``end`` belong to cells within the box alone; all others
+    # count.
     first = np.clip(np.ceil(box[0]) + 1, 0, size).astype(int)
     end = np.clip(np.floor(box[1]), 0, size).astype(int)
     low = np.inf
@@ -386,12 +398,12 @@ def values_beyond(volume: Volume, box: np.ndarray) -> tuple[float, float]:
 
 
 def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Which ``points`` (m, 3) lie in a ``box`` (2, 3), as of ``box_left``; (m,) bool."""
+    """Return which ``points`` (m, 3) lie in a ``box`` (2, 3), as of ``box_left``; (m,) bool."""
     return np.asarray(((points >= box[0]) & (points <= box[1])).all(axis=1))
 
 
 def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:
-    """The slabs of a ``volume``, with CUT_AWAY_VALUE in place of the voxels that are not
+    """Yield the slabs of a ``volume``, with CUT_AWAY_VALUE in place of the voxels that are not
     ``left``.
     """
     z = 0

@@ -1,11 +1,9 @@
-"""Opening volumes: a demo, a file or a Zarr array, in memory where small, as a mapped copy where
-not.
-"""
+"""Opening volumes: a demo, a file or a Zarr array, in memory if small, else as a mapped copy."""
 
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -36,28 +34,29 @@ from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
 from isogi_core.plan.volumes.smoothing import smoothed
 
 COPY_FORMAT = 2
-"""Version of the copies: increased when the same file gives other voxels."""
+"""Version of the copies: increased if the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")
 """Settings of a scene that choose a part of a file."""
 
 ZARR_SETTINGS = NESTED[:3]
-"""Settings of a scene that choose in a Zarr volume."""
+"""Settings of a scene that choose a part of a Zarr volume."""
 
 AXES_CHOICES = ("world", "raw")
-"""What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
+"""Values of a scene's ``axes``: as the volume's file says, or voxel indices times spacing."""
 
 
 def open_volume(
     settings: Settings, progress: Progress = no_progress, fallback: str = "above"
 ) -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side
-    and missing values, smoothed where the scene says so.
+    and missing values, and smoothed if the scene says so.
 
-    Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file,
-    is made a field of its labels. ``fallback`` is the solid side where the scene names none.
-    ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. A segmentation becomes a field of its labels.
+    ``fallback`` is the solid side if the scene names none. ``progress`` is called while a copy is
+    made. Raises VolumeError and SceneError.
     """
+    # Read every setting of voxels first, so that all are known even if they are refused later.
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
     raw = is_raw(settings)
@@ -68,71 +67,77 @@ def open_volume(
     labels = find_labels(settings)
     smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
     pieces = settings.count("pieces", MOST_PIECE) or 0
-    if not name.startswith("demo:"):
-        grid, stem = open_own(settings)
-        moment = grid.moment
-        segmented = labels is not None or are_labels(grid, settings)
-        if segmented:
-            grid = solid_of_labels(grid, labels or (), settings)
-        elif "missing" not in settings.source.document:
-            grid = without_fill(grid)
-        straight = on_right_angles(grid, spacing)
-        if tables and spacing and grid.affine is not None:
-            raise SceneError(
-                "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
-            )
-        if smooth and segmented:
-            raise SceneError(
-                f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
-            )
-        if smooth:
-            straight = smoothed(straight, smooth, missing)
-            missing = ()  # these are holes by now
-        if pieces and segmented:
-            raise SceneError(
-                f"The volume '{stem}' shows labels: hide labels, and leave pieces out."
-            )
-        if pieces:
-            straight = without_small_pieces(straight, pieces, solid, missing)
-        masks = [
-            place(table, open_beside(settings, table.file), grid, straight) for table in tables
-        ]
-        if masks:
-            straight = cut_out(straight, masks, solid, missing)
-        volume = volume_of(straight, solid, stem, missing, progress)
-        if segmented:
-            count = 0
-        else:
-            count = look_like_labels(volume)
-        straight = replace(
-            straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ()))
+    if name.startswith("demo:"):
+        altered = bool(spacing or missing or chosen or raw or tables or pieces)
+        altered = altered or labels is not None or solid != "above"
+        return open_demo(name, smooth, altered, chosen)
+    grid, stem = open_own(settings)
+    moment = grid.moment
+    # Take the values as labels, or as values without the file's fill value.
+    segmented = labels is not None or are_labels(grid, settings)
+    if segmented:
+        grid = solid_of_labels(grid, labels or (), settings)
+    elif "missing" not in settings.source.document:
+        grid = without_fill(grid)
+    # Bring the grid to right angles, then smooth, drop small pieces and mask: each wraps the
+    # grid, and voxels are read once, at the end.
+    straight = on_right_angles(grid, spacing)
+    if tables and spacing and grid.affine is not None:
+        raise SceneError(
+            "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
         )
-        return replace(
-            volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented
+    if segmented:
+        refuse_for_labels(stem, smooth, pieces)
+    if smooth:
+        straight = smoothed(straight, smooth, missing)
+        # Missing values are holes by now.
+        missing = ()
+    if pieces:
+        straight = without_small_pieces(straight, pieces, solid, missing)
+    masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
+    if masks:
+        straight = cut_out(straight, masks, solid, missing)
+    # Read the voxels, and note if values look like labels that nobody declared.
+    volume = volume_of(straight, solid, stem, missing, progress)
+    count = 0 if segmented else look_like_labels(volume)
+    if count:
+        straight = replace(straight, notes=(*straight.notes, PROPOSED.format(count=count)))
+    return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
+
+
+def refuse_for_labels(stem: str, smooth: float, pieces: int) -> None:
+    """Raise SceneError if labels of the volume ``stem`` are to be smoothed, or to lose pieces."""
+    if smooth:
+        raise SceneError(
+            f"The volume '{stem}' shows labels, which are not smoothed: leave smooth out."
         )
-    if name.removeprefix("demo:") not in DEMOS:
-        raise VolumeError(
-            f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
-        )
-    given = spacing or missing or chosen or raw or tables or pieces
-    if given or labels is not None or solid != "above":
-        made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(
-            f"'{key}'"
-            for key in (
-                *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
-                *chosen,
-            )
-        )
-        raise SceneError(f"{name} {made}: leave out {named}.")
+    if pieces:
+        raise SceneError(f"The volume '{stem}' shows labels: hide labels, and leave pieces out.")
+
+
+def open_demo(name: str, smooth: float, altered: bool, chosen: Iterable[str]) -> Volume:
+    """Return the demo ``name``, smoothed by a Gaussian of ``smooth`` voxels.
+
+    Raises VolumeError if there is none of this name, and SceneError if the scene has ``altered`` it
+    by settings of files, or ``chosen`` a part of it.
+    """
     key = name.removeprefix("demo:")
+    if key not in DEMOS:
+        raise VolumeError(
+            f"There is no {name}: choose one of {', '.join('demo:' + demo for demo in DEMOS)}."
+        )
+    if altered:
+        made = "is made with spacing 1, solid above and nothing missing"
+        keys = ("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces", *chosen)
+        named = ", ".join(f"'{each}'" for each in keys)
+        raise SceneError(f"{name} {made}: leave out {named}.")
     if smooth:
         return make_volume(smoothed(Grid.of(DEMOS[key].build()), smooth).whole(), name=key)
     return demo_volume(key)
 
 
 def chosen_part(settings: Settings) -> dict[str, Any]:
-    """What a scene chooses of its volume's file. Raises SceneError."""
+    """Return the settings of a scene that choose a part of its volume's file. Raises SceneError."""
     numbers = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
     others = {"raw": settings.text("raw", ""), "region": settings.spans("region", 3)}
     return {**numbers, **{key: value for key, value in others.items() if value}}
@@ -145,17 +150,17 @@ FIRST_STEP_NOTE = (
 
 
 def is_raw(settings: Settings) -> bool:
-    """Whether volumes of a scene lie as their voxels do, whatever their files say. Raises
-    SceneError.
+    """Return True if volumes of a scene lie in the world as their voxels do, whatever their
+    files say. Raises SceneError.
     """
     return settings.choice("axes", AXES_CHOICES) == "raw"
 
 
 def open_own(settings: Settings) -> tuple[Grid, str]:
-    """The grid of the volume that a scene names, a file, and its display name.
+    """Open the file of the volume that a scene names; return its grid and display name.
 
-    Of a series in time of which no step is chosen it is the first one, with a note. Raises
-    VolumeError and SceneError.
+    Of a series in time of which no step is chosen it is the first, with a note. Raises VolumeError
+    and SceneError.
     """
     chosen = chosen_part(settings)
     grid, stem = _open_placed(settings.source.base, settings.text("volume", DEFAULT_DEMO), chosen)
@@ -166,10 +171,11 @@ def open_own(settings: Settings) -> tuple[Grid, str]:
 
 
 def open_beside(settings: Settings, name: str) -> Grid:
-    """The grid of another volume of a scene, at a path or a URL; what follows a # in its ``name``
-    chooses too.
+    """Open another volume of a scene, at a path or a URL; text after a # in its ``name`` chooses a
+    part.
 
-    Raises SceneError, and VolumeError, for a series in time of which no step is chosen, too.
+    Raises SceneError and VolumeError, the latter also for a series in time of which no step is
+    chosen.
     """
     grid, _ = _open_placed(settings.source.base, name, {})
     if grid.unchosen:
@@ -182,8 +188,8 @@ def open_beside(settings: Settings, name: str) -> Grid:
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
-    """The grid at a path or a URL, and its display name. VolumeError where the system cannot read
-    it.
+    """Open the grid at a path or a URL; return it and its display name. Raises VolumeError if
+    the system cannot read it.
     """
     try:
         return _open_any(base, name, chosen)
@@ -194,8 +200,10 @@ def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, s
 
 
 def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
+    """Open a Zarr array or a file; return its grid and display name."""
     region: Region | None = chosen.get("region")
     chosen = {key: value for key, value in chosen.items() if key != "region"}
+    # A name that exists as it is may hold a #; else the text after it chooses a part.
     (named, inside) = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, Path) and not os.path.abspath(place).strip("/"):
@@ -205,6 +213,7 @@ def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]
 
         wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
         place = _below(place, wanted.pop("part", ""))
+        # A Zarr volume has no parts but these.
         wrong = next(
             (
                 key
@@ -225,7 +234,9 @@ def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]
 
 
 def _below(place: Path | str, part: str) -> Path | str:
-    """The place of a ``part`` of a Zarr hierarchy. VolumeError where it leads out of it."""
+    """Return the place of a ``part`` of a Zarr hierarchy. Raises VolumeError if it leads out of
+    it.
+    """
     if ".." in PurePath(part).parts or PurePath(part).is_absolute():
         raise VolumeError(f"'{part}' leads out of '{place}': name an image in it, such as #A/1/0.")
     if isinstance(place, str):
@@ -234,7 +245,7 @@ def _below(place: Path | str, part: str) -> Path | str:
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:
-    """The display name of a file and what is chosen in it."""
+    """Return the display name of a file and the part chosen in it."""
     stem = path.name.removesuffix(".gz").removesuffix(".bz2")
     if path.suffix:
         stem = Path(stem).stem
@@ -244,16 +255,15 @@ def stem_of(path: Path, inside: dict[str, str]) -> str:
 def volume_of(
     grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress
 ) -> Volume:
-    """Make the volume of a ``grid``: in memory where it is small beside the budget, else as a copy
-    that is mapped.
+    """Make the volume of a ``grid``: in memory if it takes a small share of the memory budget,
+    else as a mapped copy.
     """
     check(grid, solid)
     size = grid.size * np.dtype(np.float32).itemsize
     if size <= UNMAPPED_SHARE * budget():
         return make_volume(grid.whole(), grid.spacing, solid, name, missing)
-    lying = (
-        [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]
-    )  # it may be mirrored or resampled
+    # The grid may be mirrored or resampled.
+    lying = [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]
     parts = [COPY_FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]
     key = hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
     voxels, facts = get_copy(
@@ -267,7 +277,7 @@ def make_copy(
 ) -> dict[str, Any]:
     """Write the voxels of a ``grid`` to a ``draft``, and return the facts of their volume.
 
-    Raises VolumeError as ``survey`` does, and where the source changed while it was read.
+    Raises VolumeError as ``survey`` does, and if the source changed while it was read.
     """
     before = grid.stamp()
     found = survey(grid, solid, missing, progress)
@@ -276,6 +286,7 @@ def make_copy(
         progress=progress, tally=found.tallied()
     )
     facts |= {"counts": known.counts, "span": known.span}
+    # Discard the copy of a file that was written to meanwhile.
     if grid.stamp() != before:
         raise VolumeError(
             f"The volume '{name}' changed while it was read: try again once it is written."

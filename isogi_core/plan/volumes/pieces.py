@@ -1,4 +1,4 @@
-"""Pieces too small to be shown taken out of a volume, at every isovalue at once."""
+"""Remove pieces of a volume that are too small to be shown, at every isovalue at the same time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -13,19 +13,19 @@ from isogi_core.kernels.tracing.pieces import open_by_size
 from isogi_core.model.value_survey import are_measured, find_marks, usable, usable_type
 
 MOST_PIECE = 2**31 - 1
-"""Greatest size that pieces may be asked to have, voxels."""
+"""Greatest size in voxels below which pieces may be removed."""
 
 PIECES_NOTE = "Pieces of fewer than {least} voxels are not shown."
 BYTES_PER_VOXEL = 32
-"""Bytes that finding pieces takes for each voxel, about: values, their order, ranks and parents."""
+"""Bytes per voxel, about, that finding pieces takes: values, their order, ranks and parents."""
 
 
 def without_small_pieces(grid: Grid, least: int, solid: str, missing: Sequence[float] = ()) -> Grid:
-    """A ``grid`` of which, at every isovalue, each piece of the ``solid`` side has ``least`` voxels
-    or more; see ``open_by_size``.
+    """Return a ``grid`` in which, at every isovalue, each piece of the ``solid`` side has at least
+    ``least`` voxels; see ``open_by_size``.
 
     Holes, and values equal to one of ``missing``, stay and belong to no piece. Values that stay are
-    exactly the file's. Raises VolumeError if the volume is too large for it.
+    exactly the file's. Raises VolumeError if the volume is too large.
     """
     if BYTES_PER_VOXEL * grid.size > max(8.0 * UNMAPPED_SHARE * budget(), 1 << 30):
         raise VolumeError(
@@ -42,15 +42,17 @@ def without_small_pieces(grid: Grid, least: int, solid: str, missing: Sequence[f
 
 
 def _opened(grid: Grid, least: int, solid: str, missing: tuple[float, ...]) -> Iterator[np.ndarray]:
-    """The whole grid as its only slab."""
+    """Yield the whole grid without small pieces, as its only slab."""
     whole = grid.whole()
     values = usable(whole).ravel()
     there = np.flatnonzero(are_measured(values, find_marks(missing, usable_type(grid.dtype))))
+    # Sort the voxels from the most solid on, and rank equal values alike.
     rising = there[np.argsort(values[there], kind="stable")]
     order = rising[::-1].copy() if solid == "above" else rising
     some = values[order]
     ranks = np.zeros(values.size, np.int32)
     ranks[order[1:]] = -np.cumsum(some[1:] != some[:-1], dtype=np.int32)
+    # Each voxel takes the value of the voxel that its piece is merged into.
     sources = np.empty(values.size, np.int64)
     open_by_size(ranks, order, whole.shape, least, sources)
     opened = whole.reshape(-1).copy()

@@ -1,8 +1,8 @@
-"""A volume smoothed by a Gaussian, slab by slab, before anything is made of it.
+"""Smooth a volume by a Gaussian, slab by slab, before anything is made of it.
 
 MRI and other noisy volumes have dimples at the pitch of their voxels, which light shows; a Gaussian
-of about a voxel takes these away. Voxels of whole numbers become floats and are not rounded again,
-so that a volume of 8 bits has no steps.
+of about a voxel removes these. Voxels of whole numbers become floats and are not rounded again, so
+that a volume of 8 bits has no steps.
 """
 
 from collections import deque
@@ -17,18 +17,18 @@ from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import are_measured, find_marks, usable, usable_type
 
 GAUSSIAN_REACH = 4.0
-"""Standard deviations to which the Gaussian is summed: beyond lies a share of 6·10⁻⁵ of it."""
+"""Standard deviations to which the Gaussian is summed: a share of 6·10⁻⁵ of it lies beyond."""
 
 SMOOTH_NOTE = "Smoothed by a Gaussian of {sigma:g} voxels along each axis."
 
 
 def smoothed(grid: Grid, sigma: float, missing: Sequence[float] = ()) -> Grid:
-    """A ``grid`` of floats, its values smoothed by a Gaussian of standard deviation ``sigma``,
-    voxels along each axis.
+    """Return a ``grid`` of floats, smoothed by a Gaussian of standard deviation ``sigma`` voxels
+    along each axis.
 
-    Values equal to one of ``missing``, and those that are not finite, are holes: they stay holes,
-    and the mean around them is of the other values alone. The outermost values go on beyond the
-    grid's sides. A few layers are in memory at a time.
+    Values equal to one of ``missing``, and values that are not finite, are holes: they stay holes,
+    and the mean around them is of the other values alone. Beyond the sides of the grid its
+    outermost values are repeated. A few layers are in memory at a time.
     """
     kind = usable_type(grid.dtype)
     dtype = np.dtype(np.float64 if kind.itemsize > 2 and kind != np.float32 else np.float32)
@@ -44,8 +44,8 @@ def smoothed(grid: Grid, sigma: float, missing: Sequence[float] = ()) -> Grid:
 
 
 def gaussian_weights(sigma: float, dtype: np.dtype[Any]) -> np.ndarray:
-    """The weights (2 r + 1,) of a Gaussian at whole voxels up to r, GAUSSIAN_REACH deviations;
-    their sum is 1.
+    """Return the weights (2 r + 1,) of a Gaussian at whole voxels up to r, GAUSSIAN_REACH
+    deviations; their sum is 1.
     """
     reach = int(np.ceil(GAUSSIAN_REACH * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
@@ -53,8 +53,10 @@ def gaussian_weights(sigma: float, dtype: np.dtype[Any]) -> np.ndarray:
 
 
 class Flattened(NamedTuple):
-    """A layer smoothed along x and y: sums of its weighted ``values``, 0 in holes; those of the
-    weights that are ``there``, and where the ``holes`` are, both None without holes.
+    """A layer smoothed along x and y.
+
+    ``values`` are weighted sums, with 0 in holes; ``there`` are the sums of the weights of values
+    that are no hole; ``holes`` marks these. Both are None if there are no holes.
     """
 
     values: np.ndarray
@@ -65,28 +67,31 @@ class Flattened(NamedTuple):
 def _smoothed_layers(
     grid: Grid, sigma: float, marks: np.ndarray, dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """The smoothed layers of a grid, (1, ny, nx) each.
+    """Yield the smoothed layers of a grid, (1, ny, nx) each.
 
     A Gaussian is separable: each layer is smoothed along x and y as it comes, and those within
-    reach are kept and summed along z. With holes the same sum of weights is what to divide by.
+    reach are kept and summed along z. With holes the sums are divided by those of the weights.
     """
     weights = gaussian_weights(sigma, dtype)
     reach = len(weights) // 2
     layers = (_flattened(layer, weights, marks) for slab in grid.slabs() for layer in usable(slab))
     window: deque[Flattened] = deque(maxlen=len(weights))
-    for layer in _going_on(layers, reach):
+    # Slide a window of layers along z; its middle is complete once the window is full.
+    for layer in _with_repeated_ends(layers, reach):
         window.append(layer)
         if len(window) == len(weights):
             yield _summed(window, weights, reach)[None]
 
 
 def _flattened(layer: np.ndarray, weights: np.ndarray, marks: np.ndarray) -> Flattened:
-    """A ``layer`` (ny, nx) smoothed along x and y."""
+    """Smooth a ``layer`` (ny, nx) along x and y; ``marks`` are the missing values."""
     there = are_measured(layer, marks)
     if there.all():
         return Flattened(
             _along(_along(layer.astype(weights.dtype), weights, 1), weights, 0), None, None
         )
+    # Smooth the values with 0 in holes, and the marks of the others likewise: their quotient is the
+    # mean of values alone.
     known = np.where(there, layer, 0).astype(weights.dtype)
     both = [
         _along(_along(each, weights, 1), weights, 0)
@@ -96,7 +101,7 @@ def _flattened(layer: np.ndarray, weights: np.ndarray, marks: np.ndarray) -> Fla
 
 
 def _along(layer: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
-    """A ``layer`` smoothed along an ``axis``; its outermost values go on beyond it."""
+    """Smooth a ``layer`` along an ``axis``; beyond its ends its outermost values are repeated."""
     reach = len(weights) // 2
     wide = np.pad(layer, [(reach, reach) if each == axis else (0, 0) for each in range(2)], "edge")
     count = layer.shape[axis]
@@ -106,8 +111,8 @@ def _along(layer: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
     return smooth
 
 
-def _going_on(layers: Iterator[Flattened], reach: int) -> Iterator[Flattened]:
-    """The ``layers`` with the first and the last of them ``reach`` times more."""
+def _with_repeated_ends(layers: Iterator[Flattened], reach: int) -> Iterator[Flattened]:
+    """Yield the ``layers`` with the first and the last repeated ``reach`` times."""
     last = next(layers)
     yield from [last] * reach
     yield last
@@ -117,12 +122,13 @@ def _going_on(layers: Iterator[Flattened], reach: int) -> Iterator[Flattened]:
 
 
 def _summed(window: Sequence[Flattened], weights: np.ndarray, middle: int) -> np.ndarray:
-    """The layer in the ``middle`` of a ``window``, smoothed along z; NaN in its holes."""
+    """Return the layer in the ``middle`` of a ``window``, smoothed along z; NaN in its holes."""
     values = np.zeros_like(window[middle].values)
     for weight, layer in zip(weights, window, strict=True):
         values += weight * layer.values
     if all(layer.there is None for layer in window):
         return values
+    # Divide by the weights of the values that are no hole.
     there = np.zeros_like(values)
     for weight, layer in zip(weights, window, strict=True):
         there += weight if layer.there is None else weight * layer.there

@@ -399,5 +399,5 @@ def test_a_bad_mask_is_refused_in_a_sentence(
 
 
 def test_labels_without_a_mask_are_refused() -> None:
-    with pytest.raises(IsogiError, match="A glow has labels of no mask: add mask"):
+    with pytest.raises(IsogiError, match="A glow has labels and no mask: add mask"):
         load_scene("demo:orbital", glow=[{"labels": [1], "sphere": [40, 50, 60, 5]}])
