@@ -25,14 +25,14 @@ from isogi_core.storage.atomic_file import user_cache
 from isogi_core.storage.store import Store, StoreLike
 
 MIN_DIRECT_ORDER = 2
-"""Least order of direct light that is shown in place of a higher one: band 0 alone has no
-direction.
+"""Lowest order of direct light that is shown in place of a higher one: band 0 alone does not
+depend on the normal.
 """
 
 
 def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePlan:
-    """The plan, with layers that the ``store`` lacks replaced by the smallest larger ones that it
-    has.
+    """Return the ``plan`` with each layer that the ``store`` has no light of replaced by the
+    smallest larger one that it has, if any.
     """
     store = Store.of(store)
     there = frozenset(store.layers())
@@ -42,10 +42,10 @@ def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePl
 
 
 def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Set[str]) -> Layer:
-    """The layer, or the smallest larger one where the store has light of that and none of the
-    layer.
+    """Return the ``layer`` if the ``store`` has light of it, else the smallest larger layer with
+    light there, else the layer.
 
-    ``there`` are the digests of layers in the ``store``.
+    ``there`` are the digests of the layers in the ``store``.
     """
     candidates = (layer, *sorted(larger_layers(layer), key=lambda other: other.bytes_per_texel))
     return next((found.layer for found in stored_layers(candidates, prepared, store, there)), layer)
@@ -54,8 +54,10 @@ def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Se
 def find_fallback(
     layer: Layer, prepared: PreparedScene, store: StoreLike, shown: Isovalue | None = None
 ) -> LayerStore | None:
-    """The largest of the smaller layers that the ``store`` has light of, for the same texels; None
-    without any.
+    """Return the store of the largest smaller layer that has light of the same texels; None if
+    there is none.
+
+    Its light is shown until the ``layer`` itself is baked.
     """
     store = Store.of(store)
     return next(
@@ -71,13 +73,17 @@ def stored_layers(
     there: Set[str],
     shown: Isovalue | None = None,
 ) -> Iterator[LayerStore]:
-    """The stores of those ``layers`` that have light; only digests that are ``there`` are read."""
+    """Yield the stores of those ``layers`` that have light. Layers whose digests are not
+    ``there`` are skipped without a request.
+    """
     layer_stores = (LayerStore(store, prepared, layer, shown) for layer in layers)
     return (each for each in layer_stores if each.digest in there and each.exists)
 
 
 def larger_layers(layer: Layer) -> Iterator[Layer]:
-    """Compatible layers that hold all of ``layer``, and more."""
+    """Yield the compatible layers that keep every coefficient of ``layer`` at least as
+    precisely, and more.
+    """
     orders = (
         range(layer.order, MAX_ORDER + 1)
         if layer.kind in ("direct", "indirect")
@@ -88,8 +94,8 @@ def larger_layers(layer: Layer) -> Iterator[Layer]:
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
-    """Compatible layers that hold the first bands of ``layer``, or all of them less precisely; most
-    bands first.
+    """Yield the compatible layers that keep only lower bands of ``layer``, or keep its bands
+    less precisely; most bands first.
     """
     if layer.kind == "direct":
         least = MIN_DIRECT_ORDER
@@ -101,15 +107,15 @@ def smaller_layers(layer: Layer) -> Iterator[Layer]:
 
 
 def precisions(layer: Layer, order: int) -> Iterator[Layer]:
-    """The layer at another ``order``, in every precision; the most precise first."""
+    """Yield the layer at another ``order`` in every precision, the most precise first."""
     yield replace(layer, order=order, half=False, coarse=None)
     for coarse in (None, *range(order - 1, 0, -1)):
         yield replace(layer, order=order, half=True, coarse=coarse)
 
 
 def covers(other: Layer, layer: Layer) -> bool:
-    """Whether ``other``, of no lower order, keeps each coefficient of ``layer`` at least as
-    precisely.
+    """Return True if ``other``, whose order is not lower, keeps each coefficient of ``layer``
+    at least as precisely.
     """
     return other.floats >= layer.floats and (layer.half or not other.half)
 
@@ -117,18 +123,22 @@ def covers(other: Layer, layer: Layer) -> bool:
 log = logging.getLogger("isogi.cache")
 
 STAMP_EVERY = 3600.0
-"""Seconds after which the stamp of light that is in use is renewed."""
+"""Seconds after which the stamp of light in use is renewed: fine enough for pruning by days,
+and one write an hour.
+"""
 
 
 class UseStamps:
-    """Stamps of the last use of layers, by their ``digests``, in a ``store``. Safe to use from many
-    threads.
+    """Records when layers were last read, by writing an empty object a layer, its stamp, to the
+    ``store``.
+
+    The layers are given by their ``digests``. Safe to use from many threads.
     """
 
     def __init__(
         self, store: Store, digests: Sequence[str], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Stamp nothing yet."""
+        """Write no stamp yet."""
         self._store = store
         self._digests = digests
         self._clock = clock
@@ -138,6 +148,8 @@ class UseStamps:
     def touch(self) -> None:
         """Stamp the layers, as their light is read, unless that was done less than STAMP_EVERY
         seconds ago.
+
+        The stamps are written by a thread, so that no frame waits for them.
         """
         with self._lock:
             if self._clock() < self._due:
@@ -159,18 +171,19 @@ Objects = tuple[bytes | None, ...]
 
 
 def default_store() -> Path:
-    """The default folder of light."""
+    """Return the folder that light is kept in by default."""
     return user_cache("light")
 
 
 class ChunkStore:
-    """Chunks of all layers of a ``spec`` in a ``store``. Methods raise StoreError.
+    """The chunks of a bake, given by its ``spec``, with all their layers in a ``store``. Methods
+    raise StoreError.
 
     ``damaged`` counts the objects that were read and could not be used.
     """
 
     def __init__(self, store: StoreLike, spec: BakeSpec) -> None:
-        """Touch nothing yet."""
+        """Set up the layers' stores, without a request to the ``store``."""
         self.spec = spec
         self.store = Store.of(store)
         self.damaged = 0
@@ -180,8 +193,8 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or make the layers' arrays, and find smaller layers, now and not with the first
-        chunk.
+        """Open or create the layers' arrays and find the smaller layers. Otherwise both happen
+        with the first chunk.
         """
         for layer in self.layers:
             layer.open()
@@ -189,17 +202,19 @@ class ChunkStore:
 
     @cached_property
     def fresh(self) -> FreshLight:
-        """The light that this process has of the bake and has not written yet."""
+        """The light of the bake that this process holds and has not written yet."""
         return fresh_light(self.store, self.spec.digest)
 
     @property
     def made(self) -> bool:
-        """Whether there may be light to read: any layer's array was made, or some is in memory."""
+        """True if there may be light to read: in an array of a layer, or in memory."""
         return len(self.fresh) > 0 or any(layer.made for layer in self.layers)
 
     def read(self, index: Index) -> Chunk | None:
-        """Read a chunk, or take it from memory where that is newer; None where no layer has any of
-        it. Damaged objects count as absent and are logged.
+        """Read a chunk, or take it from memory if that has newer light; None if no layer has light
+        of it.
+
+        Damaged objects are logged and count as absent.
         """
         if (newer := self.fresh.newer(index)) is not None:
             return newer
@@ -209,7 +224,7 @@ class ChunkStore:
 
     @cached_property
     def fallbacks(self) -> tuple[LayerStore | None, ...]:
-        """For each layer the smaller one that an earlier plan has left; None without any."""
+        """For each layer the smaller one that an earlier plan has left, or None."""
         return tuple(
             find_fallback(layer.layer, self.spec.prepared, self.store, self.spec.shown)
             for layer in self.layers
@@ -221,24 +236,29 @@ class ChunkStore:
         return sum(layer.size for layer in self.layers)
 
     def objects(self, index: Index) -> Objects:
-        """The objects of a chunk as they are stored: of each layer, and then of each fallback."""
+        """Read the objects of a chunk without decoding them: one of each layer, then one of
+        each fallback.
+        """
         return tuple(
             None if layer is None else layer.read(index)
             for layer in (*self.layers, *self.fallbacks)
         )
 
     def show(self, indices: Sequence[Index], objects: Sequence[Objects]) -> Chunks:
-        """Decode the chunks that any layer has something of, as ``read`` does, from their
-        ``objects``.
+        """Decode chunks for a frame from their ``objects``, as read by ``objects``; chunks without
+        light are left out.
 
-        A texel that is not baked has the light of the fallback layer, with no samples.
+        A texel that is not baked shows the light of the fallback layer, with 0 samples.
         """
         self.use.touch()
+        # Turn the objects from one row a chunk into one row a layer, as each layer is decoded in
+        # one call.
         stored = list(zip(*objects, strict=True))
         found = [
             layer.decode_all(indices, stored_parts, self._report_damage)
             for layer, stored_parts in zip(self.layers, stored, strict=False)
         ]
+        # Fill in texels that only the smaller layer of an earlier plan has.
         for number, other in enumerate(self.fallbacks):
             if other is not None:
                 smaller = other.decode_all(
@@ -248,10 +268,12 @@ class ChunkStore:
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def show_fresh(self, chunks: Sequence[Chunk]) -> Chunks:
-        """The ``chunks`` that are newer than the store, as ``show`` gives those of the store."""
+        """Return ``chunks`` of unwritten light, as ``show`` returns those of the store."""
         indices = [chunk.index for chunk in chunks]
         places, light = texels_of(chunks, self.spec.prepared.lattice.texels)
         found = []
+        # Unwritten light has rows for texels that are not baked yet: leave these to the fallback
+        # layer.
         for part, other in zip(light.parts, self.fallbacks, strict=True):
             lit = part.samples != 0
             own = places[lit], part.rows(lit)
@@ -262,14 +284,14 @@ class ChunkStore:
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def load(self, index: Index) -> Chunk:
-        """Read a chunk; it is empty where it is absent or damaged, and is baked again then."""
+        """Read a chunk; return an empty one if it is absent or damaged, so that it is baked."""
         return self.read(index) or Chunk.empty(index, self.spec.plan)
 
     def save(self, chunk: Chunk, changed: Sequence[bool] | None = None) -> bool:
-        """Write the parts of a chunk, or those that ``changed``: one object each, atomically; see
-        LayerStore.save.
+        """Write the parts of a ``chunk``, or only those marked in ``changed``: one object a layer,
+        each atomically.
 
-        Returns whether another writer was found at the same chunk.
+        Return True if another writer has changed the same chunk (see ``LayerStore.save``).
         """
         met = False
         for number, (layer, part) in enumerate(zip(self.layers, chunk.light.parts, strict=True)):
@@ -303,8 +325,11 @@ class ChunkStore:
 def completed(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
-    """A ``part`` of texels at ``offsets``, and the light of ``other`` for further texels: void, or
-    no samples.
+    """Add to a ``part`` of texels at ``offsets`` the light of ``other`` at the places ``others``
+    that it lacks.
+
+    Added texels have 0 samples, so that they count as not baked, or VOID. Bands above those of
+    ``other`` are 0. Return the ascending union of places, and the part.
     """
     lacking = ~np.isin(others, offsets)
     union = np.union1d(offsets, others[lacking]).astype(np.int32)

@@ -1,8 +1,8 @@
-"""Layers of light on disk or in an object store: one Zarr v3 array a layer, one object a chunk.
+"""Layers of light in a folder or an object store: one Zarr v3 array a layer, one object a chunk.
 
 An object is written whole or not at all and describes itself, so readers and writers need no locks.
-Whether a chunk is there is asked of the store by key and never read from values. The checksum,
-which is the last codec, shows damage.
+The store is asked by key whether a chunk is there; its values are never read for that. The
+checksum, which is the last codec, reveals damage.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -53,7 +53,7 @@ CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""
 
 MOST_TRIES = 20
-"""Tries of a write while others write the same chunk."""
+"""Most tries of a write while others write the same chunk."""
 
 RECORD_CODES = {
     "first_rung": FIRST_LEVEL,
@@ -73,7 +73,7 @@ MOVE_AWAY = (
 class LayerStore:
     """The chunks of one layer in a ``store``. Methods raise StoreError.
 
-    Its texels lie on the isosurface ``shown``, if any; see ``BakeSpec``.
+    With ``shown``, texels are projected onto the isosurface of that isovalue; see ``BakeSpec``.
     """
 
     def __init__(
@@ -85,8 +85,10 @@ class LayerStore:
         digest: str = "",
         texels: int = 0,
     ) -> None:
-        """Touch nothing yet; the scene's lattice says what the ``digest`` is, and how many
-        ``texels`` a chunk has.
+        """Set up without a request to the store.
+
+        ``digest`` and ``texels``, the texels of a chunk, follow from the scene unless they are
+        given.
         """
         self.store = Store.of(store)
         self.prepared = prepared
@@ -98,7 +100,7 @@ class LayerStore:
 
     @cached_property
     def array(self) -> "zarr.Array[Any]":
-        """The Zarr array, made on first use: (chunks z, y, x, bytes of a record) uint8."""
+        """The Zarr array, created on first use: (chunks z, y, x, bytes of a record) uint8."""
         return self._open() or self._create()
 
     @property
@@ -108,19 +110,17 @@ class LayerStore:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The attributes of its array: see ``layer_attributes``."""
+        """The attributes of the array: see ``layer_attributes``."""
         return layer_attributes(self.layer, self.prepared, self.shown)
 
     @property
     def path(self) -> str:
-        """The folder or URL of this layer: the store's, and the digest of all that its light
-        depends on.
-        """
+        """The folder or URL of the layer, for messages."""
         return f"{self.store.url.name}/{self.digest}"
 
     @property
     def exists(self) -> bool:
-        """Whether the store has light of this layer: an array with at least one chunk."""
+        """True if the store has light of the layer: an array of its own, and at least one chunk."""
         array = self._find()
         return (
             array is not None
@@ -130,17 +130,17 @@ class LayerStore:
 
     @property
     def made(self) -> bool:
-        """Whether the array was made; the store is asked until it was."""
+        """True if the array exists. The store is asked until it does."""
         self._recognise()
         return "array" in self.__dict__
 
     def open(self) -> None:
-        """Open the array, or make it; a full or read-only store is used as it is."""
+        """Open the array, or create it. A full or read-only store is used without it."""
         with suppress(StoreReadOnlyError, StoreFullError):
             self.array  # noqa: B018
 
     def _find(self) -> "zarr.Array[Any] | None":
-        """The Zarr array in the store, as its metadata describes it; None where there is none."""
+        """Open the Zarr array in the store by its metadata; None if there is none."""
         found = self.store.get(self._metadata_key)
         try:
             if found is None:
@@ -152,7 +152,7 @@ class LayerStore:
             ) from error
 
     def _open(self) -> "zarr.Array[Any] | None":
-        """The array where it is there; StoreError where it is not ours."""
+        """Return the array, None if there is none; raise StoreError if it is not this layer's."""
         array = self._find()
         if array is None or self._is_ours(array):
             return array
@@ -180,7 +180,7 @@ class LayerStore:
         return array
 
     def _description(self) -> bytes:
-        """The array's metadata, as Zarr writes it."""
+        """Return the array's metadata, as Zarr writes it."""
         return description(
             shape=(*self.chunks, self.size),
             chunks=(1, 1, 1, self.size),
@@ -195,22 +195,22 @@ class LayerStore:
         return f"{self.digest}/zarr.json"
 
     def _key(self, index: Index) -> str:
-        """The key of a chunk's object, as Zarr names it."""
+        """Return the key of a chunk's object, as Zarr names it."""
         return "/".join((self.digest, "c", *map(str, index), "0"))
 
     def read(self, index: Index) -> bytes | None:
-        """Read the object of a chunk; None where there is none."""
+        """Read the object of a chunk; None if there is none."""
         self._recognise()
         return self.store.view(self._key(index))
 
     def _recognise(self) -> None:
-        """Check once that the array, where there is one, is this layer's."""
+        """Check once that an array in the store is this layer's."""
         if "array" not in self.__dict__ and (array := self._open()) is not None:
             self.array = array
 
     def decode(self, index: Index, stored: bytes) -> tuple[np.ndarray, Part]:
-        """Decode an object: offsets and part. DamagedChunkError where it is damaged, or of another
-        chunk.
+        """Decode the object of a chunk to offsets and part. Raises DamagedChunkError if it is
+        damaged or of another chunk.
         """
         return unpack_all(self._records([(index, stored)]), self.layer, self.texels)
 
@@ -220,15 +220,18 @@ class LayerStore:
         stored: Sequence[bytes | None],
         report: Callable[[DamagedChunkError], None],
     ) -> tuple[np.ndarray, Part]:
-        """Decode many chunks at once: places, see ``Chunks.of_parts``, and their part.
+        """Decode the objects of many chunks in one call, to places (see ``Chunks.of_parts``) and
+        their part.
 
-        A chunk without an object has no texels; a damaged one has none either, and is passed to
-        ``report``.
+        A chunk without an object has no texels. A damaged one has none either, and ``report`` is
+        called with its error.
         """
         there = [i for i, data in enumerate(stored) if data is not None]
         objects = [(indices[i], stored[i] or b"") for i in there]
         try:
             records = self._records(objects)
+        # Objects are checked together, as that is faster; only if one is damaged, check each by
+        # itself, and leave the damaged ones out.
         except DamagedChunkError:
             sound = [self._is_sound(each, report) for each in objects]
             there = list(compress(there, sound))
@@ -238,8 +241,9 @@ class LayerStore:
         return placed(places, there, self.texels) if len(there) < len(stored) else places, part
 
     def _records(self, objects: Sequence[tuple[Index, bytes]]) -> np.ndarray:
-        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first one,
-        where any is damaged.
+        """Return the records in objects, (objects, bytes) uint8.
+
+        Raises DamagedChunkError if any is damaged; the message names the first chunk of the list.
         """
         try:
             records = unwrap_all([data for _, data in objects], self.size)
@@ -255,7 +259,7 @@ class LayerStore:
     def _is_sound(
         self, found: tuple[Index, bytes], report: Callable[[DamagedChunkError], None]
     ) -> bool:
-        """Whether an object can be used; its damage is passed to ``report``."""
+        """Return True if an object can be used; call ``report`` with its error if not."""
         try:
             self._records([found])
         except DamagedChunkError as error:
@@ -269,23 +273,30 @@ class LayerStore:
         )
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
-        """Encode a part's texels at ``offsets`` as an object, as Zarr would with CHUNK_CODECS."""
+        """Encode a part's texels at ``offsets`` as an object, byte for byte as Zarr would with
+        CHUNK_CODECS.
+        """
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
     def save(self, index: Index, offsets: np.ndarray, part: Part) -> bool:
-        """Write a chunk's part as one object, atomically, merged with what others have written
-        there meanwhile.
+        """Write a chunk's part as one object, atomically, merged with the light that others have
+        written there.
 
-        The light of more samples stays for each texel, so that no writer undoes what another has
-        added. The array is made again where it was deleted. Returns whether another writer had
-        taken the same samples, or more.
+        Each texel keeps the light of more samples, so no writer undoes another's work. If the array
+        was deleted, it is created again.
+
+        Return True if another writer has stored the same light already, or more samples for some
+        texel. Raises StoreError if others write the same chunk each time.
         """
+        # Read, merge, and replace only if the object has not changed since it was read; else begin
+        # again with the newer one.
         key = self._key(index)
         self._recognise()
         for _ in range(MOST_TRIES):
             former = self.store.get_sound(key)
             whole = joined(offsets, part, *self._former(index, former))
             stored = self.encode(index, *whole)
+            # A chunk without metadata could not be found again, so the array comes first.
             if former is None:
                 self._keep_array()
             elif stored == former.data:
@@ -299,19 +310,21 @@ class LayerStore:
         )
 
     def _former(self, index: Index, found: StoredObject | None) -> tuple[np.ndarray, Part]:
-        """The content of an object; nothing where it is missing or damaged."""
+        """Decode an object that was found; return no texels if it is missing or damaged."""
         with suppress(DamagedChunkError):
             if found is not None:
                 return self.decode(index, found.data)
         return np.empty(0, np.int32), Part.dark(self.layer, 0)
 
     def _keep_array(self) -> None:
-        """Make the array, also where it was deleted."""
+        """Create the array if it is not there, even if it was before."""
         self.array = self._open() or self._create()
 
 
 def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
-    """Renumber ``places`` (m,) int32 in records: record i is the chunk ``numbers[i]``."""
+    """Renumber ``places`` (m,) int32 in records to places in chunks, if record i is of chunk
+    ``numbers[i]``.
+    """
     record, offset = np.divmod(places, np.int32(texels))
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)
 
@@ -319,14 +332,18 @@ def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarra
 def joined(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
-    """Merge two parts of one chunk: for each texel the light of more samples, and void where either
-    is void.
+    """Merge two parts of one chunk: each texel gets the light of more samples, and is void if it is
+    so in either part.
+
+    ``offsets`` and ``others`` are the texels of ``part`` and ``other``, ascending. Return the union
+    of them, and its part.
     """
     if not len(others):
         return offsets, part
     union = np.union1d(offsets, others).astype(np.int32)
     whole = part.among(offsets, union)
     rows = np.searchsorted(union, others)
+    # VOID is -1 and would lose a comparison of samples, so it is asked for by itself.
     better = (whole.samples[rows] != VOID) & (
         (other.samples > whole.samples[rows]) | (other.samples == VOID)
     )
@@ -335,7 +352,7 @@ def joined(
 
 
 def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
-    """Whether the ``whole`` has more samples than ``part`` for any texel of ``part``."""
+    """Return True if ``whole`` has more samples than ``part`` for any texel of ``part``."""
     return whole is not part and bool(
         (whole.samples[np.searchsorted(union, offsets)] > part.samples).any()
     )
@@ -344,10 +361,11 @@ def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> 
 def layer_attributes(
     layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None
 ) -> dict[str, Any]:
-    """The attributes of a layer's array: whose light it is, how it was made, and how its records
-    are decoded.
+    """Return the attributes of a layer's array: the scene, the parameters of its light, and the
+    codes of its records.
 
-    ``scene`` and ``plan`` are those that it was first baked for; others may share the layer.
+    A reader without isogi can decode the records from them. ``scene`` and ``plan`` are those that
+    the layer was first baked for; other scenes may share it.
     """
     scene = prepared.scene
     record = record_type(layer, prepared.lattice.texels)
@@ -377,6 +395,6 @@ def layer_attributes(
 
 
 def fields_of(record: np.dtype[np.void]) -> Iterator[tuple[str, np.dtype[Any]]]:
-    """Names and types of a record's fields, in their order."""
+    """Yield the names and types of a record's fields, in their order."""
     for name in record.names or ():
         yield name, record[name]
