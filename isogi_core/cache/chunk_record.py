@@ -160,7 +160,7 @@ def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
     level = record["rung"]
     light = record["light"]
     dark = level == 0
-    oddities = {
+    faults = {
         "it was packed to another scale": record["scale"] != np.float32(layer.scale),
         "a texel took a number of samples that none takes": (
             (level > HIGHEST_LEVEL) & (level != VOID_CODE)
@@ -170,7 +170,7 @@ def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
             record[name][..., dark].any() for name in ("light", "high", "noise")
         ),
     }
-    return next((what for what, found in oddities.items() if found), "")
+    return next((fault for fault, found in faults.items() if found), "")
 
 
 CODEC_NAMES = ["bytes", "zstd", "crc32c"]
@@ -233,15 +233,15 @@ def facts_in(metadata: bytes) -> LayerFacts:
     """
     try:
         found = json.loads(metadata)
-        own = found["attributes"]["isogi"]
-        z, y, x = map(int, own["texels"])
-        named = {each.name: own[each.name] for each in fields(Layer) if each.name != "nodes"}
-        layer = Layer(**named, nodes=tuple(map(float, own.get("nodes", ()))))
-        facts = LayerFacts(layer, (z, y, x), int(own["chunk"]), own)
-        whole = agrees(found, facts)
+        attributes = found["attributes"]["isogi"]
+        z, y, x = map(int, attributes["texels"])
+        named = {each.name: attributes[each.name] for each in fields(Layer) if each.name != "nodes"}
+        layer = Layer(**named, nodes=tuple(map(float, attributes.get("nodes", ()))))
+        facts = LayerFacts(layer, (z, y, x), int(attributes["chunk"]), attributes)
+        fits = agrees(found, facts)
     except UNREADABLE as error:
         raise DamagedChunkError("it is not the metadata of a layer") from error
-    if not whole:
+    if not fits:
         raise DamagedChunkError("the array that it describes is not that of its layer")
     return facts
 
@@ -283,7 +283,7 @@ class Chunk:
     @classmethod
     def of_parts(cls, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
         """Return the chunk whose layers have the offsets and parts ``found``, one pair a layer."""
-        return cls(index, *united(found))
+        return cls(index, *merge_layers(found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
         """Return this chunk with dark texels added at those ``offsets`` that it lacks."""
@@ -329,7 +329,7 @@ class Chunks:
         A place is the chunk's number among ``indices`` times the ``texels`` of a chunk, plus the
         texel's offset in it.
         """
-        places, light = united(found)
+        places, light = merge_layers(found)
         bounds = np.searchsorted(
             places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels)
         )
@@ -339,14 +339,14 @@ class Chunks:
         return cls(there, np.unique(bounds), places % np.int32(texels), light)
 
 
-def united(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
+def merge_layers(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
     """Return the ascending places ``found`` in any of the layers, and the light there; a part
     is dark where its layer lacks the place.
     """
     first = found[0][0]
     parts = [part for _, part in found]
     # As a rule all layers were baked together and have the same places: no copy is needed.
-    if all(np.array_equal(own, first) for own, _ in found):
+    if all(np.array_equal(places, first) for places, _ in found):
         return first.astype(np.int32), Light(tuple(parts))
-    places = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
-    return places, Light(tuple(part.among(own, places) for own, part in found))
+    union = reduce(np.union1d, [places for places, _ in found]).astype(np.int32)
+    return union, Light(tuple(part.among(places, union) for places, part in found))

@@ -84,13 +84,12 @@ def larger_layers(layer: Layer) -> Iterator[Layer]:
     """Yield the compatible layers that keep every coefficient of ``layer`` at least as
     precisely, and more.
     """
-    orders = (
-        range(layer.order, MAX_ORDER + 1)
-        if layer.kind in ("direct", "indirect")
-        else (layer.order,)
-    )
-    other = (other for order in orders for other in precisions(layer, order))
-    return (other for other in other if other != layer and covers(other, layer))
+    if layer.kind in ("direct", "indirect"):
+        orders = range(layer.order, MAX_ORDER + 1)
+    else:
+        orders = range(layer.order, layer.order + 1)
+    others = (other for order in orders for other in precisions(layer, order))
+    return (other for other in others if other != layer and covers(other, layer))
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
@@ -102,8 +101,8 @@ def smaller_layers(layer: Layer) -> Iterator[Layer]:
     else:
         least = 1
     lower = range(layer.order - 1, least - 1, -1)
-    other = (other for order in (layer.order, *lower) for other in precisions(layer, order))
-    return (other for other in other if not (other.order == layer.order and covers(other, layer)))
+    others = (other for order in (layer.order, *lower) for other in precisions(layer, order))
+    return (other for other in others if not (other.order == layer.order and covers(other, layer)))
 
 
 def precisions(layer: Layer, order: int) -> Iterator[Layer]:
@@ -264,7 +263,7 @@ class ChunkStore:
                 smaller = other.decode_all(
                     indices, stored[len(self.layers) + number], self._report_damage
                 )
-                found[number] = completed(*found[number], *smaller)
+                found[number] = add_fallback_light(*found[number], *smaller)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def show_fresh(self, chunks: Sequence[Chunk]) -> Chunks:
@@ -276,11 +275,12 @@ class ChunkStore:
         # layer.
         for part, other in zip(light.parts, self.fallbacks, strict=True):
             lit = part.samples != 0
-            own = places[lit], part.rows(lit)
+            shown = places[lit], part.rows(lit)
             if other is not None:
                 stored = [other.read(index) for index in indices]
-                own = completed(*own, *other.decode_all(indices, stored, self._report_damage))
-            found.append(own)
+                smaller = other.decode_all(indices, stored, self._report_damage)
+                shown = add_fallback_light(*shown, *smaller)
+            found.append(shown)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def load(self, index: Index) -> Chunk:
@@ -293,11 +293,11 @@ class ChunkStore:
 
         Return True if another writer has changed the same chunk (see ``LayerStore.save``).
         """
-        met = False
+        contended = False
         for number, (layer, part) in enumerate(zip(self.layers, chunk.light.parts, strict=True)):
             if changed is None or changed[number]:
-                met |= layer.save(chunk.index, chunk.offsets, part)
-        return met
+                contended |= layer.save(chunk.index, chunk.offsets, part)
+        return contended
 
     def _chunk(self, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> Chunk | None:
         if not any(len(offsets) for offsets, _ in found):
@@ -316,13 +316,12 @@ class ChunkStore:
 
     def _report_damage(self, error: DamagedChunkError) -> None:
         self.damaged += 1
-        if self.store.is_news(
-            str(error)
-        ):  # a damaged chunk is read again and again until it is baked
+        # A damaged chunk is read again and again until it is baked.
+        if self.store.is_new_message(str(error)):
             log.warning("%s", error)
 
 
-def completed(
+def add_fallback_light(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
     """Add to a ``part`` of texels at ``offsets`` the light of ``other`` at the places ``others``

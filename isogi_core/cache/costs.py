@@ -52,7 +52,7 @@ class Cost(NamedTuple):
 
     def plus(self, other: "Cost") -> "Cost":
         """Return the sum of both costs."""
-        return Cost(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))  # type: ignore[arg-type]
+        return Cost(*(a + b for a, b in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 class Costs:
@@ -71,24 +71,24 @@ class Costs:
         self._rates: list[float] = []
         self._fastest: float | None = None
         self._total = Cost()
-        self._grown: float | None = None
+        self._changed_at: float | None = None
         self._lock = threading.Lock()
         self._writing = threading.Lock()
 
     def add(self, index: Index, cost: Cost) -> None:
         """Add the cost of a task that baked the chunk ``index``."""
         with self._lock:
-            self._take(index, cost)
-            if self._grown is None:
-                self._grown = self._clock()
+            self._add(index, cost)
+            if self._changed_at is None:
+                self._changed_at = self._clock()
 
     def rate(self, index: Index) -> float | None:
         """Return the seconds per path of a chunk, as measured there, else the common rate; None
         before the first task.
         """
         with self._lock:
-            own = self._chunks.get(index, Cost()).rate
-            return self._common if own is None else own
+            measured = self._chunks.get(index, Cost()).rate
+            return self._common_rate if measured is None else measured
 
     def of(self, indices: Iterable[Index]) -> Cost:
         """Return the sum of the costs of some chunks."""
@@ -105,7 +105,7 @@ class Costs:
         return self._total
 
     @property
-    def _common(self) -> float | None:
+    def _common_rate(self) -> float | None:
         """The median rate of all chunks. Before any chunk has a rate, the lowest seconds per
         path of first light, None without any.
         """
@@ -114,7 +114,7 @@ class Costs:
             return (self._rates[middle] + self._rates[~middle]) / 2
         return self._fastest
 
-    def _take(self, index: Index, cost: Cost) -> None:
+    def _add(self, index: Index, cost: Cost) -> None:
         """Add a cost to that of the chunk ``index``, and update total and rates. The caller
         must hold the lock.
         """
@@ -143,7 +143,7 @@ class Costs:
             return
         with self._lock:
             for index, cost in chunks.items():
-                self._take(index, cost)
+                self._add(index, cost)
 
     def save(self, at_once: bool = True) -> None:
         """Write the costs to the store if they have changed; without ``at_once`` only after
@@ -156,12 +156,12 @@ class Costs:
             return
         with self._writing:
             with self._lock:
-                if self._grown is None or not (
-                    at_once or self._clock() - self._grown >= SAVE_EVERY
+                if self._changed_at is None or not (
+                    at_once or self._clock() - self._changed_at >= SAVE_EVERY
                 ):
                     return
                 # Costs that are added during the write mark themselves as changed again.
-                self._grown = None
+                self._changed_at = None
                 chunks = {
                     "/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()
                 }
@@ -171,7 +171,7 @@ class Costs:
             except Exception as error:
                 log.warning("What the bake took cannot be kept: %s", error)
                 with self._lock:
-                    self._grown = self._clock()
+                    self._changed_at = self._clock()
 
 
 def costs_in(stored: bytes) -> dict[Index, Cost]:

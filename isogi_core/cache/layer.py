@@ -159,7 +159,8 @@ class LayerStore:
         raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
-        if array is self.__dict__.get("array"):  # read before each new chunk, and looked at once
+        # The array is read before each new chunk, but checked only once.
+        if array is self.__dict__.get("array"):
             return True
         facts = array.attrs.asdict().get("isogi")
         return (
@@ -238,7 +239,9 @@ class LayerStore:
             objects = list(compress(objects, sound))
             records = self._records(objects)
         places, part = unpack_all(records, self.layer, self.texels)
-        return placed(places, there, self.texels) if len(there) < len(stored) else places, part
+        if len(there) < len(stored):
+            places = to_chunk_places(places, there, self.texels)
+        return places, part
 
     def _records(self, objects: Sequence[tuple[Index, bytes]]) -> np.ndarray:
         """Return the records in objects, (objects, bytes) uint8.
@@ -249,10 +252,8 @@ class LayerStore:
             records = unwrap_all([data for _, data in objects], self.size)
         except DamagedChunkError as error:
             raise self._damaged(objects[0][0], str(error)) from error
-        home = belongs(
-            records, self.layer, self.texels, self.digest, [index for index, _ in objects]
-        )
-        if not home.all():
+        indices = [index for index, _ in objects]
+        if not belongs(records, self.layer, self.texels, self.digest, indices).all():
             raise self._damaged(objects[0][0], "it was baked for another place")
         return records
 
@@ -294,7 +295,7 @@ class LayerStore:
         self._recognise()
         for _ in range(MOST_TRIES):
             former = self.store.get_sound(key)
-            whole = joined(offsets, part, *self._former(index, former))
+            whole = merge_parts(offsets, part, *self._former(index, former))
             stored = self.encode(index, *whole)
             # A chunk without metadata could not be found again, so the array comes first.
             if former is None:
@@ -303,7 +304,7 @@ class LayerStore:
                 return True
             with suppress(ChangedError):
                 self.store.put(key, stored, former)
-                return outdone(offsets, part, *whole)
+                return has_more_samples(offsets, part, *whole)
         raise StoreError(
             f"Others keep writing chunk {index} of the light at {self.path}; it is tried again "
             "later."
@@ -321,7 +322,7 @@ class LayerStore:
         self.array = self._open() or self._create()
 
 
-def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
+def to_chunk_places(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
     """Renumber ``places`` (m,) int32 in records to places in chunks, if record i is of chunk
     ``numbers[i]``.
     """
@@ -329,7 +330,7 @@ def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarra
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)
 
 
-def joined(
+def merge_parts(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
     """Merge two parts of one chunk: each texel gets the light of more samples, and is void if it is
@@ -351,7 +352,7 @@ def joined(
     return union, whole
 
 
-def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
+def has_more_samples(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
     """Return True if ``whole`` has more samples than ``part`` for any texel of ``part``."""
     return whole is not part and bool(
         (whole.samples[np.searchsorted(union, offsets)] > part.samples).any()

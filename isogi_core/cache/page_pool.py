@@ -110,12 +110,12 @@ class PagePool:
         fill.
         """
         texels = spec.prepared.lattice.texels
-        beside = FEWEST_CHUNKS * 4 * texels
         # A page costs its rows and its part of the table. A small budget has more table than that,
         # as the table has FEWEST_CHUNKS slots at least: take these off first then.
-        pages = max(
-            min(budget // page_bytes(spec), (budget - beside) // (PAGE_TEXELS * row_bytes(spec))), 1
-        )
+        least_table = FEWEST_CHUNKS * 4 * texels
+        with_table = budget // page_bytes(spec)
+        rows_alone = (budget - least_table) // (PAGE_TEXELS * row_bytes(spec))
+        pages = max(min(with_table, rows_alone), 1)
         slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
         self.spec = spec
         self.rows = new_rows(spec, pages * PAGE_TEXELS)
@@ -320,8 +320,8 @@ def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
     texels fills its ``pages[i]`` in order.
     """
     each = [
-        (own[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
-        for own in pages
+        (first[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
+        for first in pages
     ]
     return np.concatenate(
         [np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))]
@@ -368,9 +368,10 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> 
                 part = light.parts[number]
             else:
                 part = light.parts[number].channel(term.node)
-            own = np.ascontiguousarray(part.coefficients)
+            coefficients = np.ascontiguousarray(part.coefficients)
+            bits = coefficients.view(np.int32)
             role = role_of(number, part.layer, at, spec)
-            add_part(part.samples, part.noise, own, own.view(np.int32), role, numbers, rows, sums)
+            add_part(part.samples, part.noise, coefficients, bits, role, numbers, rows, sums)
     places = np.empty_like(numbers)
     # When all parts of a row are added, derive scatter, error and stamp from the sums.
     judge_rows(numbers, rows, sums, judge_of(len(light.parts), spec), places)

@@ -57,7 +57,7 @@ class Asset:
         for index in product(
             *(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))
         ):
-            self._put(self._key(index), packed(values, sides, index))
+            self._put(self._key(index), pack_chunk(values, sides, index))
         compressors = [ZstdCodec(level=ZSTD_LEVEL), Crc32cCodec()]
         form: dict[str, Any] = {"shape": values.shape, "chunks": sides, "dtype": values.dtype}
         metadata = description(
@@ -136,7 +136,7 @@ class Asset:
             raise self.damaged(f"chunk {index}: {error}") from error
 
 
-def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
+def pack_chunk(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
     """Return the object of a chunk: its values in little-endian order, padded with zeros at the
     array's end, compressed, with a checksum.
     """
@@ -276,7 +276,7 @@ def receive_assets(
     files = {name: str(fetch_file(digest, Path(name).name, store)) for name, digest in assets.files}
     document = dict(source.document)
     if "lights" in document and "environment" not in document:
-        document["lights"] = [moved(light, files) for light in document["lights"]]
+        document["lights"] = [with_copied_file(light, files) for light in document["lights"]]
     if "environment" in document:
         document["environment"] = files.get(document["environment"], document["environment"])
     if not assets.volume:
@@ -296,7 +296,7 @@ def files_of(document: Mapping[str, Any]) -> list[str]:
     return [str(light["file"]) for light in document.get("lights", ()) if "file" in light]
 
 
-def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
+def with_copied_file(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
     """Return the table of a light with the path of its file's copy."""
     if "file" in light:
         return {**light, "file": files[str(light["file"])]}

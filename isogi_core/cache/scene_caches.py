@@ -63,7 +63,7 @@ class Loader:
         """
         # Read the chunks that the pool lacks or has outdated, but not those that the store lacked a
         # moment ago.
-        missing = [index for index in self.pool.missing(chunks) if self._due(index)]
+        missing = [index for index in self.pool.missing(chunks) if self._is_due(index)]
         # The chunks of this view must be in the pool together, so none of them is dropped for
         # another.
         if missing:
@@ -74,13 +74,13 @@ class Loader:
         newer = {index: self.chunk_store.fresh.newer(index) for index in missing}
         fresh = [chunk for chunk in newer.values() if chunk is not None]
         stored = [index for index, chunk in newer.items() if chunk is None]
-        with self._reading() as refreshed, closing(self._shown(stored)) as shown:
+        with self._reading() as refreshed, closing(self._read_in_batches(stored)) as shown:
             if fresh:
                 shown_fresh = self.chunk_store.show_fresh(fresh)
-                self._take([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
+                self._insert([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
             for indices, found in shown:
                 check()
-                self._take(indices, found, together, refreshed)
+                self._insert(indices, found, together, refreshed)
 
     def refresh(self, index: Index) -> None:
         """Note that the store has new light of a chunk, even for threads that are reading it
@@ -107,14 +107,14 @@ class Loader:
             with self._lock:
                 self._readers = [each for each in self._readers if each is not refreshed]
 
-    def _due(self, index: Index) -> bool:
+    def _is_due(self, index: Index) -> bool:
         """Return True if a chunk may be read: it was not found absent in the last ASK_AGAIN
         seconds.
         """
         with self._lock:
             return time.monotonic() - self._absent.get(index, -ASK_AGAIN) >= ASK_AGAIN
 
-    def _shown(
+    def _read_in_batches(
         self, indices: Sequence[Index]
     ) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
         """Yield the chunks in batches, in order, each with the light that the store has of
@@ -128,11 +128,11 @@ class Loader:
             if not store.url.remote:
                 store.check_reachable()
             with closing(
-                ahead(store.readers, self._brought, batches, partial(patiently, store))
-            ) as brought:
-                yield from zip(batches, brought, strict=True)
+                read_ahead(store.readers, self._read_batch, batches, partial(wait_for_read, store))
+            ) as results:
+                yield from zip(batches, results, strict=True)
         elif batches:
-            yield indices, self._brought(indices)
+            yield indices, self._read_batch(indices)
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
         """Split the chunks into batches for the reading threads.
@@ -144,20 +144,15 @@ class Loader:
             least = 1
         else:
             least = CHUNKS_OF_ONE_READER
-        size = max(
-            min(
-                BATCH_BYTES // self.chunk_store.chunk_bytes,
-                max(-(-len(indices) // self.chunk_store.store.most_readers), least),
-            ),
-            1,
-        )
+        size = max(-(-len(indices) // self.chunk_store.store.most_readers), least)
+        size = max(min(size, BATCH_BYTES // self.chunk_store.chunk_bytes), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 
-    def _brought(self, indices: Sequence[Index]) -> Chunks:
+    def _read_batch(self, indices: Sequence[Index]) -> Chunks:
         """Read and decode some chunks."""
         return self.chunk_store.show(indices, list(map(self.chunk_store.objects, indices)))
 
-    def _take(
+    def _insert(
         self,
         indices: Sequence[Index],
         found: Chunks,
@@ -179,7 +174,7 @@ class Loader:
             self.pool.outdate(index)
 
 
-def patiently(store: Store, reading: Future[Made]) -> Made:
+def wait_for_read(store: Store, reading: Future[Made]) -> Made:
     """Wait for a ``reading`` of the ``store``, and return its result.
 
     Raises StoreAwayError if the store is remote, and no read of it by anyone has ended for as long
@@ -189,18 +184,18 @@ def patiently(store: Store, reading: Future[Made]) -> Made:
         try:
             return reading.result(store.url.seconds)
         except TimeoutError:
-            if store.quiet >= store.url.seconds:
-                raise store.silent() from None
+            if store.seconds_silent >= store.url.seconds:
+                raise store.note_silence() from None
     return reading.result()
 
 
-def ahead(
-    hands: Executor,
+def read_ahead(
+    threads: Executor,
     work: Callable[[Item], Made],
     items: Sequence[Item],
     wait: Callable[[Future[Made]], Made] = lambda reading: reading.result(),
 ) -> Generator[Made, None, None]:
-    """Yield the results of ``work`` for the items, in order, computed by the threads of ``hands``.
+    """Yield the results of ``work`` for the items, in order, computed by ``threads``.
 
     At most MAX_BATCHES_AHEAD items are begun before their results are taken. Those that wait are
     cancelled when the generator is closed.
@@ -208,7 +203,7 @@ def ahead(
     waiting: deque[Future[Made]] = deque()
     try:
         for item in items:
-            waiting.append(hands.submit(work, item))
+            waiting.append(threads.submit(work, item))
             if len(waiting) >= MAX_BATCHES_AHEAD:
                 yield wait(waiting.popleft())
         while waiting:
@@ -329,5 +324,7 @@ class Caches:
         as many as that light.
         """
         sizes = {each: page_bytes(self.spec(each)) for each in SPECS}
-        whole = sum(sizes.values()) + (sizes["gi"] if self.prepared.scene.projection.any else 0)
+        whole = sum(sizes.values())
+        if self.prepared.scene.projection.any:
+            whole += sizes["gi"]
         return self.budget * sizes[name] // whole

@@ -105,7 +105,7 @@ def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFact
     samples = {}
     for digest, found in shared.objects:
         try:
-            samples[found.key] = twice(
+            samples[found.key] = check_twice(
                 partial(_sound_samples, store, facts[digest], digest, shared.chunk, found.key)
             )
         except DamagedChunkError as error:
@@ -114,7 +114,7 @@ def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFact
     return list({damage.key: damage for damage in (*damages, *contradictions(samples))}.values())
 
 
-def twice(check: Callable[[], Checked]) -> Checked:
+def check_twice(check: Callable[[], Checked]) -> Checked:
     """Return the result of a ``check``, which runs again if it finds damage.
 
     The damage may be of one answer of the store and not of the object. Raises DamagedChunkError if
@@ -130,7 +130,7 @@ def _audit_facts(store: Store, result: Audit) -> None:
     """Read the metadata of all layers, and count the chunks of those whose metadata is damaged."""
     for digest, files in result.inventory.layers.items():
         try:
-            result.facts[digest] = twice(partial(read_facts, store, digest))
+            result.facts[digest] = check_twice(partial(read_facts, store, digest))
         except DamagedChunkError as error:
             result.damages.append(Damage(f"{digest}/zarr.json", str(error)))
             result.unread += len(files.chunks)
@@ -164,8 +164,8 @@ def _sound_samples(
     found = unpack(record, facts.layer, facts.chunk_texels, digest, index)
     if found is None:
         raise DamagedChunkError("it was baked for another place")
-    if odd := find_anomaly(record, facts.layer, facts.chunk_texels):
-        raise DamagedChunkError(odd)
+    if fault := find_anomaly(record, facts.layer, facts.chunk_texels):
+        raise DamagedChunkError(fault)
     samples[found[0]] = found[1].samples
     return samples
 
@@ -217,9 +217,8 @@ def repair_store(store: Store, delete: bool = False, progress: Progress = no_pro
     # Damaged objects are put away during the audit, so that servers bake them again soon.
     def put_away(damage: Damage) -> None:
         if damage.key in moved:
-            content = None
-        else:
-            content = store.read(damage.key)
+            return
+        content = store.read(damage.key)
         if content is None:
             return
         if delete:
@@ -300,7 +299,7 @@ def each_layer(store: Store, inventory: Inventory) -> list[tuple[str, Count]]:
     found = []
     for digest, files in inventory.layers.items():
         with suppress(DamagedChunkError):
-            found.append((digest, Count(files, twice(partial(read_facts, store, digest)))))
+            found.append((digest, Count(files, check_twice(partial(read_facts, store, digest)))))
     return found
 
 
@@ -310,11 +309,11 @@ def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> N
     with ThreadPoolExecutor(AUDIT_READERS) as pool:
         found = pool.map(lambda chunk: samples_in(store, *chunk), chunks)
         for number, ((count, _), samples) in enumerate(zip(chunks, found, strict=True), 1):
-            count.damaged += samples is None
-            values, many = np.unique(
-                np.empty(0) if samples is None else samples, return_counts=True
-            )
-            count.samples.update(dict(zip(map(int, values), map(int, many), strict=True)))
+            if samples is None:
+                count.damaged += 1
+            else:
+                values, texels = np.unique(samples, return_counts=True)
+                count.samples.update(dict(zip(map(int, values), map(int, texels), strict=True)))
             progress(number, len(chunks))
 
 
@@ -424,12 +423,12 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
             "This store does not know when its objects were written: name the scene whose "
             "light goes."
         )
-    wanted = chosen([count for count in counts if is_of(count, rule.scene)], rule, now)
-    busy = [count for count in wanted if now - newest(count.files) <= BUSY_SECONDS]
+    wanted = choose_layers([count for count in counts if is_of_scene(count, rule.scene)], rule, now)
+    busy = [count for count in wanted if now - last_write(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
 
 
-def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
+def choose_layers(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
     """Return the layers that a rule deletes, the longest unused first."""
     total = sum(count.files.size for count in counts)
     going = []
@@ -445,7 +444,7 @@ def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
     return going
 
 
-def is_of(count: Count, name: str | None) -> bool:
+def is_of_scene(count: Count, name: str | None) -> bool:
     """Return True if a layer is of the scene or volume ``name``; None stands for any."""
     return name is None or name in (
         count.facts.attributes.get("scene"),
@@ -453,7 +452,7 @@ def is_of(count: Count, name: str | None) -> bool:
     )
 
 
-def newest(files: LayerFiles) -> float:
+def last_write(files: LayerFiles) -> float:
     """Return the time of the last write to a layer. Stamps of use are no writes of light."""
     return max(
         (found.written for found in files.objects if found is not files.stamp), default=-math.inf
@@ -493,8 +492,8 @@ def trim_projected(store: Store, most: int) -> int:
     try:
         census = census_of(store, texels=False)
         counts = {
-            d: count
-            for d, count in census.counts.items()
+            digest: count
+            for digest, count in census.counts.items()
             if count.facts.attributes.get("shown") is not None
         }
         plan = plan_prune(replace(census, counts=counts), PruneRule(keep=most), store.now())

@@ -122,12 +122,12 @@ class WallLayer(LayerStore):
         """Write light, merged with what is there: each texel keeps the light of more paths."""
         means, counts = planes
         for index in np.ndindex(*self.chunks):
-            own = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
-            sent = np.nonzero(counts[own])
+            block = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
+            sent = np.nonzero(counts[block])
             if len(sent[0]):
                 part = Part.dark(self.layer, len(sent[0]))
-                part.samples[:] = 2 * counts[own][sent]
-                part.coefficients[:, :, 0] = means[own][sent]
+                part.samples[:] = 2 * counts[block][sent]
+                part.coefficients[:, :, 0] = means[block][sent]
                 self.save(
                     index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part
                 )

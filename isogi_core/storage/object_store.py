@@ -102,9 +102,11 @@ class Bucket:
         """
         errors = self._obstore.exceptions
         # Write only if there is no object, or only if its tag is that of ``former``.
-        mode: Any = (
-            "create" if former is None else {"e_tag": former.tag} if former.tag else "overwrite"
-        )
+        mode: Any = "overwrite"
+        if former is None:
+            mode = "create"
+        elif former.tag:
+            mode = {"e_tag": former.tag}
         with self._translated_errors():
             try:
                 self._put(key, data, mode)
@@ -182,13 +184,12 @@ class Bucket:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
             message = str(error)
-            full, closed = (
-                any(word in message for word in words)
-                for words in (FULL_ANSWERS, READ_ONLY_ANSWERS)
-            )
-            raise OSError(
-                errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)
-            ) from None
+            number = errno.EIO
+            if any(words in message for words in FULL_ANSWERS):
+                number = errno.ENOSPC
+            elif any(words in message for words in READ_ONLY_ANSWERS):
+                number = errno.EROFS
+            raise OSError(number, sentence(error)) from None
 
 
 def call_options(store_url: StoreUrl) -> dict[str, Any]:

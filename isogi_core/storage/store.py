@@ -121,9 +121,9 @@ class Store:
         self._tried = 0.0
         self._lock = threading.RLock()
         self._opening = threading.Lock()
-        self._looking: threading.Thread | None = None
-        self._told: dict[str, float] = {}
-        self._answered = 0.0
+        self._checker: threading.Thread | None = None
+        self._logged: dict[str, float] = {}
+        self._last_answer = 0.0
 
     def __repr__(self) -> str:
         return f"Store({self.url.url!r})"
@@ -173,11 +173,10 @@ class Store:
         if known is not None and not is_sound(known.data):
             known = None
         found = self._get(key, known)
-        if found is None or found is known:
-            return None if found is None else found.data
-        found = self._sound(key, found)
-        if self.copies is not None and found is not None and is_sound(found.data):
-            self.copies.put(key, found)
+        if found is not None and found is not known:
+            found = self._sound(key, found)
+            if self.copies is not None and found is not None and is_sound(found.data):
+                self.copies.put(key, found)
         return None if found is None else found.data
 
     def get_sound(self, key: str) -> StoredObject | None:
@@ -249,7 +248,7 @@ class Store:
         # A remote store that was away is checked by a thread, as a call may take seconds.
         away = self._away
         if away is not None and self.url.remote:
-            self._look_again()
+            self._check_in_thread()
             away = self._away
             if away is not None:
                 raise type(away)(str(away))
@@ -267,11 +266,11 @@ class Store:
             self._lock.release()
 
     @property
-    def quiet(self) -> float:
+    def seconds_silent(self) -> float:
         """Seconds since an object was last read."""
-        return self._clock() - self._answered
+        return self._clock() - self._last_answer
 
-    def silent(self) -> StoreAwayError:
+    def note_silence(self) -> StoreAwayError:
         """Note that the store does not answer, and return the error for callers that wait for
         it.
         """
@@ -279,14 +278,15 @@ class Store:
         self._checked_until = self._clock() + CHECKED
         return self._away
 
-    def is_news(self, text: str) -> bool:
+    def is_new_message(self, text: str) -> bool:
         """Return True, and remember the message, if ``text`` was not logged in the last
         LOG_SECONDS.
         """
         now = self._clock()
         with self._opening:
-            self._told = {each: at for each, at in self._told.items() if now - at < LOG_SECONDS}
-            return self._told.setdefault(text, now) == now
+            recent = {each: at for each, at in self._logged.items() if now - at < LOG_SECONDS}
+            self._logged = recent
+            return recent.setdefault(text, now) == now
 
     def check_writable(self) -> None:
         """Check that the store is there and takes writes, and set ``read_only``.
@@ -313,20 +313,21 @@ class Store:
                 self.check_writable()
         return self.read_only
 
-    def _look_again(self) -> None:
+    def _check_in_thread(self) -> None:
         """Start a thread that checks the store, unless one is running or the last check still
         stands, and wait CHECK_SECONDS for it.
         """
         with self._opening:
             if self._clock() < self._checked_until or (
-                self._looking is not None and self._looking.is_alive()
+                self._checker is not None and self._checker.is_alive()
             ):
                 return
-            self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
-            looking.start()
-        looking.join(CHECK_SECONDS)
+            checker = threading.Thread(target=self._check_and_note, name="store", daemon=True)
+            checker.start()
+            self._checker = checker
+        checker.join(CHECK_SECONDS)
 
-    def _look(self) -> None:
+    def _check_and_note(self) -> None:
         """Check the store, and note the result."""
         with self._lock:
             try:
@@ -348,7 +349,7 @@ class Store:
         self._check_after_failure()
         with self._translated_errors(f"read {key} from"):
             found = self._backend.get(key, known)
-        self._answered = self._clock()
+        self._last_answer = self._clock()
         # An absent object may mean an absent store: make sure that the store is there.
         if found is None:
             self.check_reachable()
@@ -430,7 +431,10 @@ class Store:
             self._checked_until = -1.0
             if self.url.remote:
                 self._away = self._away or trouble
-            (self.check_writable if writing else self.check_reachable)()
+            if writing:
+                self.check_writable()
+            else:
+                self.check_reachable()
             raise StoreError(str(trouble)) from error
 
 
