@@ -360,7 +360,7 @@ class Point:
     unknown.
 
     - ``position``, ``normal``: in world coordinates; the normal has length 1 and points outwards.
-    - ``sides``: sides of a patient that the axes point to, "" if unknown.
+    - ``sides``: sides of a patient on which the point lies, such as LAS, "" if unknown.
     - ``voxel``: voxel indices, x first.
     - ``value``: the isovalue; None on a wall, whose number is ``wall``.
     - ``light``, ``displayed``: linear RGB, and the same in sRGB.

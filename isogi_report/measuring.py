@@ -1,4 +1,4 @@
-"""The studies of a report, measured one after another, each kept as soon as it is done."""
+"""Runs the studies of a report one after another, and keeps each result as soon as it is there."""
 
 import logging
 import signal
@@ -22,15 +22,15 @@ from server.progress import WEIGHTED_BAR_FORMAT
 log = logging.getLogger("isogi.report")
 
 DEADLINE_GRACE_SHARE = 0.1
-"""What a study may take beyond its deadline, of the time that all of them had, before it is
-cancelled.
+"""Time beyond the deadline after which a study is cancelled, as a share of the time of all
+studies.
 """
 
 
 @dataclass(frozen=True)
 class Study:
-    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the
-    ``key`` is stable.
+    """One question, which ``run`` answers. ``weight`` is its rough share of all work; its
+    ``key`` never changes.
     """
 
     key: str
@@ -44,19 +44,21 @@ STUDIES = (
     Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
     Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
 )
-"""All of them, the most important first. What one makes, such as the reference, the next ones find
-on the bench.
+"""All studies, the most important first. Things that one study makes, such as the reference,
+are on the bench for the next.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What became of the studies: entries that are ``done``, in order, and studies that are not.
+    """The outcome of all studies.
 
-    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now,
-    ``failed`` those that raised an error, with what it says; ``hurried`` of those that are done had
-    too little time for all that is in them, and ``found`` of them were in the journal; ``stopped``
-    is whether a person stopped the work.
+    - ``done``: entries, in the order of the studies; ``found`` of them were in the journal.
+    - ``late``: studies for which there was no time.
+    - ``unasked``: studies that were not requested.
+    - ``failed``: studies that raised an error, with its text.
+    - ``hurried``: studies that are done, but measured less for lack of time.
+    - ``stopped``: True if a person stopped the work.
     """
 
     done: tuple[Entry, ...]
@@ -71,11 +73,11 @@ class Measured:
 def measure(
     studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal
 ) -> Measured:
-    """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench``
-    or a Ctrl-C.
+    """Run those of the ``wanted`` studies that the journal lacks, until the deadline of ``bench``
+    or Ctrl-C.
 
-    A study that gave way to time is shown, but not kept; one that fails is reported, and the next
-    ones are run.
+    A study that measured less for lack of time is shown but not kept. A study that fails is
+    reported, and the next ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found = len(done)
@@ -93,6 +95,7 @@ def measure(
                 hurried.append(study)
             else:
                 journal.keep(study.key, result)
+    # Sort the studies that have no result.
     known = {*done, *(study.key for study, _ in failed)}
     missing = [study for study in studies if study.key not in known]
     late = tuple(study for study in missing if study in wanted)
@@ -102,8 +105,8 @@ def measure(
 
 
 class Pieces:
-    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within
-    ``limit`` seconds.
+    """The progress bar of work in pieces of known weight: ``total``, of which some was done
+    ``before``, within ``limit`` seconds.
     """
 
     def __init__(self, what: str, total: float, before: float, limit: float) -> None:
@@ -117,8 +120,8 @@ class Pieces:
 
     @property
     def left(self) -> float:
-        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite
-        where unknown.
+        """Seconds that the rest takes at the pace so far, at most those to the limit; infinite
+        if unknown.
         """
         now = time.monotonic()
         if self.done:
@@ -137,7 +140,7 @@ class Pieces:
         self._bar.set_description_str(name)
 
     def finish(self, weight: float) -> None:
-        """End the piece, which was so much of the ``weight``."""
+        """End the piece, which had this ``weight``."""
         now = time.monotonic()
         self.rest -= weight
         self.done += weight
@@ -154,7 +157,7 @@ class Pieces:
 
     @contextmanager
     def ticking(self) -> Iterator[Self]:
-        """Draw the bar every REDRAW_SECONDS while work is done, and close it in the end."""
+        """Draw the bar every REDRAW_SECONDS while the block runs, and close it in the end."""
         try:
             with ticking(self.show):
                 yield self
@@ -166,8 +169,8 @@ class Pieces:
 def worked(
     studies: Iterable[Study], bench: Bench, bar: Pieces
 ) -> Iterator[tuple[Study, Entry | str]]:
-    """The studies in turn, with what they found or what failed, until the time is over or they are
-    cancelled.
+    """Run the studies in turn; yield each with its entry or the text of its error, until the
+    time is over or the bench is cancelled.
     """
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
@@ -180,14 +183,14 @@ def worked(
 
 
 def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
-    """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
+    """Return the progress bar of the ``wanted`` studies, which have ``limit`` seconds."""
     total = sum(study.weight for study in wanted)
     before = sum(study.weight for study in wanted if study.key in done)
     return Pieces("report", total, before, limit)
 
 
 def run(study: Study, bench: Bench) -> Entry | str | None:
-    """The study's section and what it took; what went wrong where it failed, and None where it was
+    """Run a study, and return its entry; the text of its error if it fails, None if it is
     cancelled.
     """
     begun = time.process_time()
@@ -206,8 +209,8 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
 
 @contextmanager
 def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
-    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at
-    once.
+    """Let the first Ctrl-C set ``stop`` and cancel the work, and the second end the process
+    immediately.
     """
 
     def ask(*_: object) -> None:
@@ -227,8 +230,8 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def limited(bench: Bench) -> Iterator[None]:
-    """Cancel the work when its deadline has passed by DEADLINE_GRACE_SHARE; studies themselves look
-    at the deadline before.
+    """Cancel the work if it exceeds its deadline by DEADLINE_GRACE_SHARE. Studies look at the
+    deadline themselves before.
     """
     if bench.left == float("inf"):
         yield

@@ -1,9 +1,10 @@
 """The three studies of a report.
 
-The summary: what it is of, how wrong the frame is, what it took, and where it differs (S1, figure
-11). The split: a frame's error, and its parts, each found by putting its exact counterpart in place
-of one ingredient. Convergence: error against run time, of light kept in several ways, and of paths
-from each pixel (S1, table 1 and figure 7).
+- The summary: the subject, the error and the cost of its frame, and an error map (S1, figure 11).
+- The split: the frame's error and its parts. Each part is found by replacing one ingredient of the
+  frame by its exact counterpart.
+- Convergence: error against run time, of light kept in several ways, and of paths from each pixel
+  (S1, table 1 and figure 7).
 """
 
 import math
@@ -57,7 +58,7 @@ hang on the time that there was. Seconds are of the processor, all threads toget
 
 
 def study_summary(bench: Bench) -> Section:
-    """The headline, the facts, and the pictures."""
+    """Return the section with the headline, the facts, and the pictures."""
     planned = bench.planned
     best = bench.best
     frame = planned.frame()
@@ -82,7 +83,7 @@ def study_summary(bench: Bench) -> Section:
 
 
 def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
-    """What is measured, in words."""
+    """Return the facts of the measurement as names and texts."""
     scene = bench.scene
     view = bench.view
     planned = bench.planned
@@ -110,7 +111,7 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
 
 
 def layer_in_words(layer: Layer) -> str:
-    """A layer in words."""
+    """Return a description of a layer."""
     if layer.kind != "irradiance":
         order = f" of order {layer.order}"
     else:
@@ -138,9 +139,11 @@ change is listed apart."""
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of a frame's error: its ``name``, ``what`` was compared, and ``wrong`` (m,), the
-    pixels' luminance too much; ``noise`` (m,) is the variance of it that belongs to no part,
-    negative where some of the part is missing.
+    """One part of a frame's error: its ``name``, a text on ``what`` is compared, and ``wrong``
+    (m,), the excess luminance of pixels.
+
+    ``noise`` (m,) is the variance in it that belongs to no part, negative if some of the part's own
+    is missing.
     """
 
     name: str
@@ -151,10 +154,9 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The ``parts`` of a frame's error, and the ``whole`` of it; ``mean`` is the luminance that
-    they are relative to.
+    """The ``parts`` of a frame's error and the ``whole``, relative to the luminance ``mean``.
 
-    ``surface`` is what the scene's normals and offset make of it, and ``beyond`` the whole with
+    ``surface`` is the effect of the scene's normals and offset, and ``beyond`` the whole error with
     that.
     """
 
@@ -165,7 +167,7 @@ class Split:
     mean: float
 
     def spread(self, part: Part) -> Spread:
-        """The size of a part."""
+        """Return the size of a part."""
         return spread_of(part.wrong, part.noise, self.mean)
 
     @property
@@ -175,7 +177,7 @@ class Split:
 
 
 def study_split(bench: Bench) -> Section:
-    """The frame's error and its parts, as a table and as maps."""
+    """Return the section with the frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
     bias = sum(split.spread(part).bias for part in split.parts)
     reported = bench.planned.frame().noise
@@ -209,6 +211,7 @@ def split_error(bench: Bench) -> Split:
     whole = Part(
         "total, measured", "the frame and the reference", planned.light - best.light, best.noise
     )
+    # Normals and offset are in frame and reference alike: measure them by a reference without.
     bare = bench.reference(bench.best.samples, true_surface(bench.scene))
     true = lit_by_paths(bare)
     change = reference_difference(bench.best, bare)
@@ -221,12 +224,16 @@ def split_error(bench: Bench) -> Split:
 
 
 def true_surface(scene: Scene) -> Scene:
-    """The scene with the normals that its trilinear isosurface has, and rays that start on it."""
+    """Return the scene with the normals of its trilinear isosurface, and rays that start on it."""
     return scene.with_settings(normals="gradient", offset=0.0)
 
 
 def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
-    """The parts, from the frame to the reference."""
+    """Yield the parts of the error, each the change from one ingredient to its exact counterpart.
+
+    They go in a chain from the frame to the reference, so that biases add up to the total.
+    """
+    # From the frame's texels to converged ones, and from rounded to exact coefficients.
     pair = converged(bench)
     plan = bench.scene.plan
     kept = lit_by_frame(pair.kept)
@@ -235,6 +242,7 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     yield Part("Monte Carlo noise", what, planned.light - kept.light, -kept.noise)
     if plan.precision != "single":
         yield Part("quantization", f"{plan.precision} and single floats", kept.light - exact.light)
+    # From texels around a pixel to the pixel's own point.
     own = own_light(bench)
     short = short_paths(bench)
     noise = exact.noise + own.noise
@@ -244,10 +252,12 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
         exact.light - own.light,
         noise,
     )
+    # From harmonics to the lights themselves.
     if cuts_harmonics(bench.scene):
         what = f"{harmonics(plan)}, and the lights themselves"
         lights = lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
+    # From the plan's bounces to all that matter.
     if bench.scene.bounces:
         cut = reference_difference(short, bench.best)
         what = f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
@@ -255,13 +265,13 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
 
 
 def harmonics(plan: ScenePlan) -> str:
-    """What texels keep of a light, and what pixels see of it themselves."""
+    """Return a description of the harmonics of the plan, and of its lobes."""
     lobes = {0: "", 1: ", a lobe beside"}.get(plan.lobes, f", {plan.lobes} lobes beside")
     return f"harmonics of order {plan.order}{lobes}"
 
 
 def missing(bench: Bench) -> str:
-    """Why some parts are not there."""
+    """Return sentences on the parts that this plan does not have."""
     plan = bench.scene.plan
     reasons = []
     if plan.precision == "single":
@@ -274,7 +284,7 @@ def missing(bench: Bench) -> str:
 
 
 def row_of(part: Part, split: Split) -> tuple[str, float, float, str]:
-    """A part's row of the table."""
+    """Return a part's row of the table."""
     spread = split.spread(part)
     return part.name, spread.rmse, spread.bias, part.what
 
@@ -286,16 +296,16 @@ CURVE_PIXELS = 32
 """Pixels of the longer side of the picture."""
 
 CURVE_SAMPLES = (16, 64, 256, 1024, 4096, 16384)
-"""Samples of a texel, or paths of a pixel, of the points of a curve."""
+"""Samples of a texel, or paths of a pixel, at the points of a curve."""
 
 MAX_POINT_SECONDS = 120.0
 POINT_SHARE = 0.1
-"""Seconds that the next point of a curve may take, by what the last one took, and the share of
-those that are left.
+"""Most seconds that the next point of a curve may take, predicted from the last one, and the
+same as a share of the time left.
 """
 
 PATH_TRACING_CURVE = "path tracing from each pixel"
-"""The name of the curve that has no light of texels."""
+"""Name of the curve without light of texels."""
 
 CONVERGENCE_TEXT = """\
 Errors against the reference, of one view, as more samples are taken. Light of texels is baked \
@@ -316,8 +326,8 @@ CURVE_COLUMNS = (
 
 
 END_ERROR_FACTOR = 1.1
-"""How many times the error that a curve ends at its point may have that stands for the whole
-bake.
+"""The cheapest point whose error is at most this many times that at the end of its curve stands
+for the whole bake.
 """
 
 EQUAL_ERROR_COLUMNS = (
@@ -331,19 +341,21 @@ EQUAL_ERROR_COLUMNS = (
 
 @dataclass(frozen=True)
 class Point:
-    """A picture's score after so many ``samples`` and ``seconds`` of the processor."""
+    """The score of a picture after ``samples`` samples and ``seconds`` of the processor."""
 
     samples: int
     seconds: float
     score: Score
 
     def foresee(self, samples: int) -> float:
-        """The seconds that so many samples are expected to take."""
+        """Return the seconds that ``samples`` samples are expected to take."""
         return samples * self.seconds / self.samples
 
 
 def study_convergence(bench: Bench) -> Section:
-    """The curves, their points as a table, and where baked light begins to pay."""
+    """Return the section with the curves, their points as a table, and the break-even of baked
+    light.
+    """
     small = bench.sized(CURVE_PIXELS)
     found = points_of(small)
     rows = tuple(
@@ -371,14 +383,16 @@ def study_convergence(bench: Bench) -> Section:
 
 
 def points_of(bench: Bench) -> dict[str, list[Point]]:
-    """The points of all curves by name, that of path tracing last."""
+    """Return the points of all curves by name, that of path tracing last."""
     best = bench.grown(0.0)
     found = {name: baked(bench, scene, best) for name, scene in ways(bench.scene).items()}
     return {**found, PATH_TRACING_CURVE: traced(bench, best)}
 
 
 def ways(scene: Scene) -> dict[str, Scene]:
-    """The ways to keep a scene's light, by name: its plan, S1's, and irradiance."""
+    """Return scenes that keep the light in several ways, by name: by the plan, as S1 does, and
+    as irradiance.
+    """
     found = {f"the plan: {scene.plan.representation}": scene}
     s1 = as_s1(scene)
     if s1 is not None:
@@ -389,7 +403,9 @@ def ways(scene: Scene) -> dict[str, Scene]:
 
 
 def as_s1(scene: Scene) -> Scene | None:
-    """The scene with what S1 keeps of any; None under lamps, which harmonics do not hold."""
+    """Return the scene with the coefficients that S1 keeps of any scene; None under lamps,
+    which harmonics do not hold.
+    """
     if scene.lighting.lamps.any:
         return None
     whole = Layer("whole", MEASURED_BANDS, 3, half=False)
@@ -404,7 +420,9 @@ def as_s1(scene: Scene) -> Scene | None:
 
 
 def as_irradiance(scene: Scene) -> Scene:
-    """The scene under lights that stay: a texel keeps the light that it receives."""
+    """Return the scene under lights that do not rotate: a texel keeps the irradiance that it
+    receives.
+    """
     if scene.inputs.grey and scene.inputs.grey_light:
         channels = 1
     else:
@@ -416,19 +434,17 @@ def as_irradiance(scene: Scene) -> Scene:
 
 
 def of_glow(scene: Scene) -> tuple[Layer, ...]:
-    """The layer of what glows in a scene, which is the same whatever else is kept; none where
-    nothing does.
-    """
+    """Return the layer of glowing parts of a scene, which all ways share; none if nothing glows."""
     return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW_KIND)
 
 
 def curve(name: str, own: list[Point]) -> Curve:
-    """A way's ``own`` points as a curve of the plot."""
+    """Return the points of a way as a curve of the plot."""
     return Curve(name, tuple(p.seconds for p in own), tuple(p.score.rmse for p in own))
 
 
 def ends(found: dict[str, list[Point]]) -> list[str]:
-    """A sentence on each curve that ends before the last of CURVE_SAMPLES."""
+    """Return a sentence on each curve that ends before the last of CURVE_SAMPLES."""
     return [
         f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next "
         "point would have taken too "
@@ -439,7 +455,7 @@ def ends(found: dict[str, list[Point]]) -> list[str]:
 
 
 def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
-    """The points of light that is baked by a scene's plan. Raises Cancelled."""
+    """Return the points of light that is baked by a scene's plan. Raises Cancelled."""
     bake = ViewBake(bench.renderer(scene), bench.view)
 
     def frame(samples: int) -> tuple[Frame, float]:
@@ -450,8 +466,8 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def traced(bench: Bench, best: Reference) -> list[Point]:
-    """The points of paths from each pixel, each picture traced again; with as many bounces as may
-    matter.
+    """Return the points of paths from each pixel, each picture traced from the start, with as many
+    bounces as may matter.
     """
     renderer = bench.renderer(bench.whole)
     view = replace(bench.view, shading="path_traced")
@@ -468,10 +484,10 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 def points(
     bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]
 ) -> list[Point]:
-    """The points of ``frame``, which returns its seconds too, over CURVE_SAMPLES, until the next
-    would take too long.
+    """Return the points of ``frame``, a function that returns a frame and its seconds, over
+    CURVE_SAMPLES.
 
-    The first one is made in any case.
+    They end when the next point would take too long; the first is made in any case.
     """
     found: list[Point] = []
     for samples in CURVE_SAMPLES:
@@ -483,22 +499,26 @@ def points(
 
 
 def fits(bench: Bench, seconds: float) -> bool:
-    """Whether a point may take so long; the bench notes where time left forbids it."""
+    """Return True if a point may take this many seconds. If the time left forbids it, the bench
+    notes that.
+    """
     if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
     return seconds <= min(MAX_POINT_SECONDS, POINT_SHARE * bench.left)
 
 
 def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
-    """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one;
-    ``size`` in words.
+    """Return the table of break-evens of each ``baked`` curve against the ``traced`` one;
+    ``size`` is in words.
     """
     rows = tuple(even(curve, traced) for curve in baked)
     return Table(f"When baked light pays, {size}", EQUAL_ERROR_COLUMNS, rows)
 
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
-    """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
+    """Return a way's row of the table, by its cheapest point that is nearly as good as its last
+    one.
+    """
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )
@@ -511,11 +531,11 @@ def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
 
 
 def seconds_at(curve: Curve, error: float) -> float | None:
-    """The seconds after which a curve has come to an error, linear in their logarithms between its
-    points.
+    """Return the seconds after which a curve reaches an error, by linear interpolation of
+    logarithms between its points.
 
-    Beyond its first and last point the line through the nearest two goes on. None where that never
-    meets the error: the curve has a single point, does not fall, or its error is 0.
+    Beyond the first and the last point the line through the nearest two is extended. Return None if
+    it never meets the error: the curve has a single point or does not fall, or the error is 0.
     """
     if len(curve.x) < 2 or min(error, *curve.y) <= 0.0:
         return None
