@@ -443,6 +443,7 @@ class Film:
         return f'<img src="data:image/webp;base64,{data}" alt="{len(self.frames)} frames">'
 
     def _animation(self, form: str) -> bytes:
+        """Return the frames as an animated picture of the given format."""
         buffer = io.BytesIO()
         (first, *others) = (frame.image for frame in self.frames)
         first.save(
@@ -500,11 +501,13 @@ class Bar:
             self._draw(news, total, f"{news} of {total} frames", news == total)
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
+        """Draw the bar over the one before; erase it if the work is ``over``."""
         filled = PROGRESS_BAR_WIDTH * done // max(total, 1)
         if over:
             line = ""
         else:
             line = f"{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note}"
+        # Draw only changes: notebooks keep all output.
         if line != self._line:
             # A notebook shows stderr as if it were an error.
             stream = sys.stdout if "ipykernel" in sys.modules else sys.stderr
@@ -632,6 +635,8 @@ class Isogi:
         self._server: subprocess.Popen[bytes] | None = None
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
+        # Repeat requests that the server is too busy for; once it has answered, also those that get
+        # no connection (see ``_meet``).
         self._retry = Retry(
             total=1000,
             allowed_methods=("GET", "POST", "DELETE"),
@@ -677,6 +682,7 @@ class Isogi:
 
         >>> isogi = Isogi.serving("engine.toml")
         """
+        # Let the system choose a free port.
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
         options = [
@@ -1010,9 +1016,11 @@ class Isogi:
                     if event.data:
                         yield Event(event.event, read_json(event.data), event.id)
             except (*CONNECTION_ERRORS, httpx.ReadTimeout):
+                # The caller opens another connection, and goes on after the last event.
                 return
 
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
+        """Ask for a frame, and return it as it is now."""
         answer = self._ask("GET", f"{path}/frame", params=asked)
         return Frame(
             answer.content,
@@ -1021,6 +1029,7 @@ class Isogi:
         )
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
+        """Return the JSON document of the server's answer."""
         return document_of(self._ask(method, path, **more))
 
     def _ask(self, method: str, path: str, **more: Any) -> httpx.Response:
@@ -1041,6 +1050,7 @@ class Isogi:
             )
 
     def _ask_again(self, request: httpx.Request) -> None:
+        """Set the rules by which the request is repeated."""
         request.extensions["retry"] = self._retry
 
     def _meet(self, _: httpx.Response) -> None:
@@ -1070,6 +1080,7 @@ def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
         )
     if len(spacing) != 3 or not all(np.isfinite(step) and step > 0 for step in spacing):
         raise ValueError(f"spacing is three distances above 0, along x, y and z, not {spacing!r}.")
+    # Write types that NRRD has as they are, logical values as bytes, and all others as double.
     if array.dtype.str[1:] in NRRD_TYPES:
         code = array.dtype.str[1:]
     elif array.dtype.kind == "b":

@@ -127,6 +127,8 @@ class Viewer(anywidget.AnyWidget):
         """
         facts = isogi.scene(scene)
         modules = modules_of(isogi)
+        # Split the parameters: knobs that move, the target, those that the page sends itself, and
+        # the rest.
         knobs = {
             name: float(view.pop(name, facts["defaults"].get(name, 0.0)))
             for name in MOVED_PARAMETERS
@@ -150,6 +152,8 @@ class Viewer(anywidget.AnyWidget):
             size=[int(view.get(name) or DEFAULT_SIDE_PIXELS) for name in ("width", "height")],
             modules=modules,
         )
+        # Requests of the page are answered by threads; a change of a knob wakes the thread that
+        # draws.
         self.on_msg(lambda _, asked, __: self._answers.submit(self._answer, asked))
         self.observe(lambda _: self._moved.set(), (*MOVED_PARAMETERS, "target", "moving"))
         self._moved.set()
@@ -214,6 +218,7 @@ class Viewer(anywidget.AnyWidget):
         """Answer a request of the page with the server's bytes, or with its error."""
         number = asked["number"]
         path = asked["path"]
+        # Modules of the page lie at the top, all else belongs to the scene.
         if path.startswith("web/"):
             place = path
         else:

@@ -316,6 +316,9 @@ class Bench:
         return found
 
     def _grow(self, noise: float) -> Reference:
+        """Grow the view's reference until its ``noise`` is this small, or the time for it is
+        over; keep each state.
+        """
         found = self.reference(MIN_REFERENCE_PATHS)
         scene = self.whole
         goal = replace(
@@ -363,6 +366,7 @@ class Bench:
         return reference
 
     def _path(self, scene: Scene) -> Path:
+        """Return the file of a scene's reference."""
         return (
             self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
         )

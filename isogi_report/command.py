@@ -102,6 +102,7 @@ def report_of(
     from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
     from isogi_report.page import write_report  # noqa: PLC0415
 
+    # Refuse unknown studies before anything is measured.
     wanted = chosen_studies(STUDIES, request.only)
     if request.deadline is None:
         deadline = math.inf

@@ -86,6 +86,8 @@ class Journal:
         self.folder = folder / JOURNAL_FOLDER
         self.code = code_digest()
         path = self.folder / SUBJECT_FILE
+        # A journal without sections may be given another subject; references of the old one are of
+        # no use then.
         if sections_in(self.folder):
             refuse_other(folder, read(path), subject)
         elif read(path) != subject:
@@ -127,6 +129,7 @@ def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
     holds something else, or is in use.
     """
     journal = folder / JOURNAL_FOLDER
+    # Never write into a folder with other files.
     if folder.exists() and (
         not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))
     ):
@@ -135,6 +138,7 @@ def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
         )
     journal.mkdir(parents=True, exist_ok=True)
     with (journal / LOCK_FILE).open("w") as file:
+        # The lock is released when the process ends, however that happens.
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

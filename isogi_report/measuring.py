@@ -198,6 +198,7 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
     try:
         return Entry(study.run(bench), time.process_time() - begun)
     except Cancelled:
+        # Work may be cancelled from within: begin no other study then.
         bench.cancelled.set()
         return None
     except Exception as error:

@@ -87,6 +87,7 @@ def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spre
     """
     if not len(wrong):
         return Spread(0.0, 0.0, 0.0)
+    # Noise and error are independent, so their mean squares add up.
     square = max(float((wrong**2).mean()) - float(np.mean(noise)), 0.0)
     return Spread(
         math.sqrt(square) / mean,
@@ -130,6 +131,7 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
     """Return the mean of FLIP over surface pixels, of both pictures through the film's tone
     curve; None if FLIP is not installed.
     """
+    # FLIP is not among isogi's requirements.
     try:
         evaluator = importlib.import_module("flip_evaluator")
     except ImportError:

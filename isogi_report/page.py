@@ -78,6 +78,7 @@ def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
     plots = count(1)
     for entry in report.entries:
         section = entry.section
+        # Error maps of a section share a scale.
         scales = scales_of(entry.section.pictures)
         yield {
             "key": section.key,
@@ -128,6 +129,7 @@ def picture_part(section: Section, i: int, scale: float | None, files: Mapping[s
     """
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]
+    # Put the file into the page itself.
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
     if scale is None:
         ends = None

@@ -125,9 +125,11 @@ def inline_svg(svg: str) -> str:
     """Return matplotlib's file as an element of a page: with CSS variables for colours and
     fonts, and without ids, metadata and styles.
     """
+    # Remove the XML head, metadata, styles and comments; then ids, which must be unique in a page.
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r'(<g) id="[^"]*"', r"\1", svg)
+    # Fonts and colours are the page's, and so is the size.
     svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--text)", svg)
     svg = re.sub(r'(<svg [^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)
     for colour, name in PAGE_COLOURS.items():
@@ -143,6 +145,7 @@ def fill(axes: Axes, plot: Plot) -> None:
         axes.plot(
             x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2
         )
+    # Errors and times span powers of ten.
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(color=LINE_STAND_IN, linewidth=0.7)

@@ -195,10 +195,12 @@ def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
     numbers = [
         float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)
     ]
+    # One unit and one number of digits for the whole column, so that its numbers can be compared.
     name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
     write = writer(column.unit, [number / size for number in numbers])
 
     def text(cell: Cell) -> str:
+        """Return a cell as text."""
         if isinstance(cell, str):
             return cell
         if cell is not None and math.isfinite(cell):

@@ -105,6 +105,7 @@ def isovalues_near(scene: Scene, count: int) -> list[float]:
     low, high = scene.isovalues
     down = scene.isovalue - low
     up = high - scene.isovalue
+    # Stay within a tenth of the shorter side of the range, or of the only side there is.
     reach = 0.1 * (min(down, up) or max(down, up))
     ways = (1.0 if up else -1.0, -1.0 if down else 1.0)
     return [scene.isovalue + ways[i % 2] * reach * (i + 1) / count for i in range(count)]
@@ -232,6 +233,7 @@ def cast(
 def bounce(prepared: PreparedScene, rays: Rays, rng: np.random.Generator) -> Rays:
     """Return cosine-distributed rays from the points that ``rays`` hit."""
     t, came = cast(prepared, rays)
+    # Start from the rays that hit, in place: ``bounce_rays`` replaces origins and directions.
     hit = np.isfinite(t)
     on = rays.part(hit)
     bounce_rays(
@@ -446,6 +448,7 @@ class StepTimes:
         prepared = self.renderer.prepared
         pieces = list(self._texels())
         bake = partial(bake_pieces, prepared, pieces, BAKED_SAMPLES)
+        # A first bake counts the paths, and makes the maps of active cells.
         paths = bake()
         taken = medians(
             {"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats

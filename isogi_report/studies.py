@@ -64,6 +64,7 @@ def study_summary(bench: Bench) -> Section:
     frame = planned.frame()
     own = score_cells(bench.score(frame.leaving))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
+    # The scores of the frame, its reference, and the facts of the scene, as tables.
     headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
     measured = (
         Column("reference's noise", "share"),
@@ -181,6 +182,8 @@ def study_split(bench: Bench) -> Section:
     split = split_error(bench)
     bias = sum(split.spread(part).bias for part in split.parts)
     reported = bench.planned.frame().noise
+    # The parts, their sum, the measured total, and the effect of normals and offset, which is no
+    # part.
     rows = (
         *(row_of(part, split) for part in split.parts),
         ("parts together", split.together, bias, "root sum of squares, sum of biases"),
@@ -356,6 +359,7 @@ def study_convergence(bench: Bench) -> Section:
     """Return the section with the curves, their points as a table, and the break-even of baked
     light.
     """
+    # Measure the curves on a small picture, as some points take many samples.
     small = bench.sized(CURVE_PIXELS)
     found = points_of(small)
     rows = tuple(

@@ -152,6 +152,7 @@ class Baker:
         """
         self._expected = workers
         self._clock = clock
+        # The name of this baker in claims: no other process has had it.
         self._name = uuid4().hex
         self._queue = BakeQueue(
             clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1])
@@ -471,7 +472,9 @@ class Baker:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (*request.next, request.until, request.target)
+        # The other baker may have been killed: after LONGEST_REST its claim counts no more.
         insists = request.waited >= LONGEST_REST
+        # A worker needs no read of the store if the light of its texels is in memory.
         light = None
         if keeps and bake.light is not None:
             light = bake.light.some(index, request.next[0])
@@ -532,17 +535,20 @@ class Baker:
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
             self._done_chunks += 1
-            if task.light is None:  # it has read the store
+            # A task that was sent no light has read the store, so the store is there.
+            if task.light is None:
                 self._pause.end()
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
             self._kept += outcome.kept
             self._queue.finish(key, task.offsets, task.target, outcome, task.enough)
         elif isinstance(outcome, WorkersAwayError):
+            # The chunk is not to blame: it waits for the workers, as below for the store.
             self._queue.put_off(key)
         elif isinstance(outcome, StoreAwayError):
             self._put_off(key, outcome)
         elif self._pool is not None:
+            # Tasks that end after the baker has stopped do not count as failures.
             self._fail(key, outcome)
 
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
@@ -562,10 +568,12 @@ class Baker:
         after(POSTPONE_SECONDS, self.stir)
 
     def _notify(self, scene: str, index: Index, more: bool) -> None:
+        """Call all listeners."""
         for listener in self._listeners:
             listener(scene, index, more)
 
     def _fail(self, key: Key, error: BaseException | None) -> None:
+        """Log a failure of a task, and have the queue try again or give up."""
         scene, index = key
         self._failed_tasks += 1
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)

@@ -127,6 +127,7 @@ class DaskPool:
         self._stir: Callable[[], None] = lambda: None
         self._moved = threading.Event()
         self._closing = threading.Event()
+        # Tasks in flight by Dask's key, and those that had ended at the last check.
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
         self._ended: set[Any] = set()
         try:

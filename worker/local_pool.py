@@ -122,9 +122,11 @@ class LocalPool:
         self._lock = threading.Lock()
         self._closed = False
         self._retry = 0.0
+        # A pipe by which other threads wake the pool's thread.
         self._woken, self._waker = multiprocessing.Pipe(duplex=False)
         try:
             start_fork_server()
+            # Start all processes, and then wait for all: they load at the same time.
             for _ in range(workers):
                 self._workers.append(self._begin())
             for worker in self._workers:
@@ -223,6 +225,7 @@ class LocalPool:
         self._kinds |= kinds
 
         def ended(result: Any, error: BaseException | None) -> None:
+            """Note that kernels are compiled, and report the end of the job."""
             # A finished task shows that the kernels of its layers are compiled.
             if error is None:
                 self._baked.update(kinds)
@@ -282,6 +285,7 @@ class LocalPool:
         except (EOFError, OSError):
             self._bury(worker)
             return
+        # The first answer says that the process is ready.
         if not worker.here:
             worker.here = True
             self._stir()

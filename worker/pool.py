@@ -117,6 +117,7 @@ def all_ended(tasks: Sequence[BakeTask], done: AllDone) -> Callable[..., None]:
     def ended(
         outcomes: Sequence[BakeResult | BaseException] | None, error: BaseException | None
     ) -> None:
+        """Pass on the outcomes, or the error once for each task."""
         if outcomes is None:
             done([error or RuntimeError("Nothing came of the task.")] * len(tasks))
         else:

@@ -101,6 +101,8 @@ class TimeLeft:
             span = max(self.likely, LEAST_SECONDS)
         if seconds < span:
             return self.scaled_to(min(span - seconds, self.likely))
+        # Each span that is over is followed by one twice as long, at the end of which the work is
+        # expected then.
         while seconds >= span:
             seconds -= span
             span = 2.0 * max(span, LEAST_SECONDS)
@@ -394,6 +396,7 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     first = total.first / texels
 
     def _paths(each: Work) -> float:
+        """Return the paths that a piece of work will take."""
         unlit = each.effort.unlit
         stricter = (work[0].target / each.target) ** RATE
         if unlit and each.effort.expected:
@@ -489,12 +492,14 @@ def extrapolated(
     if not measured:
         return CostEstimate()
     known = sum(one.texels for one in measured)
+    # Mean seconds per texel of the measured chunks, and from it the total.
     each = seconds_per_texel(measured, per_task)
     seconds = sum(one.texels * rate for one, rate in zip(measured, each, strict=True))
     if whole:
         total = seconds
     else:
         total = float(each.mean()) * texels
+    # If all chunks were measured, nothing is unsure.
     return CostEstimate(
         seconds=total,
         processor=total / seconds * sum(one.processor for one in measured),

@@ -166,6 +166,8 @@ class LightWriter:
             self._failures.pop(key, None)
             self._recover()
             return outcome
+        # Light stays in memory while the store or the workers are away. A chunk that fails by
+        # itself is dropped after some tries.
         if isinstance(outcome, StoreAwayError):
             self._pause(str(outcome))
         elif not isinstance(outcome, WorkersAwayError):

@@ -160,6 +160,7 @@ def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
     level = record["rung"]
     light = record["light"]
     dark = level == 0
+    # The checksum was right, so a fault here is one of the program that wrote the record.
     faults = {
         "it was packed to another scale": record["scale"] != np.float32(layer.scale),
         "a texel took a number of samples that none takes": (

@@ -157,6 +157,7 @@ class UseStamps:
         threading.Thread(target=self._stamp, name="stamp", daemon=True).start()
 
     def _stamp(self) -> None:
+        """Write the stamps. Failure is logged: stamps only serve to choose layers to delete."""
         try:
             for digest in self._digests:
                 key = f"{STAMPS_FOLDER}/{digest}"
@@ -300,6 +301,7 @@ class ChunkStore:
         return contended
 
     def _chunk(self, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> Chunk | None:
+        """Return the chunk of the parts that were found; None if none of them has texels."""
         if not any(len(offsets) for offsets, _ in found):
             return None
         return Chunk.of_parts(index, found)
@@ -307,6 +309,7 @@ class ChunkStore:
     def _decoded(
         self, layer: LayerStore, index: Index, stored: bytes | None
     ) -> tuple[np.ndarray, Part]:
+        """Decode the object of a layer; return no texels if it is absent or damaged."""
         try:
             if stored is not None:
                 return layer.decode(index, stored)
@@ -315,6 +318,7 @@ class ChunkStore:
         return np.empty(0, np.int32), Part.dark(layer.layer, 0)
 
     def _report_damage(self, error: DamagedChunkError) -> None:
+        """Count and log damage of an object."""
         self.damaged += 1
         # A damaged chunk is read again and again until it is baked.
         if self.store.is_new_message(str(error)):

@@ -159,6 +159,9 @@ class LayerStore:
         raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
+        """Return True if an array in the store is the one that this layer needs: its shape,
+        codecs and volume agree.
+        """
         # The array is read before each new chunk, but checked only once.
         if array is self.__dict__.get("array"):
             return True
@@ -173,6 +176,8 @@ class LayerStore:
         )
 
     def _create(self) -> "zarr.Array[Any]":
+        """Create the array in the store, and return it."""
+        # Another process may have created it in between: then use that one.
         with suppress(ChangedError):
             self.store.put(self._metadata_key, self._description(), None)
         array = self._open()
@@ -269,6 +274,7 @@ class LayerStore:
         return True
 
     def _damaged(self, index: Index, why: str) -> DamagedChunkError:
+        """Return the error for a damaged chunk; ``why`` completes the sentence."""
         return DamagedChunkError(
             f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again."
         )
@@ -371,6 +377,7 @@ def layer_attributes(
     scene = prepared.scene
     record = record_type(layer, prepared.lattice.texels)
     return {
+        # Whose light it is, and the lattice that it is for.
         "format": BAKE_FORMAT,
         "scene": scene.id,
         "volume": scene.volume.name,
@@ -383,12 +390,14 @@ def layer_attributes(
         "normals": scene.settings.normals,
         "offset": scene.settings.offset,
         "shown": shown,
+        # The layer, and everything that its light depends on.
         **asdict(layer),
         "bounces": scene.bounces if layer.reflected else 0,
         "albedo": list(layer.nodes or scene.surfaces.albedo) if layer.reflected else None,
         "lights": [light.name for light in scene.lighting.lights]
         if layer.kind == "irradiance"
         else None,
+        # The plan, and the form of its records.
         "plan": asdict(scene.plan),
         "codes": RECORD_CODES,
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record)],

@@ -194,6 +194,7 @@ class PagePool:
             found = [self._entries.get(index) for index in indices]
             for index, entry in zip(indices, found, strict=True):
                 if entry is not None:
+                    # Entries are in the order of their last use: held ones move to the end.
                     entry.held += 1
                     self._entries.move_to_end(index)
         try:
@@ -201,6 +202,7 @@ class PagePool:
                 np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age
             )
         finally:
+            # An entry that was replaced meanwhile is freed by its last holder.
             with self._lock:
                 for entry in found:
                     if entry is not None:
@@ -395,6 +397,7 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
     """
     term = spec.terms[at]
     weights = white(layer, spec)
+    # Only one of the nodes adds noise and sample level to the sums of a row.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),

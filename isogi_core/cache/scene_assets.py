@@ -227,6 +227,7 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
         return None
     asset = Asset(store, f"colours/{assets.colours}")
     facts = asset.describe()[3]
+    # Read the colours' positions on the colour scale, then build the scale from its facts.
     places = np.concatenate(list(asset.slabs()))
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
@@ -339,6 +340,7 @@ def fetch_file(digest: str, name: str, store: Store) -> Path:
     """
 
     def fetch() -> bytes:
+        """Read the file from the store, and check its digest."""
         asset = Asset(store, f"files/{digest}")
         data = b"".join(part.tobytes() for part in asset.slabs())
         if digest_of_file(data) != digest:

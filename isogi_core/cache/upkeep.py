@@ -157,9 +157,11 @@ def _sound_samples(
     if not facts.holds(index):
         raise DamagedChunkError("there is no such place in its lattice")
     samples = np.zeros(facts.chunk_texels, np.int32)
+    # An object that was deleted meanwhile is not damaged.
     stored = store.read(key)
     if stored is None:
         return samples
+    # Check, in this order, that it unpacks, that it belongs here, and that its numbers make sense.
     record = unwrap(stored, facts.record_size)
     found = unpack(record, facts.layer, facts.chunk_texels, digest, index)
     if found is None:
@@ -216,6 +218,7 @@ def repair_store(store: Store, delete: bool = False, progress: Progress = no_pro
 
     # Damaged objects are put away during the audit, so that servers bake them again soon.
     def put_away(damage: Damage) -> None:
+        """Move or delete a damaged object, once."""
         if damage.key in moved:
             return
         content = store.read(damage.key)

@@ -302,6 +302,8 @@ class Copies:
             self._grown += size
             if self._grown <= (1.0 - ROOM_MADE) * self._most:
                 return
+            # Scan the folder, which other processes may share, and delete the longest unused copies
+            # of any store.
             self._grown = 0
             with os.scandir(self._folder) as entries:
                 files = sorted(

@@ -64,6 +64,7 @@ class Bucket:
             ) from None
         self.sentinel = sentinel
         self._obstore: Any = obstore
+        # This checks the URL and the environment, and opens no connection.
         try:
             connect: Any = from_url
             self._store = connect(
@@ -208,6 +209,8 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
         plain = {"allow_http": "true"}
     else:
         plain = {}
+    # Options from the environment win over the default for http://, and the store URL's time limits
+    # over both.
     return {
         **plain,
         **given,

@@ -113,6 +113,8 @@ class Store:
         self.readers: Executor = ThreadPoolExecutor(self.most_readers, "loader")
         self.calls = Calls()
         self._clock = clock
+        # The state of the connection: the backend, once made; the sentinel, once seen; and the
+        # error of the last check, which stands until a time.
         self._made: Backend | None = None
         self._seen = False
         self._without_sentinel = False

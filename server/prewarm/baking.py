@@ -473,8 +473,8 @@ def forecast(
 ) -> CostEstimate:
     """Estimate the cost of baking the ``demands`` to ``until``, within about ``budget`` seconds.
 
-    As many chunks are rehearsed at a time as there are workers, as these slow each other down in the
-    same way.
+    As many chunks are rehearsed at a time as there are workers, as these slow each other down in
+    the same way.
     """
     if not demands:
         return CostEstimate()

@@ -100,6 +100,7 @@ def levels_of(texts: Sequence[str]) -> Levels:
     ranges: dict[tuple[float, float], None] = {}
     sampled: dict[tuple[str, int], None] = {}
     for text in texts:
+        # A text is a number of isovalues to sample, a range of two numbers, or single isovalues.
         if (way := text.partition(":")[0]) in SAMPLINGS:
             sampled[way, sampled_count(text)] = None
             continue
@@ -334,6 +335,7 @@ class Views:
         }
         self._levels = () if order.all_directions else order.isovalues_of(scene).single
         self._directions = order.looks_from
+        # Refuse too many views, and one that is not allowed, before any work begins.
         if len(self) > MOST_VIEWS:
             asked = (
                 f"{len(self._directions):,} views of each of {len(self._levels):,} "
@@ -373,6 +375,7 @@ def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Se
     highest and some between.
     """
     every = sorted(set(levels.all))
+    # Choose isovalues evenly by rank, and views of moderate size from all sides.
     chosen = {
         every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))]
         for n in range(MAX_VIEWED_ISOVALUES)

@@ -276,6 +276,7 @@ class Record:
         self.keep(status=Status.RUNNING)
         draw = context.report
 
+        # Record each step that is reported, as long as the block runs.
         def report(step: Step) -> None:
             draw(step)
             self.report(step)
@@ -284,6 +285,7 @@ class Record:
         try:
             yield
         except (Cancelled, KeyboardInterrupt):
+            # A server that stops leaves its records open for the next one.
             if not lasting():
                 self.keep(status=Status.DISMISSED, message=stopped)
             raise

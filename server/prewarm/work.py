@@ -152,6 +152,8 @@ class Pictures:
                 self._context.report(
                     Step("Looking", "view", done, total, share_of(done, total, span))
                 )
+                # A view of a sample whose camera stands in a wall raises ViewError, and is left
+                # out.
                 with suppress(*(ViewError,) * self._sample):
                     self._take(number, self._checked(view, end), found)
                 if number not in self.seen:
@@ -604,6 +606,8 @@ def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
     errors = [each.error for each in pictures.seen.values()] or [1.0]
     final = sum(each.final for each in seen)
     total = sum(each.surface for each in seen)
+    # For whole isosurfaces count texels instead of pixels; none are final before pictures have
+    # decided.
     if rounds.what.whole:
         final = left.final * bool(left.demands or not pictures.waiting)
         total = left.seen
@@ -718,6 +722,7 @@ def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
     demands = [demand for _, demand in found.wishes]
     until = Until(context.target, rung)
     workers = context.engine.baker.workers
+    # Forecast the time for reports of progress, and bake.
     ahead = forecast(context.renderer, demands, until, workers, TRIAL_SECONDS, context.cancelled)
     baking = Baking(
         context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline
