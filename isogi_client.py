@@ -80,8 +80,8 @@ Values = float | str | Sequence[float] | None
 
 
 class IsogiError(Exception):
-    """An error in one sentence, with the HTTP ``status`` and the ``problem`` document (RFC
-    9457), if there are any.
+    """An error in one sentence, with the HTTP ``status``
+    and the ``problem`` document (RFC 9457), if there are any.
     """
 
     def __init__(
@@ -94,8 +94,9 @@ class IsogiError(Exception):
 
 
 class RefusedError(IsogiError):
-    """The server does not accept this request as it is: see ``detail``. If a parameter is
-    wrong, ``problem["parameter"]`` names it.
+    """The server does not accept this request as it is: see ``detail``.
+
+    If a parameter is wrong, ``problem["parameter"]`` names it.
     """
 
 
@@ -104,8 +105,8 @@ class NotFoundError(RefusedError):
 
 
 class TokenError(RefusedError):
-    """The server requires its token (``token=`` or ISOGI_TOKEN), or does not serve this client
-    at all.
+    """The server requires its token (``token=`` or ISOGI_TOKEN),
+    or does not serve this client at all.
     """
 
 
@@ -134,8 +135,8 @@ class TargetWarning(UserWarning):
 
 
 class TimeLeft(NamedTuple):
-    """Seconds until a view is final: the most ``likely`` value, and the range that probably
-    holds the true one.
+    """Seconds until a view is final: the most ``likely`` value,
+    and the range that probably holds the true one.
     """
 
     low: float
@@ -219,8 +220,9 @@ class Facts:
 
 
 def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
-    """Return the fields of the class ``kind`` that are in a document of the server. Lists
-    become tuples.
+    """Return the fields of the class ``kind`` that are in a document of the server.
+
+    Lists become tuples.
     """
     known = {each.name: document[each.name] for each in fields(kind) if each.name in document}
     known = {
@@ -231,8 +233,8 @@ def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
 
 
 def error_of_header(header: str) -> dict[str, Any]:
-    """Read a frame's error from a header such as ``0.018; noise=0.006; low=0.015; high=0.021;
-    controls=256``.
+    """Read a frame's error from a header such
+    as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256``.
     """
     error, *parts = header.split(";")
     known = numbers(",".join(part for part in parts if "=" in part))
@@ -290,8 +292,8 @@ class Frame:
 
     @cached_property
     def array(self) -> np.ndarray:
-        """The picture's bytes (h, w, 3); of an npy the numbers as they came (h, w, 9), see
-        ``planes``.
+        """The picture's bytes (h, w, 3);
+        of an npy the numbers as they came (h, w, 9), see ``planes``.
         """
         if self.f == "npy":
             return np.load(io.BytesIO(self.content), allow_pickle=False)
@@ -311,8 +313,9 @@ class Frame:
         return Planes(planes[..., :3], mask, state, error, planes[..., 6:9])
 
     def save(self, path: str | Path) -> Path:
-        """Write the picture's bytes to a file; return its path. Raises ValueError if its suffix
-        is that of another format.
+        """Write the picture's bytes to a file; return its path.
+
+        Raises ValueError if its suffix is that of another format.
         """
         path = Path(path)
         if path.suffix.lower() not in FORMAT_SUFFIXES[self.f]:
@@ -330,8 +333,8 @@ class Frame:
         return self.array.astype(dtype)
 
     def __repr__(self) -> str:
-        """Return one line such as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error
-        about 1.8 %)``.
+        """Return one line such
+        as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8 %)``.
         """
         if self.f == "npy":
             wide = self.array.shape[1]
@@ -421,8 +424,9 @@ class Film:
     fps: float = 24.0
 
     def save(self, path: str | Path) -> Path:
-        """Write the frames to a GIF or WebP file that loops, or as numbered pictures into a
-        folder. Raises ValueError for other files.
+        """Write the frames to a GIF or WebP file that loops, or as numbered pictures into a folder.
+
+        Raises ValueError for other files.
         """
         path = Path(path)
         if not path.suffix:
@@ -518,8 +522,8 @@ class Bar:
 
 @dataclass(frozen=True)
 class Event:
-    """An event of a view: its ``kind`` (refined, progress, final or failed), its document
-    ``data``, and an ``id`` that names the frame's light.
+    """An event of a view: its ``kind`` (refined, progress, final or failed),
+    its document ``data``, and an ``id`` that names the frame's light.
     """
 
     kind: str
@@ -528,8 +532,9 @@ class Event:
 
     @property
     def facts(self) -> Facts | None:
-        """The quality of the view now. None for progress, whose data hold the chunks
-        ``waiting`` and the ``time_left``.
+        """The quality of the view now.
+
+        None for progress, whose data hold the chunks ``waiting`` and the ``time_left``.
         """
         if self.kind == "progress":
             return None
@@ -561,8 +566,9 @@ class Progress:
 
 
 class Job:
-    """Work that a server does in the background and continues after a restart. Its ``id`` finds
-    it again.
+    """Work that a server does in the background and continues after a restart.
+
+    Its ``id`` finds it again.
     """
 
     def __init__(self, isogi: Isogi, key: str) -> None:
@@ -1000,8 +1006,8 @@ class Isogi:
             time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
-        """Yield the events of one connection until it ends or breaks, only those after the
-        event ``last`` if that is given.
+        """Yield the events of one connection until it ends or breaks,
+        only those after the event ``last`` if that is given.
         """
         headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
         with (
@@ -1071,8 +1077,9 @@ NRRD_TYPES = {
 
 
 def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
-    """Return an array (z, y, x) as an NRRD file. Raises ValueError if it is not a volume, or if
-    the ``spacing`` is wrong.
+    """Return an array (z, y, x) as an NRRD file.
+
+    Raises ValueError if it is not a volume, or if the ``spacing`` is wrong.
     """
     if array.ndim != 3 or array.dtype.kind not in "biuf":
         raise ValueError(
@@ -1100,8 +1107,9 @@ def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The bytes of a file, block by block. They can be read several times, as a request may be
-    sent again.
+    """The bytes of a file, block by block.
+
+    They can be read several times, as a request may be sent again.
     """
 
     path: Path
@@ -1118,8 +1126,8 @@ def scene_path(scene: str) -> str:
 
 
 def query(view: Mapping[str, Values]) -> dict[str, str]:
-    """Return the parameters of a view as texts: sequences such as eye=(1, 2, 3) with commas,
-    without those that are None.
+    """Return the parameters of a view as texts:
+    sequences such as eye=(1, 2, 3) with commas, without those that are None.
     """
     return {name: text_of(value) for name, value in view.items() if value is not None}
 
@@ -1152,8 +1160,9 @@ def tell_target(facts: Facts, target: str | None) -> None:
 
 
 def origin_of(url: httpx.URL) -> tuple[str, str, int | None]:
-    """Return scheme, host and port of a server's address. The port is None if it is the
-    scheme's default.
+    """Return scheme, host and port of a server's address.
+
+    The port is None if it is the scheme's default.
     """
     return url.scheme, url.host, url.port
 
@@ -1164,8 +1173,9 @@ def document_of(answer: httpx.Response) -> Any:
 
 
 def read_json(text: str) -> Any:
-    """Return the JSON document in a text from the server. Raises ServerError if there is none,
-    or if it is nested too deep for Python.
+    """Return the JSON document in a text from the server.
+
+    Raises ServerError if there is none, or if it is nested too deep for Python.
     """
     try:
         return json.loads(text)

@@ -35,8 +35,8 @@ REFINE_SECONDS = 1.0
 """Seconds of baking between two pictures of a view at rest."""
 
 REST_SECONDS = 1.0
-"""Seconds without a change after which a view is taken to be at rest, even if the page has not
-reported it: it may have been closed.
+"""Seconds without a change after which a view is taken to be at rest,
+even if the page has not reported it: it may have been closed.
 """
 
 NOTEBOOK_MODULE = "notebook/notebook.js"
@@ -122,8 +122,9 @@ class Viewer(anywidget.AnyWidget):
     start = traitlets.Unicode(NOTEBOOK_MODULE).tag(sync=True)
 
     def __init__(self, isogi: Isogi, scene: str, **view: Any) -> None:
-        """Show a view; parameters that are not given are the scene's defaults. Raises
-        IsogiError.
+        """Show a view; parameters that are not given are the scene's defaults.
+
+        Raises IsogiError.
         """
         facts = isogi.scene(scene)
         modules = modules_of(isogi)
@@ -162,8 +163,8 @@ class Viewer(anywidget.AnyWidget):
 
     @property
     def view(self) -> dict[str, Any]:
-        """The parameters of the present view, such as for ``isogi.frame(scene, wait="final",
-        **viewer.view)``.
+        """The parameters of the present view,
+        such as for ``isogi.frame(scene, wait="final", **viewer.view)``.
         """
         if self.target is None:
             target = {}
@@ -237,6 +238,7 @@ class Viewer(anywidget.AnyWidget):
 
 def modules_of(isogi: Isogi) -> dict[str, str]:
     """Return the modules of a server's page that show a view in a notebook, by their paths.
+
     Raises IsogiError.
     """
     found = {}

@@ -43,8 +43,8 @@ from isogi_core.reference import (
 from isogi_report.metrics import Score, score
 
 UNREACHED_TARGET = 1e-9
-"""A target error that no texel reaches, so that all texels take as many samples as they are
-asked for.
+"""A target error that no texel reaches,
+so that all texels take as many samples as they are asked for.
 """
 
 TEXELS_A_PIECE = 256
@@ -67,8 +67,8 @@ class Bake:
         texels: np.ndarray,
         levels: np.ndarray | None = None,
     ) -> None:
-        """Begin with dark ``layers``, to be baked by the threads of ``tiles``; by default no
-        texel is projected.
+        """Begin with dark ``layers``, to be baked by the threads of ``tiles``;
+        by default no texel is projected.
         """
         self.tiles = tiles
         self.spec = spec
@@ -82,8 +82,8 @@ class Bake:
         self.seconds = 0.0
 
     def grow(self, until: int, target: float = UNREACHED_TARGET) -> None:
-        """Bring all texels to ``until`` samples each, or to the samples that suffice for a
-        ``target`` error. Raises Cancelled.
+        """Bring all texels to ``until`` samples each, or to the samples
+        that suffice for a ``target`` error. Raises Cancelled.
         """
         # Compile the kernels on one texel before the time is taken; drop its light.
         first = self.texels[:1]
@@ -100,8 +100,8 @@ class Bake:
         self.seconds += time.process_time() - begun
 
     def _specs(self, a: int, b: int) -> Iterator[tuple[BakeSpec, np.ndarray]]:
-        """Yield the bake specs of texels ``a`` … ``b``, one for each isosurface that they lie
-        on, with their rows.
+        """Yield the bake specs of texels ``a`` … ``b``,
+        one for each isosurface that they lie on, with their rows.
         """
         levels = self.levels[a:b]
         for level in np.unique(levels).tolist():
@@ -155,15 +155,15 @@ class ViewBake(Bake):
         return self.renderer.render(self.view, UNREACHED_TARGET)
 
     def show(self, light: Light, numbers: np.ndarray) -> None:
-        """Put this ``light`` of the view's texels with the given ``numbers`` where frames read
-        it, and none of others.
+        """Put this ``light`` of the view's texels with the given ``numbers``
+        where frames read it, and none of others.
         """
         pool = self.renderer.caches.of(self.view.shading).pool
         pool.insert(self._chunks(light, numbers, 0), self.shown.chunks)
 
     def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
-        """Return the texels with these ``numbers`` in the view as chunks, with their light from
-        row ``first`` on.
+        """Return the texels with these ``numbers`` in the view
+        as chunks, with their light from row ``first`` on.
         """
         shown = self.shown
         counts = np.diff(np.searchsorted(numbers, self.shown.bounds))
@@ -179,8 +179,8 @@ class ViewBake(Bake):
 
 
 def distant_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndarray:
-    """Return the numbers of a view's texels that must be projected as well; none if projection
-    does not pay.
+    """Return the numbers of a view's texels that must be projected as well;
+    none if projection does not pay.
     """
     scene = renderer.prepared.scene
     if spec_name(view.shading) != "gi" or not scene.projection.projects(shown.gbuffer.isovalue):
@@ -203,13 +203,13 @@ MAX_REFERENCE_PATHS = 16384
 """Paths from each pixel of the shortest and of the longest reference."""
 
 REFERENCE_NOISE_SHARE = 0.1
-"""Noise that a reference may have, as a share of the error to be measured: it then changes that
-by 0.5 %.
+"""Noise that a reference may have, as a share of the error to be measured:
+it then changes that by 0.5 %.
 """
 
 REFERENCE_SHARE = 0.1
-"""Share of the time left that growing a reference may take. Two more references of as many
-paths are made for the split.
+"""Share of the time left that growing a reference may take.
+Two more references of as many paths are made for the split.
 """
 
 
@@ -249,8 +249,8 @@ class Bench:
 
     @property
     def hurried(self) -> bool:
-        """True if the last study measured less for lack of time, so that another run may
-        measure more.
+        """True if the last study measured less for lack of time,
+        so that another run may measure more.
         """
         return self.hurry.is_set()
 
@@ -284,8 +284,9 @@ class Bench:
 
     @cached_property
     def planned(self) -> ViewBake:
-        """The view's light by the scene's plan, baked to the target error. Raises ViewError if
-        nothing is seen.
+        """The view's light by the scene's plan, baked to the target error.
+
+        Raises ViewError if nothing is seen.
         """
         self.surface  # noqa: B018
         renderer = self.renderer(self.scene)
@@ -296,8 +297,8 @@ class Bench:
 
     @property
     def best(self) -> Reference:
-        """The view's reference, grown until its noise is a tenth of the plan's error, or time
-        is short.
+        """The view's reference, grown until its noise is a tenth
+        of the plan's error, or time is short.
         """
         return self.grown(REFERENCE_NOISE_SHARE * self._first_error)
 
@@ -307,8 +308,8 @@ class Bench:
         return self.score(self.planned.frame().leaving, self.reference(MIN_REFERENCE_PATHS)).rmse
 
     def grown(self, noise: float) -> Reference:
-        """Return the view's reference, grown once until its ``noise`` is this small, or as far
-        as time allows.
+        """Return the view's reference,
+        grown once until its ``noise`` is this small, or as far as time allows.
         """
         found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
         if not goal_of(noise).met(found):
@@ -316,8 +317,8 @@ class Bench:
         return found
 
     def _grow(self, noise: float) -> Reference:
-        """Grow the view's reference until its ``noise`` is this small, or the time for it is
-        over; keep each state.
+        """Grow the view's reference until its ``noise`` is this small,
+        or the time for it is over; keep each state.
         """
         found = self.reference(MIN_REFERENCE_PATHS)
         scene = self.whole
@@ -372,8 +373,8 @@ class Bench:
         )
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
-        """Return the score of a picture of the view against the ``best`` reference, by default
-        the view's.
+        """Return the score of a picture of the view against
+        the ``best`` reference, by default the view's.
         """
         if self.exposure is None:
             exposure = self.scene.default_exposure

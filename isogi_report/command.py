@@ -1,5 +1,5 @@
-"""``isogi report``: measure a view, draw a page of the results, and list studies that are
-missing.
+"""``isogi report``: measure a view, draw a page of the results,
+and list studies that are missing.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ PAGE_LIBRARIES = ("matplotlib", "jinja2")
 
 @dataclass(frozen=True)
 class ReportRequest:
-    """A request for a report: its ``folder``, the seconds that it may take, and the keys of the
-    ``only`` studies to run.
+    """A request for a report: its ``folder``, the seconds that it may take,
+    and the keys of the ``only`` studies to run.
     """
 
     folder: Path
@@ -67,8 +67,8 @@ def report(
 
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the knobs of a view, with DEFAULT_VIEWPOINT for those of its orbit that are left
-    out.
+    """Return the knobs of a view,
+    with DEFAULT_VIEWPOINT for those of its orbit that are left out.
     """
     if "eye" in knobs:
         return dict(knobs)
@@ -120,8 +120,9 @@ def report_of(
 
 
 def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
-    """Return the studies with these keys, all of them if none is given. Raises ParameterError
-    for an unknown key.
+    """Return the studies with these keys, all of them if none is given.
+
+    Raises ParameterError for an unknown key.
     """
     known = {study.key for study in studies}
     for key in only:
@@ -179,8 +180,8 @@ def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
 
 
 def headline(sections: Iterable[Section]) -> dict[str, Any]:
-    """Return the score of the scene's frame by the names of its columns, from the first table
-    of the summary.
+    """Return the score of the scene's frame by the names of its columns,
+    from the first table of the summary.
     """
     tables = [
         table for section in sections if section.key == "summary" for table in section.tables[:1]

@@ -1,5 +1,5 @@
-"""Exact counterparts of the light that a frame reads: texels with hardly any noise, and light
-at the pixels' points.
+"""Exact counterparts of the light that a frame reads:
+texels with hardly any noise, and light at the pixels' points.
 """
 
 from dataclasses import dataclass, replace
@@ -39,8 +39,8 @@ MAX_EXACT_SAMPLES = 16384
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """Light of surface pixels: their luminance, ``light`` (m,) float64, and its variance,
-    ``noise`` (m,).
+    """Light of surface pixels: their luminance,
+    ``light`` (m,) float64, and its variance, ``noise`` (m,).
     """
 
     light: np.ndarray
@@ -80,8 +80,8 @@ def short_paths(bench: Bench) -> Reference:
 
 
 def own_light(bench: Bench) -> Lit:
-    """Return the light that surface pixels would have if each were a texel: interpolation is
-    exact if it gives this light.
+    """Return the light that surface pixels would have if each were a texel:
+    interpolation is exact if it gives this light.
     """
     if not cuts_harmonics(bench.scene):
         return lit_by_paths(short_paths(bench))
@@ -123,8 +123,8 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
 
 
 def straight_light(bench: Bench) -> np.ndarray:
-    """Return the luminance that lobes send directly to the surface pixels, which no texel
-    keeps; (m,) float64.
+    """Return the luminance that lobes send directly to the surface pixels,
+    which no texel keeps; (m,) float64.
     """
     renderer = bench.renderer(bench.scene)
     view = bench.view
@@ -140,8 +140,8 @@ def straight_light(bench: Bench) -> np.ndarray:
 def bake_place(
     pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
 ) -> Place:
-    """Return the points (m, 3) of a picture's ``pixels`` in the form in which a bake takes
-    texels.
+    """Return the points (m, 3) of a picture's ``pixels``
+    in the form in which a bake takes texels.
     """
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
@@ -166,8 +166,8 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths that glowing parts
-    send; 0 if nothing glows.
+    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths
+    that glowing parts send; 0 if nothing glows.
     """
     spec = turned.spec
     void = np.zeros(len(place[3]), np.bool_)
@@ -198,8 +198,9 @@ class Converged:
 
 
 def converged(bench: Bench) -> Converged:
-    """Return the view's converged light by the scene's plan. Rounded and exact light are of the
-    same paths.
+    """Return the view's converged light by the scene's plan.
+
+    Rounded and exact light are of the same paths.
     """
     return bench.once("converged", lambda: converge(bench))
 
@@ -240,8 +241,8 @@ def unrounded(layer: Layer) -> Layer:
 
 
 def rung_below(samples: float) -> int:
-    """Return the highest level of samples up to ``samples``, within the bounds of converged
-    light.
+    """Return the highest level of samples up to ``samples``,
+    within the bounds of converged light.
     """
     rung = MIN_EXACT_SAMPLES
     while 2 * rung <= min(samples, MAX_EXACT_SAMPLES):

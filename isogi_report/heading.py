@@ -15,8 +15,8 @@ from server.inspect.text import amount, by, plan_rows, summary
 from server.schemas import SceneSchema
 
 PARALLEL_VIEW_DEGREES = 1e-3
-"""Field of view, in degrees, below which rays count as parallel: orthographic cameras are
-narrower.
+"""Field of view, in degrees, below which rays count as parallel:
+orthographic cameras are narrower.
 """
 
 REPORTED_PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
@@ -25,8 +25,8 @@ Rows = tuple[tuple[str, str], ...]
 
 
 OMITTED_SETTINGS = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
-"""Parts of a scene's document that serve to choose a view, and that a report of one view leaves
-out.
+"""Parts of a scene's document that serve to choose a view,
+and that a report of one view leaves out.
 """
 
 
@@ -76,8 +76,8 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of Python and of packages that measure and draw; None for a missing
-    one.
+    """Return the versions of Python and of packages
+    that measure and draw; None for a missing one.
     """
     return {
         "python": platform.python_version(),
@@ -123,8 +123,8 @@ def view_rows(view: View) -> Rows:
 
 
 def standpoint(camera: Camera) -> str:
-    """Return a text with the position and field of view of a camera in world coordinates, or
-    the direction and height of an orthographic one.
+    """Return a text with the position and field of view of a camera in world coordinates,
+    or the direction and height of an orthographic one.
     """
     if camera.fov > PARALLEL_VIEW_DEGREES:
         return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"

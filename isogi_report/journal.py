@@ -80,8 +80,9 @@ class Journal:
     """The finished sections of a report in ``folder`` about ``subject``."""
 
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
-        """Continue the journal, or begin it if it has no section. Raises ReportError if it is
-        of another subject.
+        """Continue the journal, or begin it if it has no section.
+
+        Raises ReportError if it is of another subject.
         """
         self.folder = folder / JOURNAL_FOLDER
         self.code = code_digest()
@@ -96,8 +97,8 @@ class Journal:
         forget_others(workshop(folder))
 
     def find(self, key: str) -> Entry | None:
-        """Return the section of this key if this code has measured it and it is whole, else
-        None.
+        """Return the section of this key
+        if this code has measured it and it is whole, else None.
         """
         try:
             document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
@@ -125,8 +126,9 @@ class Journal:
 
 @contextmanager
 def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
-    """Open the journal of ``folder`` for this process alone. Raises ReportError if the folder
-    holds something else, or is in use.
+    """Open the journal of ``folder`` for this process alone.
+
+    Raises ReportError if the folder holds something else, or is in use.
     """
     journal = folder / JOURNAL_FOLDER
     # Never write into a folder with other files.

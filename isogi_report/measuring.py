@@ -22,15 +22,16 @@ from server.progress import WEIGHTED_BAR_FORMAT
 log = logging.getLogger("isogi.report")
 
 DEADLINE_GRACE_SHARE = 0.1
-"""Time beyond the deadline after which a study is cancelled, as a share of the time of all
-studies.
+"""Time beyond the deadline after which a study is cancelled,
+as a share of the time of all studies.
 """
 
 
 @dataclass(frozen=True)
 class Study:
-    """One question, which ``run`` answers. ``weight`` is its rough share of all work; its
-    ``key`` never changes.
+    """One question, which ``run`` answers.
+
+    ``weight`` is its rough share of all work; its ``key`` never changes.
     """
 
     key: str
@@ -44,8 +45,8 @@ STUDIES = (
     Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
     Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
 )
-"""All studies, the most important first. Things that one study makes, such as the reference,
-are on the bench for the next.
+"""All studies, the most important first. Things that one study makes,
+such as the reference, are on the bench for the next.
 """
 
 
@@ -105,8 +106,8 @@ def measure(
 
 
 class Pieces:
-    """The progress bar of work in pieces of known weight: ``total``, of which some was done
-    ``before``, within ``limit`` seconds.
+    """The progress bar of work in pieces of known weight:
+    ``total``, of which some was done ``before``, within ``limit`` seconds.
     """
 
     def __init__(self, what: str, total: float, before: float, limit: float) -> None:
@@ -120,8 +121,8 @@ class Pieces:
 
     @property
     def left(self) -> float:
-        """Seconds that the rest takes at the pace so far, at most those to the limit; infinite
-        if unknown.
+        """Seconds that the rest takes at the pace so far,
+        at most those to the limit; infinite if unknown.
         """
         now = time.monotonic()
         if self.done:
@@ -169,8 +170,8 @@ class Pieces:
 def worked(
     studies: Iterable[Study], bench: Bench, bar: Pieces
 ) -> Iterator[tuple[Study, Entry | str]]:
-    """Run the studies in turn; yield each with its entry or the text of its error, until the
-    time is over or the bench is cancelled.
+    """Run the studies in turn; yield each with its entry or the text of its error,
+    until the time is over or the bench is cancelled.
     """
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
@@ -190,8 +191,8 @@ def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float
 
 
 def run(study: Study, bench: Bench) -> Entry | str | None:
-    """Run a study, and return its entry; the text of its error if it fails, None if it is
-    cancelled.
+    """Run a study, and return its entry;
+    the text of its error if it fails, None if it is cancelled.
     """
     begun = time.process_time()
     bench.hurry.clear()
@@ -210,8 +211,8 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
 
 @contextmanager
 def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
-    """Let the first Ctrl-C set ``stop`` and cancel the work, and the second end the process
-    immediately.
+    """Let the first Ctrl-C set ``stop`` and cancel the work,
+    and the second end the process immediately.
     """
 
     def ask(*_: object) -> None:
@@ -231,8 +232,8 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def limited(bench: Bench) -> Iterator[None]:
-    """Cancel the work if it exceeds its deadline by DEADLINE_GRACE_SHARE. Studies look at the
-    deadline themselves before.
+    """Cancel the work if it exceeds its deadline by DEADLINE_GRACE_SHARE.
+    Studies look at the deadline themselves before.
     """
     if bench.left == float("inf"):
         yield

@@ -13,8 +13,8 @@ from isogi_core.reference import Reference
 from isogi_report.sections import Cell, Column
 
 WORST_PERCENTILE = 99.0
-"""Percentile of errors that stands for the worst pixels, as the single worst pixel would depend
-on chance.
+"""Percentile of errors that stands for the worst pixels,
+as the single worst pixel would depend on chance.
 """
 
 
@@ -62,8 +62,8 @@ class Score:
 
 
 def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
-    """Return the score of a picture, ``radiance`` (h, w, 3) linear RGB, that shows the same
-    surface as the reference ``best``.
+    """Return the score of a picture, ``radiance`` (h, w, 3) linear RGB,
+    that shows the same surface as the reference ``best``.
     """
     light = luminance_of(best.mean[best.on])
     wrong = luminance_of(radiance[best.on]) - light
@@ -102,8 +102,8 @@ def luminance_of(radiance: np.ndarray) -> np.ndarray:
 
 
 def mean_of(light: np.ndarray) -> float:
-    """Return the mean luminance that errors are relative to: tiny if all is black, 1 without
-    pixels.
+    """Return the mean luminance that errors are relative to:
+    tiny if all is black, 1 without pixels.
     """
     if len(light):
         return max(float(light.mean()), 1e-30)
@@ -111,16 +111,16 @@ def mean_of(light: np.ndarray) -> float:
 
 
 def error_map(radiance: np.ndarray, best: Reference) -> np.ndarray:
-    """Return signed errors of the luminance relative to the reference's mean; (h, w) float32,
-    NaN off the surface.
+    """Return signed errors of the luminance relative to the reference's mean;
+    (h, w) float32, NaN off the surface.
     """
     light = luminance_of(best.mean[best.on])
     return map_of(luminance_of(radiance[best.on]) - light, best.on, mean_of(light))
 
 
 def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
-    """Return errors ``wrong`` (m,) of the pixels in the mask ``on`` (h, w), relative to
-    ``mean``, as a picture; (h, w) float32, NaN elsewhere.
+    """Return errors ``wrong`` (m,) of the pixels in the mask ``on`` (h, w),
+    relative to ``mean``, as a picture; (h, w) float32, NaN elsewhere.
     """
     errors = np.full(on.shape, np.nan, np.float32)
     errors[on] = wrong / mean
@@ -128,8 +128,8 @@ def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
 
 
 def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None:
-    """Return the mean of FLIP over surface pixels, of both pictures through the film's tone
-    curve; None if FLIP is not installed.
+    """Return the mean of FLIP over surface pixels,
+    of both pictures through the film's tone curve; None if FLIP is not installed.
     """
     # FLIP is not among isogi's requirements.
     try:
@@ -146,8 +146,8 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
 
 
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
-    """Return the picture as a screen shows it, by the tone curve of frames; ``on`` (h, w) is
-    the mask of the surface; sRGB (h, w, 3) uint8.
+    """Return the picture as a screen shows it, by the tone curve of frames;
+    ``on`` (h, w) is the mask of the surface; sRGB (h, w, 3) uint8.
     """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)

@@ -71,8 +71,9 @@ def settings(
 
 
 def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
-    """Yield the data that the template draws of each section. Tables and plots are numbered
-    through the page.
+    """Yield the data that the template draws of each section.
+
+    Tables and plots are numbered through the page.
     """
     tables = count(1)
     plots = count(1)
@@ -124,8 +125,8 @@ def plot_part(plot: Plot, number: int) -> Part:
 
 
 def picture_part(section: Section, i: int, scale: float | None, files: Mapping[str, bytes]) -> Part:
-    """Return a picture for the template, with its file inside; ``scale`` is the error at the
-    ends of an error map's colours.
+    """Return a picture for the template, with its file inside;
+    ``scale`` is the error at the ends of an error map's colours.
     """
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]

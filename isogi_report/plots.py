@@ -78,8 +78,9 @@ def dashes_of(i: int) -> tuple[float, ...]:
 
 @lru_cache(64)
 def draw(plot: Plot) -> str:
-    """Return the plot as an ``svg`` element for a page that sets the CSS variables. Equal plots
-    give equal bytes.
+    """Return the plot as an ``svg`` element for a page that sets the CSS variables.
+
+    Equal plots give equal bytes.
     """
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
         figure = Figure(figsize=(PLOT_WIDTH, PLOT_HEIGHT), layout="constrained")
@@ -90,8 +91,8 @@ def draw(plot: Plot) -> str:
 
 
 def standalone(plot: Plot) -> str:
-    """Return the plot as a file with its own colours, light and dark, and its legend below the
-    axes.
+    """Return the plot as a file with its own colours,
+    light and dark, and its legend below the axes.
     """
     entries = keys(plot) if len(keys(plot)) > 1 else ()
     width, height = 72 * PLOT_WIDTH, 72 * PLOT_HEIGHT
@@ -122,8 +123,8 @@ def legend_line(key: Key, y: float) -> str:
 
 
 def inline_svg(svg: str) -> str:
-    """Return matplotlib's file as an element of a page: with CSS variables for colours and
-    fonts, and without ids, metadata and styles.
+    """Return matplotlib's file as an element of a page:
+    with CSS variables for colours and fonts, and without ids, metadata and styles.
     """
     # Remove the XML head, metadata, styles and comments; then ids, which must be unique in a page.
     svg = svg[svg.index("<svg") :]
@@ -223,8 +224,8 @@ def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
 
 
 def own_scale(most: float, common: float) -> float:
-    """Return the scale of a map whose errors reach ``most``, in a section with the scale
-    ``common``.
+    """Return the scale of a map whose errors reach ``most``,
+    in a section with the scale ``common``.
     """
     if 0.0 < most < MIN_SCALE_SHARE * common:
         return round_up(most)
@@ -258,8 +259,8 @@ def print_picture(picture: Picture, report: Report, scale: float | None) -> byte
 
 
 def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
-    """Return signed errors as colours (h, w, 3) uint8 sRGB, with ±``scale`` at the ends and the
-    film's background where they are NaN.
+    """Return signed errors as colours (h, w, 3) uint8 sRGB,
+    with ±``scale`` at the ends and the film's background where they are NaN.
     """
     on = np.isfinite(errors)
     places = np.where(on, 0.5 + 0.5 * np.clip(np.nan_to_num(errors) / scale, -1.0, 1.0), 0.5)

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 Cell = str | float | None
-"""A cell of a table: words, a number in its column's unit, or None if it does not apply or was
-not measured.
+"""A cell of a table: words, a number in its column's unit,
+or None if it does not apply or was not measured.
 """
 
 COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
-"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it; ``seconds`` are of the
-processor, all threads together.
+"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it;
+``seconds`` are of the processor, all threads together.
 """
 
 
@@ -77,8 +77,9 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One question of a report and its answer. ``about`` explains the measurement and the
-    results in a few sentences.
+    """One question of a report and its answer.
+
+    ``about`` explains the measurement and the results in a few sentences.
     """
 
     key: str
@@ -144,8 +145,8 @@ def number(value: float | None) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` in types that JSON has: NumPy's numbers as Python's, None for numbers
-    that are not finite.
+    """Return ``value`` in types that JSON has:
+    NumPy's numbers as Python's, None for numbers that are not finite.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
@@ -189,8 +190,8 @@ def text_columns(table: Table) -> tuple[TextColumn, ...]:
 
 
 def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
-    """Return one column as text: words as they are, numbers in one unit, a dash for None and
-    for numbers that are not finite.
+    """Return one column as text: words as they are, numbers in one unit,
+    a dash for None and for numbers that are not finite.
     """
     numbers = [
         float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)
@@ -215,8 +216,8 @@ def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:
-    """Return name and size of the unit of a column's numbers: the largest that ``largest``
-    reaches.
+    """Return name and size of the unit of a column's numbers:
+    the largest that ``largest`` reaches.
     """
     if unit == "share":
         return "%", 0.01
@@ -253,8 +254,8 @@ def decimal(number: float, decimals: int) -> str:
 
 
 def digits(number: float) -> str:
-    """Return a number with three digits: whole above a hundred, with a power of ten if it is
-    very small or large.
+    """Return a number with three digits: whole above a hundred,
+    with a power of ten if it is very small or large.
     """
     size = abs(number)
     if size >= 1e9 or 0.0 < size < 1e-4:

@@ -1,5 +1,6 @@
-"""``isogi bench``: measures the speed of this machine at isogi's work. Benchmarks use its
-tools, too.
+"""``isogi bench``: measures the speed of this machine at isogi's work.
+
+Benchmarks use its tools, too.
 """
 
 import resource
@@ -48,8 +49,8 @@ SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
 LOOSEST_TARGET = 1.0
-"""A target error that MIN_SAMPLES samples meet, so that frames of final light are measured, as
-most are.
+"""A target error that MIN_SAMPLES samples meet,
+so that frames of final light are measured, as most are.
 """
 
 Candidate = Callable[[int], float]
@@ -99,8 +100,8 @@ def view_of(scene: Scene, size: int, **knobs: Any) -> View:
 
 
 def isovalues_near(scene: Scene, count: int) -> list[float]:
-    """Return ``count`` different isovalues on both sides of the scene's, farther and farther
-    away, within a tenth of its range.
+    """Return ``count`` different isovalues on both sides of the scene's,
+    farther and farther away, within a tenth of its range.
     """
     low, high = scene.isovalues
     down = scene.isovalue - low
@@ -118,8 +119,8 @@ def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Rende
 
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
-    """Bake in this process the light that ``view`` lacks, to ``until`` samples a texel, and
-    render it.
+    """Bake in this process the light that ``view`` lacks,
+    to ``until`` samples a texel, and render it.
     """
     wanted = wanted_of(renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES))
     bake_offsets(
@@ -138,8 +139,8 @@ def wanted_of(frame: Frame) -> Offsets:
 
 
 def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, bar: tqdm) -> None:
-    """Bake texels of chunks for views of this ``shading``, on the renderer's threads; ``bar``
-    counts chunks.
+    """Bake texels of chunks for views of this ``shading``,
+    on the renderer's threads; ``bar`` counts chunks.
     """
     tasks = list(together(wanted))
     with bar:
@@ -153,8 +154,8 @@ def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, 
 
 
 def together(wanted: Offsets) -> Iterator[Offsets]:
-    """Yield the texels of chunks in tasks of MAX_TASK_TEXELS or a few more, as workers bake
-    them.
+    """Yield the texels of chunks in tasks of MAX_TASK_TEXELS
+    or a few more, as workers bake them.
     """
     task: Offsets = {}
     for index, offsets in wanted.items():
@@ -167,8 +168,8 @@ def together(wanted: Offsets) -> Iterator[Offsets]:
 
 
 def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -> None:
-    """Bake texels of some chunks together for views of this ``shading``, and write them to the
-    store.
+    """Bake texels of some chunks together for views
+    of this ``shading``, and write them to the store.
     """
     loader = renderer.caches.of(shading)
     lattice = renderer.prepared.lattice
@@ -280,8 +281,8 @@ def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, floa
 
 
 def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -> Candidate:
-    """Return a candidate that renders ``view`` from a camera that is new to the renderer, with
-    light that is final at the ``target``.
+    """Return a candidate that renders ``view`` from a camera
+    that is new to the renderer, with light that is final at the ``target``.
     """
 
     def render(_: int) -> float:
@@ -307,14 +308,14 @@ def relight(renderer: Renderer, view: View) -> Candidate:
 
 
 TIMED_SHADINGS = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
-"""Shadings whose frames are timed: all but the reference, whose time depends on its number of
-paths.
+"""Shadings whose frames are timed:
+all but the reference, whose time depends on its number of paths.
 """
 
 BAKED_TEXELS = 8192
 BAKED_SAMPLES = 64
-"""Texels that are baked to measure the speed of a bake, and samples of each: the fewest that
-make one final.
+"""Texels that are baked to measure the speed of a bake,
+and samples of each: the fewest that make one final.
 """
 
 Figures = dict[str, Any]
@@ -392,8 +393,8 @@ class StepTimes:
         }
 
     def frames(self) -> Figures:
-        """Return ``frame_ms`` by shading, for a new camera with baked light, and
-        ``relight_ms``, for a new rotation of the light.
+        """Return ``frame_ms`` by shading, for a new camera with baked light,
+        and ``relight_ms``, for a new rotation of the light.
         """
         views = {name: replace(self.view, shading=name) for name in TIMED_SHADINGS}
         for spec in SPECS:
@@ -405,8 +406,8 @@ class StepTimes:
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
 
     def isovalues(self) -> Figures:
-        """Return ``isovalue_ms``: the time from a new isovalue to its picture, shaded by
-        Lambert's law, with its map of active cells.
+        """Return ``isovalue_ms``: the time from a new isovalue to its picture,
+        shaded by Lambert's law, with its map of active cells.
         """
         levels = isovalues_near(self.scene, self.repeats + 1)
 
@@ -428,8 +429,8 @@ class StepTimes:
         return {"encode_ms": milliseconds(candidates, self.repeats)}
 
     def rays(self) -> Figures:
-        """Return millions of rays per second and core: of the view, and diffuse rays from the
-        points that they hit.
+        """Return millions of rays per second and core:
+        of the view, and diffuse rays from the points that they hit.
         """
         prepared = self.renderer.prepared
         primary = primary_rays(prepared, self.size)
@@ -442,8 +443,8 @@ class StepTimes:
         return {f"{name}_mrays_per_core": len(rays[name]) / taken[name] / 1e6 for name in rays}
 
     def bakes(self) -> Figures:
-        """Return millions of paths per second on one core, and texels of BAKED_SAMPLES samples
-        per second on all cores.
+        """Return millions of paths per second on one core,
+        and texels of BAKED_SAMPLES samples per second on all cores.
         """
         prepared = self.renderer.prepared
         pieces = list(self._texels())

@@ -303,8 +303,8 @@ CURVE_SAMPLES = (16, 64, 256, 1024, 4096, 16384)
 
 MAX_POINT_SECONDS = 120.0
 POINT_SHARE = 0.1
-"""Most seconds that the next point of a curve may take, predicted from the last one, and the
-same as a share of the time left.
+"""Most seconds that the next point of a curve may take,
+predicted from the last one, and the same as a share of the time left.
 """
 
 PATH_TRACING_CURVE = "path tracing from each pixel"
@@ -329,8 +329,8 @@ CURVE_COLUMNS = (
 
 
 END_ERROR_FACTOR = 1.1
-"""The cheapest point whose error is at most this many times that at the end of its curve stands
-for the whole bake.
+"""The cheapest point whose error is at most this many times
+that at the end of its curve stands for the whole bake.
 """
 
 EQUAL_ERROR_COLUMNS = (
@@ -356,8 +356,8 @@ class Point:
 
 
 def study_convergence(bench: Bench) -> Section:
-    """Return the section with the curves, their points as a table, and the break-even of baked
-    light.
+    """Return the section with the curves, their points
+    as a table, and the break-even of baked light.
     """
     # Measure the curves on a small picture, as some points take many samples.
     small = bench.sized(CURVE_PIXELS)
@@ -394,8 +394,8 @@ def points_of(bench: Bench) -> dict[str, list[Point]]:
 
 
 def ways(scene: Scene) -> dict[str, Scene]:
-    """Return scenes that keep the light in several ways, by name: by the plan, as S1 does, and
-    as irradiance.
+    """Return scenes that keep the light in several ways, by name:
+    by the plan, as S1 does, and as irradiance.
     """
     found = {f"the plan: {scene.plan.representation}": scene}
     s1 = as_s1(scene)
@@ -407,8 +407,8 @@ def ways(scene: Scene) -> dict[str, Scene]:
 
 
 def as_s1(scene: Scene) -> Scene | None:
-    """Return the scene with the coefficients that S1 keeps of any scene; None under lamps,
-    which harmonics do not hold.
+    """Return the scene with the coefficients that S1 keeps of any scene;
+    None under lamps, which harmonics do not hold.
     """
     if scene.lighting.lamps.any:
         return None
@@ -424,8 +424,8 @@ def as_s1(scene: Scene) -> Scene | None:
 
 
 def as_irradiance(scene: Scene) -> Scene:
-    """Return the scene under lights that do not rotate: a texel keeps the irradiance that it
-    receives.
+    """Return the scene under lights that do not rotate:
+    a texel keeps the irradiance that it receives.
     """
     if scene.inputs.grey and scene.inputs.grey_light:
         channels = 1
@@ -470,8 +470,8 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def traced(bench: Bench, best: Reference) -> list[Point]:
-    """Return the points of paths from each pixel, each picture traced from the start, with as many
-    bounces as may matter.
+    """Return the points of paths from each pixel,
+    each picture traced from the start, with as many bounces as may matter.
     """
     renderer = bench.renderer(bench.whole)
     view = replace(bench.view, shading="path_traced")
@@ -503,8 +503,9 @@ def points(
 
 
 def fits(bench: Bench, seconds: float) -> bool:
-    """Return True if a point may take this many seconds. If the time left forbids it, the bench
-    notes that.
+    """Return True if a point may take this many seconds.
+
+    If the time left forbids it, the bench notes that.
     """
     if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
@@ -520,8 +521,8 @@ def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
 
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
-    """Return a way's row of the table, by its cheapest point that is nearly as good as its last
-    one.
+    """Return a way's row of the table,
+    by its cheapest point that is nearly as good as its last one.
     """
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]

@@ -51,14 +51,14 @@ MOST_FAILURES = 3
 """Failed tries after which a chunk is given up, until its request expires."""
 
 LONG_TASK_PATHS = 1 << 14
-"""Paths of a task at most, about a tenth of a second for which others may have to wait. If a
-chunk needs more, the next task only goes one level of samples up.
+"""If a chunk needs more paths than this, about a tenth of a second,
+its next task only takes its texels one level of samples up, as others may have to wait for it.
 """
 
 TASK_SECONDS = 0.25
 SHORT_TASK_SECONDS = 0.05
-"""Processor seconds that a task is filled up to; and the least that it is filled up to when
-little work is left, which is shared among all workers.
+"""Processor seconds that a task is filled up to;
+and the least that it is filled up to when little work is left, which is shared among all workers.
 """
 
 PATH_SECONDS = 5e-6
@@ -92,14 +92,14 @@ class Interest:
     ticket: int = 0
 
     def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if this interest includes the texels at ``offsets`` until a ``target`` or
-        ``enough`` samples.
+        """Return True if this interest includes the texels
+        at ``offsets`` until a ``target`` or ``enough`` samples.
         """
         return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
-        """Return this interest merged with a ``newer`` one of the same client, whose priority
-        and view count.
+        """Return this interest merged with a ``newer`` one
+        of the same client, whose priority and view count.
         """
         offsets, footprints, target, enough = merged((self, newer))
         both = (offsets, footprints, target)
@@ -108,8 +108,8 @@ class Interest:
 
 
 class MergedInterest(NamedTuple):
-    """Several interests as one: the texels ``offsets`` of all, the largest ``footprints`` of
-    each, the strictest ``target``, and the most samples that are ``enough``.
+    """Several interests as one: the texels ``offsets`` of all, the largest ``footprints`` of each,
+    the strictest ``target``, and the most samples that are ``enough``.
     """
 
     offsets: np.ndarray
@@ -179,8 +179,8 @@ class BakeRequest:
 
     @property
     def sparse(self) -> bool:
-        """True if its next task lights only a first few texels: none has light yet, and some
-        client is not patient.
+        """True if its next task lights only a first few texels:
+        none has light yet, and some client is not patient.
         """
         unlit = not self.begun and self.effort.unlit >= len(self.offsets)
         return (
@@ -198,8 +198,9 @@ class BakeRequest:
 
     @property
     def target(self) -> float:
-        """The strictest target. It is known without merging texels, which would slow down
-        estimates of the time left.
+        """The strictest target.
+
+        It is known without merging texels, which would slow down estimates of the time left.
         """
         return min(
             (interest.target for interest in self.interests.values()), default=self._merged.target
@@ -280,8 +281,8 @@ class BakeRequest:
         self._stale = True
 
     def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if more is wanted than the texels at ``offsets`` until ``target`` or
-        ``enough`` samples.
+        """Return True if more is wanted than the texels
+        at ``offsets`` until ``target`` or ``enough`` samples.
         """
         return exceeds(self._merge(), offsets, target, enough)
 
@@ -300,8 +301,9 @@ class BakeRequest:
         self.effort = result.effort
 
     def _change_priority(self, change: float) -> None:
-        """Add a change of one interest to the sum. To add up all of them would be slow with a
-        thousand clients.
+        """Add a change of one interest to the sum.
+
+        To add up all of them would be slow with a thousand clients.
         """
         if self.interests:
             first = next(iter(self.interests.values())).priority
@@ -343,8 +345,8 @@ def next_until(effort: Effort) -> int:
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:
-    """Return all ``interests`` as one: the texels in ascending order, the largest footprint of
-    each, and the strictest target.
+    """Return all ``interests`` as one: the texels in ascending order,
+    the largest footprint of each, and the strictest target.
     """
     if len(interests) == 1:
         (alone,) = interests
@@ -360,8 +362,8 @@ def merged(interests: Collection[Interest]) -> MergedInterest:
 
 
 def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
-    """Return True if more is ``wanted`` than the texels at ``offsets`` until ``target`` or
-    ``enough`` samples.
+    """Return True if more is ``wanted`` than the texels
+    at ``offsets`` until ``target`` or ``enough`` samples.
     """
     return (
         wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
@@ -395,8 +397,8 @@ PAST_TASKS_WEIGHT = 0.9
 
 @dataclass(eq=False)
 class Account:
-    """The seconds ``spent`` on one client, divided by its ``weight``, on the queue's virtual
-    clock.
+    """The seconds ``spent`` on one client,
+    divided by its ``weight``, on the queue's virtual clock.
     """
 
     weight: float = 1.0
@@ -433,8 +435,8 @@ class FairClock:
 
 @dataclass(eq=False)
 class Shares:
-    """Fair shares of the workers: the ``accounts`` of clients, and the ``usual`` processor
-    seconds of a task.
+    """Fair shares of the workers: the ``accounts`` of clients,
+    and the ``usual`` processor seconds of a task.
     """
 
     accounts: dict[Hashable, Account] = field(default_factory=dict)
@@ -442,8 +444,8 @@ class Shares:
     usual: float = FIRST_TASK_SECONDS
 
     def turns(self, waiting: Collection[Hashable]) -> list[Hashable]:
-        """Return the ``waiting`` clients, those first that were served least; ties keep their
-        order.
+        """Return the ``waiting`` clients, those first
+        that were served least; ties keep their order.
         """
         # Accounts that the clock has passed are level with new ones, and need not be kept.
         self.accounts = {
@@ -452,23 +454,23 @@ class Shares:
         return sorted(waiting, key=lambda client: self._account(client).spent)
 
     def begin(self, first: Hashable, clients: Collection[Hashable]) -> float:
-        """Begin a task for ``clients`` in the turn of the ``first`` one; return the seconds
-        charged in advance.
+        """Begin a task for ``clients`` in the turn of the ``first`` one;
+        return the seconds charged in advance.
         """
         self.clock.serve(self._account(first).spent)
         self._charge(clients, self.usual)
         return self.usual
 
     def end(self, clients: Collection[Hashable], charged: float, seconds: float) -> None:
-        """End a task that took ``seconds``: correct the amount that its clients were
-        ``charged`` when it began.
+        """End a task that took ``seconds``:
+        correct the amount that its clients were ``charged`` when it began.
         """
         self._charge(clients, seconds - charged)
         self.usual = PAST_TASKS_WEIGHT * self.usual + (1.0 - PAST_TASKS_WEIGHT) * seconds
 
     def _account(self, client: Hashable) -> Account:
-        """Return the account of a client; a new one starts level with the client that is served
-        now.
+        """Return the account of a client;
+        a new one starts level with the client that is served now.
         """
         if client not in self.accounts:
             self.accounts[client] = Account(spent=self.clock.now)

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 SHORTEST_PAUSE = 1.0
 LONGEST_PAUSE = 8.0
-"""Seconds until the first try, and the longest time between two tries; each pause is twice as
-long as the last.
+"""Seconds until the first try, and the longest time between two tries;
+each pause is twice as long as the last.
 """
 
 
@@ -63,8 +63,9 @@ class Pause:
         return self._clock() >= self._until
 
     def begin(self, reason: str) -> None:
-        """Begin or prolong the pause, as a task has failed for this ``reason``. A single
-        failure is ignored.
+        """Begin or prolong the pause, as a task has failed for this ``reason``.
+
+        A single failure is ignored.
         """
         if not self._stumbled:
             self._stumbled = True
@@ -99,13 +100,13 @@ CLEAR_CORES_SECONDS = 0.5
 
 POSTPONE_SECONDS = 0.25
 LONGEST_REST = 5.0
-"""Seconds for which a chunk is postponed that another baker has claimed, and the most of these
-together, as the other baker may have been killed.
+"""Seconds for which a chunk is postponed that another baker has claimed,
+and the most of these together, as the other baker may have been killed.
 """
 
 Listener = Callable[[str, Index, bool], None]
-"""A function that is called, from any thread, with a bake, a chunk, and True if more of the
-chunk will be baked.
+"""A function that is called, from any thread, with a bake,
+a chunk, and True if more of the chunk will be baked.
 """
 
 
@@ -203,8 +204,8 @@ class Baker:
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
-        """Have every worker open a scene, by default the first one, before a view asks for its
-        light.
+        """Have every worker open a scene, by default the first one,
+        before a view asks for its light.
         """
         pool = self._pool
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
@@ -214,8 +215,8 @@ class Baker:
             )
 
     def stir(self) -> None:
-        """Hand out tasks if there is room: call it if workers have come, can be reached again,
-        or a pause is over.
+        """Hand out tasks if there is room:
+        call it if workers have come, can be reached again, or a pause is over.
         """
         with self._changed:
             self._feed()
@@ -263,8 +264,8 @@ class Baker:
             self._queue.leave(viewer)
 
     def wait(self, scene: str, indices: Iterable[Index], seconds: float) -> None:
-        """Block until all requests of these chunks are done or given up, at most for
-        ``seconds``.
+        """Block until all requests of these chunks are done or given up,
+        at most for ``seconds``.
         """
         keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
@@ -366,8 +367,8 @@ class Baker:
             return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
 
     def stop(self) -> None:
-        """Hand out no more tasks, write the light that is in memory, and save the measured
-        costs.
+        """Hand out no more tasks, write the light
+        that is in memory, and save the measured costs.
         """
         with self._changed:
             self._pool = None
@@ -394,8 +395,9 @@ class Baker:
         return self._writer.unwritten
 
     def _look(self) -> None:
-        """Have due light written, and written light forgotten, until the baker stops. Runs in a
-        thread.
+        """Have due light written, and written light forgotten, until the baker stops.
+
+        Runs in a thread.
         """
         while self._writer is not None and not self._stopped.wait(LOOK_SECONDS):
             self._writer.look(self._wanted)
@@ -415,8 +417,8 @@ class Baker:
             self._notify(name, index, False)
 
     def _shared(self, one: str, other: str) -> bool:
-        """Return True if two bakes write to the same layer, or are the same; False for a bake
-        that was dropped.
+        """Return True if two bakes write to the same layer,
+        or are the same; False for a bake that was dropped.
         """
         if one == other or one not in self._bakes or other not in self._bakes:
             return one == other
@@ -552,8 +554,8 @@ class Baker:
             self._fail(key, outcome)
 
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
-        """Postpone a task that could not reach the store, and pause baking until the store is
-        back.
+        """Postpone a task that could not reach the store,
+        and pause baking until the store is back.
         """
         waited = self._pause.reason
         self._queue.put_off(key)

@@ -43,8 +43,9 @@ class OwnClient(Client):
     """
 
     def __init__(self, address: str, timeout: str) -> None:
-        """Join a scheduler by its ``address``. Raises OSError if none is found within the
-        ``timeout``.
+        """Join a scheduler by its ``address``.
+
+        Raises OSError if none is found within the ``timeout``.
         """
         try:
             super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
@@ -117,8 +118,9 @@ class DaskPool:
     keeps_light = False
 
     def __init__(self, scheduler: str) -> None:
-        """Join the ``scheduler`` by its address. Raises WorkersError, and WorkersAwayError if
-        it cannot be reached.
+        """Join the ``scheduler`` by its address.
+
+        Raises WorkersError, and WorkersAwayError if it cannot be reached.
         """
         self._scheduler = scheduler
         self._addresses: frozenset[str] = frozenset()
@@ -183,8 +185,9 @@ class DaskPool:
         self._send(bake_all, tasks, all_ended(tasks, done))
 
     def write(self, task: WriteTask, done: WriteDone) -> None:
-        """Hand over a task that writes light. The baker gives none, as these workers write the
-        light that they bake.
+        """Hand over a task that writes light.
+
+        The baker gives none, as these workers write the light that they bake.
         """
         self._send(write_all, task, done)
 
@@ -212,8 +215,8 @@ class DaskPool:
     def _send(
         self, work: Callable[[Any], Any], what: Any, done: Callable[[Any, Any], None]
     ) -> None:
-        """Have a worker call ``work`` with ``what``; ``done`` is called with the result or the
-        error.
+        """Have a worker call ``work`` with ``what``;
+        ``done`` is called with the result or the error.
         """
         try:
             future = self._client.submit(work, what, pure=False)
@@ -272,8 +275,8 @@ class DaskPool:
             hand_on_result(*entry)
 
     def _look_after(self) -> None:
-        """Report tasks that had already ended at the last check, but for which Dask's callback
-        has not come.
+        """Report tasks that had already ended at the last check,
+        but for which Dask's callback has not come.
         """
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:

@@ -1,5 +1,5 @@
-"""The worker processes of this machine, forked from the fork server, with tasks and results
-over pipes.
+"""The worker processes of this machine,
+forked from the fork server, with tasks and results over pipes.
 """
 
 import logging
@@ -43,8 +43,8 @@ from worker.tasks import (
 )
 
 START_SECONDS = 120.0
-"""Seconds within which the first workers must be ready: the fork server imports and loads
-kernels first.
+"""Seconds within which the first workers must be ready:
+the fork server imports and loads kernels first.
 """
 
 RETRY_SECONDS = 1.0
@@ -161,8 +161,8 @@ class LocalPool:
 
     @property
     def preparing(self) -> str:
-        """A sentence for users if the workers compile kernels that this machine lacks, else
-        empty.
+        """A sentence for users if the workers compile kernels
+        that this machine lacks, else empty.
         """
         lacking = self._kinds - self._baked
         if not self.trouble and kernels_missing(lacking):
@@ -271,8 +271,9 @@ class LocalPool:
             self._send(free, self._waiting.popleft())
 
     def _send(self, worker: LocalWorker, sent: Sent) -> None:
-        """Send a job to a worker. Only the thread of the pool does so, as it may have to wait
-        for the pipe.
+        """Send a job to a worker.
+
+        Only the thread of the pool does so, as it may have to wait for the pipe.
         """
         worker.sent.append(sent)
         with suppress(OSError):  # its end is noticed when its answers are read
@@ -339,8 +340,9 @@ class LocalPool:
         return LocalWorker(process, jobs, answers)
 
     def _welcome(self, worker: LocalWorker) -> None:
-        """Wait until a process takes jobs. Raises EOFError if it ends before, and TimeoutError
-        after START_SECONDS.
+        """Wait until a process takes jobs.
+
+        Raises EOFError if it ends before, and TimeoutError after START_SECONDS.
         """
         if not worker.answers.poll(START_SECONDS):
             raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
@@ -369,8 +371,9 @@ class LocalPool:
 
 
 def ended(answers: Connection, deadline: float) -> bool:
-    """Return True if a worker closes its end of a pipe before ``deadline``. Its last answers
-    are dropped.
+    """Return True if a worker closes its end of a pipe before ``deadline``.
+
+    Its last answers are dropped.
     """
     try:
         while answers.poll(max(deadline - time.monotonic(), 0.0)):

@@ -32,8 +32,8 @@ class Answer(NamedTuple):
 
 
 class Start(NamedTuple):
-    """The arguments of a worker: its ``environment`` and ``niceness``, and the ``kinds`` of
-    layers whose kernels it loads.
+    """The arguments of a worker: its ``environment`` and ``niceness``,
+    and the ``kinds`` of layers whose kernels it loads.
     """
 
     environment: Mapping[str, str]
@@ -46,8 +46,8 @@ LAST_SECONDS = 1.0
 
 
 TERM_SECONDS = 5.0
-"""Seconds that a worker lives on after SIGTERM. A signal to the whole process group reaches the
-server, too, which has its workers write light before it closes their pipes.
+"""Seconds that a worker lives on after SIGTERM. A signal to the whole process group
+reaches the server, too, which has its workers write light before it closes their pipes.
 """
 
 

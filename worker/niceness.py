@@ -45,8 +45,8 @@ def stand_behind(niceness: int, apart: bool = False) -> None:
 
 
 def leads_session(pid: int) -> bool:
-    """Return True if a process leads a session, so that the session's niceness affects no
-    process of others.
+    """Return True if a process leads a session,
+    so that the session's niceness affects no process of others.
     """
     try:
         return os.getsid(pid) == pid
@@ -69,8 +69,8 @@ def set_session_niceness(pid: int, niceness: int) -> bool:
 
 
 BACK_NICENESS = 10
-"""Niceness of a session while a view moves: a session of niceness 0 then gets nine times as
-much of a core.
+"""Niceness of a session while a view moves:
+a session of niceness 0 then gets nine times as much of a core.
 """
 
 CHANGE_SECONDS = 0.1
@@ -129,8 +129,9 @@ class Sessions:
             self._pause(CHANGE_SECONDS)
 
     def _round(self) -> bool:
-        """Make the changes that are due and granted. Return True if all sessions have
-        FORWARD_NICENESS, so that the thread may end.
+        """Make the changes that are due and granted.
+
+        Return True if all sessions have FORWARD_NICENESS, so that the thread may end.
         """
         leaders = frozenset(self._leaders())
         # ``_back`` are the sessions at BACK_NICENESS; new workers begin at the other one.

@@ -1,5 +1,5 @@
-"""The interface of the baker to worker processes: those of this machine, or those of a Dask
-scheduler.
+"""The interface of the baker to worker processes:
+those of this machine, or those of a Dask scheduler.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -8,8 +8,8 @@ from typing import Protocol
 from worker.tasks import PLAIN_LAYER_KINDS, BakeResult, BakeTask, WriteTask, Written
 
 MAX_TASK_TEXELS = 1 << 14
-"""Most texels of a task. With 1024 and more their paths fill whole waves; the sums of this many
-take about 20 MB.
+"""Most texels of a task. With 1024 and more their paths fill whole waves;
+the sums of this many take about 20 MB.
 """
 
 TASKS_AHEAD = 2
@@ -31,8 +31,9 @@ class WorkerPool(Protocol):
 
     @property
     def deaths(self) -> int:
-        """Number of workers that were lost. One that is started in the place of another counts
-        as new.
+        """Number of workers that were lost.
+
+        One that is started in the place of another counts as new.
         """
 
     @property
@@ -62,27 +63,28 @@ class WorkerPool(Protocol):
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
-        """Hand over tasks of one bake, to be done together; ``done`` is called with the result
-        or error of each.
+        """Hand over tasks of one bake, to be done together;
+        ``done`` is called with the result or error of each.
         """
 
     @property
     def keeps_light(self) -> bool:
-        """True if the server keeps light while it converges: workers hand it back, and write it
-        when asked to.
+        """True if the server keeps light while it converges:
+        workers hand it back, and write it when asked to.
         """
 
     def write(self, task: WriteTask, done: WriteDone) -> None:
         """Hand over a task that writes light; ``done`` is called as for ``submit``."""
 
     def prepare(self, work: Callable[[], object]) -> None:
-        """Have each worker of this machine do some ``work`` before its next task. Failure is
-        ignored, as that task fails, too.
+        """Have each worker of this machine do some ``work`` before its next task.
+
+        Failure is ignored, as that task fails, too.
         """
 
     def step_back(self, seconds: float) -> bool:
-        """Lower the priority of the workers of this machine for ``seconds``; return False if
-        they are not this server's.
+        """Lower the priority of the workers of this machine for ``seconds``;
+        return False if they are not this server's.
         """
 
     def pids(self) -> list[int]:
@@ -110,8 +112,8 @@ def start_pool(
 
 
 def all_ended(tasks: Sequence[BakeTask], done: AllDone) -> Callable[..., None]:
-    """Return a function that calls ``done`` with the outcomes of ``tasks`` that were done
-    together, or with one error for each of them.
+    """Return a function that calls ``done`` with the outcomes of ``tasks``
+    that were done together, or with one error for each of them.
     """
 
     def ended(

@@ -1,5 +1,5 @@
-"""Import the workers' code and load the kernels of their bakes, once for all workers: the fork
-server imports this module.
+"""Import the workers' code and load the kernels of their bakes,
+once for all workers: the fork server imports this module.
 """
 
 import gc
@@ -14,8 +14,9 @@ from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, attempt, bake_kerne
 
 
 def load_what_is_stored() -> None:
-    """Load the kernels of bakes that are compiled. The others are left to the workers, which
-    report that they compile.
+    """Load the kernels of bakes that are compiled.
+
+    The others are left to the workers, which report that they compile.
     """
     load(
         [

@@ -110,16 +110,16 @@ class TimeLeft:
 
 
 def log_normal_ratios(spread: float) -> tuple[float, ...]:
-    """Return quantiles of log-normal ratios of true to estimated times whose logarithm has the
-    standard deviation ``spread``.
+    """Return quantiles of log-normal ratios of true to estimated
+    times whose logarithm has the standard deviation ``spread``.
     """
     normal = statistics.NormalDist()
     return tuple(math.exp(spread * normal.inv_cdf(p / 100)) for p in (5, *range(10, 100, 10), 95))
 
 
 ASSUMED_WORK_RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Assumed ratios of true to estimated work, used along with measured ones, so that the range is
-wide at first.
+"""Assumed ratios of true to estimated work,
+used along with measured ones, so that the range is wide at first.
 """
 
 MAX_KNOWN_RATIOS = 50
@@ -127,13 +127,13 @@ MAX_KNOWN_RATIOS = 50
 
 MIN_JUDGING_SPACING = 0.5
 MIN_JUDGING_SHARE = 0.25
-"""Least seconds between two estimates of one subject that are compared with true times, and the
-same as a share of their work.
+"""Least seconds between two estimates of one subject
+that are compared with true times, and the same as a share of their work.
 """
 
 FORGET_SECONDS = 60.0
-"""Seconds without an estimate after which a subject counts as new, as other work may have been
-done meanwhile.
+"""Seconds without an estimate after which a subject counts
+as new, as other work may have been done meanwhile.
 """
 
 MAX_SUBJECTS = 16
@@ -141,8 +141,8 @@ MAX_SUBJECTS = 16
 
 
 class Estimate(NamedTuple):
-    """An estimate of ``work`` seconds left, the time it was made, and the seconds ``worked`` by
-    then.
+    """An estimate of ``work`` seconds left,
+    the time it was made, and the seconds ``worked`` by then.
     """
 
     work: float
@@ -171,8 +171,8 @@ class TimeEstimator:
         clock: Callable[[], float] = time.monotonic,
         prior: tuple[float, ...] = ASSUMED_WORK_RATIOS,
     ) -> None:
-        """Begin without estimates; ``prior`` are assumed ratios of true to estimated times,
-        ascending.
+        """Begin without estimates;
+        ``prior`` are assumed ratios of true to estimated times, ascending.
         """
         self._clock = clock
         self._prior = prior
@@ -200,15 +200,15 @@ class TimeEstimator:
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def end(self, subject: Hashable, worked: float) -> None:
-        """Judge the estimates of a ``subject`` that is done, if there are any, after ``worked``
-        seconds of work.
+        """Judge the estimates of a ``subject`` that is done,
+        if there are any, after ``worked`` seconds of work.
         """
         if (known := self._subjects.pop(subject, None)) is not None:
             self._judge(known, Estimate(0.0, self._clock(), worked))
 
     def _subject(self, name: Hashable) -> Subject:
-        """Return the subject of this name, marked as used now; a new one if it was not used for
-        FORGET_SECONDS.
+        """Return the subject of this name, marked as used now;
+        a new one if it was not used for FORGET_SECONDS.
         """
         now = self._clock()
         known = self._subjects.pop(name, None)
@@ -366,8 +366,8 @@ class Pace:
 
 
 class Work(NamedTuple):
-    """The work at a ``chunk``: the ``effort`` of its texels to reach the relative error
-    ``target``, or ``enough`` samples.
+    """The work at a ``chunk``: the ``effort`` of its texels
+    to reach the relative error ``target``, or ``enough`` samples.
     """
 
     chunk: Index
@@ -411,8 +411,8 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
 
 
 def paths_after_first(usual: float, work: Work) -> float:
-    """Return the paths after first light of a texel without light, if other texels take
-    ``usual`` paths.
+    """Return the paths after first light of a texel without light,
+    if other texels take ``usual`` paths.
     """
     return min(max(usual, MIN_SAMPLES), most_samples(work.target), work.enough) - FIRST_LEVEL
 
@@ -443,8 +443,8 @@ PER_TASK = 0.008
 """Processor seconds of a worker that a task takes in addition to its paths."""
 
 UNREHEARSED_SPREAD = math.log(2.0)
-"""Relative spread of true over estimated times that a rehearsal does not show: pictures end a
-sample level sooner or later.
+"""Relative spread of true over estimated times that a rehearsal does not show:
+pictures end a sample level sooner or later.
 """
 
 
@@ -473,8 +473,8 @@ class CostEstimate:
         return replace(self, seconds=seconds, processor=processor, stored=stored)
 
     def time_left(self, workers: int, around: float) -> TimeLeft:
-        """Return the time of the whole bake with ``workers`` workers, plus the seconds
-        ``around`` it.
+        """Return the time of the whole bake with ``workers`` workers,
+        plus the seconds ``around`` it.
         """
         ratios = log_normal_ratios(math.hypot(self.unsure, UNREHEARSED_SPREAD))
         return TimeLeft.of(self.seconds / workers, ratios, around + self.maps)
@@ -510,8 +510,9 @@ def extrapolated(
 
 
 def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK) -> np.ndarray:
-    """Return the seconds of a worker per texel of each chunk, (chunks,) float64. Work per task
-    is slowed down like paths.
+    """Return the seconds of a worker per texel of each chunk, (chunks,) float64.
+
+    Work per task is slowed down like paths.
     """
     slow = sum(one.seconds for one in measured) / max(sum(one.processor for one in measured), 1e-9)
     return np.array(
@@ -520,8 +521,8 @@ def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK)
 
 
 def relative_standard_error(values: np.ndarray) -> float:
-    """Return the standard error of the mean of ``values`` (n,), relative to the mean; 1 for a
-    single value, which shows none.
+    """Return the standard error of the mean of ``values`` (n,),
+    relative to the mean; 1 for a single value, which shows none.
     """
     if len(values) > 1:
         return float(values.std(ddof=1) / values.mean() / math.sqrt(len(values)))

@@ -51,8 +51,9 @@ MIN_PLACES = 64
 
 @dataclass(eq=False)
 class ClientQueue:
-    """The requests of one client: a heap of places. If there are more than ``most``, outdated
-    ones are removed.
+    """The requests of one client: a heap of places.
+
+    If there are more than ``most``, outdated ones are removed.
     """
 
     places: list[Place] = field(default_factory=list)
@@ -90,8 +91,9 @@ class ClientQueues:
         return self._queues[patient].keys()
 
     def push(self, request: BakeRequest, client: Hashable, rank: Rank) -> None:
-        """Put a request into a client's queue at this rank. Its former place there becomes
-        outdated.
+        """Put a request into a client's queue at this rank.
+
+        Its former place there becomes outdated.
         """
         interest = request.interests[client]
         interest.ticket = next(self._tickets)
@@ -107,8 +109,9 @@ class ClientQueues:
         return len(queue.places)
 
     def pop(self, patient: bool, client: Hashable) -> tuple[Rank, BakeRequest] | None:
-        """Take out the first request of a client's queue, with its rank. An empty queue is
-        removed, and None returned.
+        """Take out the first request of a client's queue, with its rank.
+
+        An empty queue is removed, and None returned.
         """
         place = self._queues[patient][client].pop(client)
         if place is None:
@@ -125,14 +128,14 @@ def is_current(place: Place, client: Hashable) -> bool:
 
 
 STALE_SECONDS = 2.0
-"""Seconds after a chunk was finished within which a view that lacks its light is taken to have
-been drawn before that.
+"""Seconds after a chunk was finished within which a view
+that lacks its light is taken to have been drawn before that.
 """
 
 FORGET_AFTER = 60.0
 EXPIRY_CHECK_SECONDS = 1.0
-"""Seconds after which a request that was not renewed expires, and seconds between two checks
-for these.
+"""Seconds after which a request that was not renewed expires,
+and seconds between two checks for these.
 """
 
 RERANK_GROWTH = 1.5
@@ -199,8 +202,8 @@ class BakeQueue:
         return stale
 
     def _has_come(self, key: Key, demand: Demand, target: float, enough: int) -> bool:
-        """Return True if the light that is demanded of a chunk was finished within the last
-        STALE_SECONDS.
+        """Return True if the light that is demanded
+        of a chunk was finished within the last STALE_SECONDS.
         """
         when, done = self._finished.get(key, (-math.inf, NO_INTEREST))
         return self.clock() - when < STALE_SECONDS and not exceeds(
@@ -282,8 +285,8 @@ class BakeQueue:
         return request.suspect, -request.interests[client].view, *self._merits(request)
 
     def _merits(self, request: BakeRequest) -> tuple[int, float, float]:
-        """Return the rank of a request among those of a view: stage of first light, visible
-        error removed per second, work left.
+        """Return the rank of a request among those of a view:
+        stage of first light, visible error removed per second, work left.
         """
         return (
             request.stage,
@@ -299,8 +302,9 @@ class BakeQueue:
         result: BakeResult,
         enough: int = MAX_SAMPLES,
     ) -> None:
-        """Take over the ``result`` of a task for the texels at ``offsets`` of a chunk. The
-        request stays if work is left.
+        """Take over the ``result`` of a task for the texels at ``offsets`` of a chunk.
+
+        The request stays if work is left.
         """
         request = self.requests[key]
         self._end_task(request, result.cost.seconds)
@@ -359,8 +363,8 @@ class BakeQueue:
         return request.given_up
 
     def put_off(self, key: Key, seconds: float = 0.0) -> None:
-        """Note that a task could not be done through no fault of its chunk, which waits again
-        after ``seconds``.
+        """Note that a task could not be done through no fault of its chunk,
+        which waits again after ``seconds``.
         """
         request = self.requests[key]
         self._end_task(request, 0.0)
@@ -401,8 +405,8 @@ class BakeQueue:
         return len(waiting), sum(request.given_up for request in self.requests.values()), age
 
     def trouble(self) -> str:
-        """Return the reason why a request was given up, of several the one renewed last; empty
-        if there is none.
+        """Return the reason why a request was given up,
+        of several the one renewed last; empty if there is none.
         """
         self._forget()
         given_up = [request for request in self.requests.values() if request.given_up]
@@ -411,8 +415,9 @@ class BakeQueue:
         return ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest. Rank the request again for all clients if it has
-        changed much, else only for this one.
+        """Note a client's new interest.
+
+        Rank the request again for all clients if it has changed much, else only for this one.
         """
         self._interesting.setdefault(client, {}).pop(request.key, None)
         self._interesting[client][request.key] = request
@@ -429,8 +434,9 @@ class BakeQueue:
         self._queues.push(request, client, self.rank(request, client))
 
     def _rank_everywhere(self, request: BakeRequest) -> None:
-        """Rank a request in the queues of all its clients. One in flight is ranked when its
-        task has ended.
+        """Rank a request in the queues of all its clients.
+
+        One in flight is ranked when its task has ended.
         """
         request.ranked = bool(request.effort.unlit), request.priority
         if request.interests and request.ready:
@@ -458,8 +464,8 @@ class BakeQueue:
         return None
 
     def _take(self, request: BakeRequest, client: Hashable) -> BakeRequest | None:
-        """Mark the request as in flight and return it; None if it must run alone and others are
-        in flight.
+        """Mark the request as in flight and return it;
+        None if it must run alone and others are in flight.
         """
         if request.suspect and self._in_flight:
             self._rank_for(request, client)
@@ -481,8 +487,8 @@ class BakeQueue:
         request.charged = self.shares.begin(client, request.payers)
 
     def _end_task(self, request: BakeRequest, seconds: float) -> None:
-        """End the task of a request, which took ``seconds`` of a processor, and release
-        requests that were held back by it.
+        """End the task of a request, which took ``seconds`` of a processor,
+        and release requests that were held back by it.
         """
         bake, index = request.key
         self._in_flight[index].remove(bake)
@@ -516,8 +522,9 @@ class BakeQueue:
                 self._drop(request, client)
 
     def _older_than(self, client: Hashable, horizon: float) -> list[BakeRequest]:
-        """Return the requests that a client has not renewed since ``horizon``. They come first
-        in its order.
+        """Return the requests that a client has not renewed since ``horizon``.
+
+        They come first in its order.
         """
         requests = self._interesting[client].values()
         return list(
@@ -525,8 +532,8 @@ class BakeQueue:
         )
 
     def _release(self, viewer: Viewer, view: int) -> None:
-        """Drop the interests of a ``viewer`` in views before ``view``, except given-up
-        requests, which expire.
+        """Drop the interests of a ``viewer`` in views before ``view``,
+        except given-up requests, which expire.
         """
         for request in list(self._interesting.get(viewer.client, {}).values()):
             interest = request.interests[viewer.client]
@@ -539,8 +546,9 @@ class BakeQueue:
             self._drop(request, client)
 
     def _drop(self, request: BakeRequest, client: Hashable) -> None:
-        """Drop a client's interest, and the request if it was the last. A request in flight
-        stays until its task has ended.
+        """Drop a client's interest, and the request if it was the last.
+
+        A request in flight stays until its task has ended.
         """
         request.release(client)
         del self._interesting[client][request.key]
@@ -562,7 +570,7 @@ def alike(one: BakeRequest, other: BakeRequest) -> bool:
 
 
 def sunk(rank: Rank, now: Rank) -> bool:
-    """Return True if a request's rank has become much lower, or if it has got the first light
-    that it lacked.
+    """Return True if a request's rank has become much lower,
+    or if it has got the first light that it lacked.
     """
     return now[:3] > rank[:3] or now[3] - rank[3] > RERANK_LOSS * abs(rank[3])

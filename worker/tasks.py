@@ -68,15 +68,15 @@ from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
 
 Assets = SceneAssets | SharedScene
-"""The data that a worker opens in place of a scene's files: copies of them in the store, or
-memory that the server shares with processes of its machine.
+"""The data that a worker opens in place of a scene's files:
+copies of them in the store, or memory that the server shares with processes of its machine.
 """
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The scene that another was cut from: its ``source``, and the ``assets`` that workers open
-    in place of its files.
+    """The scene that another was cut from: its ``source``,
+    and the ``assets`` that workers open in place of its files.
     """
 
     source: SceneSource
@@ -92,8 +92,8 @@ class Whole:
 
 @dataclass(frozen=True, eq=False)
 class WholeLight:
-    """The light of a whole volume in a store, and the part of the volume that ``remains`` in a
-    cut.
+    """The light of a whole volume in a store,
+    and the part of the volume that ``remains`` in a cut.
     """
 
     chunks: ChunkStore
@@ -165,8 +165,8 @@ KERNELS_OF_LAYER = {
     **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
     **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
-"""Entry kernels by the kind of layer that they bake. Walls, several surfaces and colours have
-kinds, and kernels, of their own.
+"""Entry kernels by the kind of layer that they bake.
+Walls, several surfaces and colours have kinds, and kernels, of their own.
 """
 
 PLAIN_LAYER_KINDS = tuple(
@@ -179,15 +179,15 @@ OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, numbe
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """Return the entry kernels that bake layers of these ``kinds``, without those that open a
-    scene.
+    """Return the entry kernels that bake layers of these ``kinds``,
+    without those that open a scene.
     """
     return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:
-    """Return True if kernels that bake layers of these ``kinds`` are not compiled yet on this
-    machine.
+    """Return True if kernels that bake layers
+    of these ``kinds`` are not compiled yet on this machine.
     """
     return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
 
@@ -270,8 +270,9 @@ BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True
 
 @lru_cache(maxsize=4)
 def open_store(store_url: StoreUrl) -> Store:
-    """Return the store at a URL, opened once a process with its own credentials. The server has
-    made it.
+    """Return the store at a URL, opened once a process with its own credentials.
+
+    The server has made it.
     """
     return Store(store_url, make=False)
 
@@ -305,8 +306,8 @@ def prepared_scene(
 
 
 MAP_BYTES_SHARE = 3 / 8
-"""Bytes of active-cell maps that a worker keeps of a volume, as a share of those that it may
-hold of mapped voxels.
+"""Bytes of active-cell maps that a worker keeps of a volume,
+as a share of those that it may hold of mapped voxels.
 """
 
 
@@ -316,8 +317,8 @@ def most_maps() -> int:
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
-"""The scenes that this process has open, by their volumes and all settings that change how rays
-meet these.
+"""The scenes that this process has open,
+by their volumes and all settings that change how rays meet these.
 """
 
 VOXEL_INDEPENDENT_SETTINGS = (
@@ -331,14 +332,15 @@ VOXEL_INDEPENDENT_SETTINGS = (
     "clear",
     "material",
 )
-"""Settings of a scene, besides the numbers of a material, that nothing derived from its voxels
-depends on.
+"""Settings of a scene, besides the numbers of a material,
+that nothing derived from its voxels depends on.
 """
 
 
 def opened(source: SceneSource) -> PreparedScene:
-    """Open a scene from its files. It shares derived data with an open scene of the same
-    volume, if there is one.
+    """Open a scene from its files.
+
+    It shares derived data with an open scene of the same volume, if there is one.
     """
     rest = {
         key: value
@@ -401,8 +403,8 @@ def open_whole(
     store_url: StoreUrl,
     assets: Assets | None,
 ) -> WholeLight | None:
-    """Return the light of the whole that a bake's scene was cut from, opened once a process;
-    None if the cut can keep none of it.
+    """Return the light of the whole that a bake's scene was cut from,
+    opened once a process; None if the cut can keep none of it.
     """
     spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
     cut, _ = open_spec(source, plan, digest, store_url, assets)
@@ -410,8 +412,8 @@ def open_whole(
 
 
 def attempt(work: Callable[[], object]) -> None:
-    """Do some ``work`` ahead of its time, and ignore failure: it fails again when it is due,
-    and is reported then.
+    """Do some ``work`` ahead of its time, and ignore failure:
+    it fails again when it is due, and is reported then.
     """
     with suppress(Exception):
         work()
@@ -443,8 +445,9 @@ def outcome_of(task: BakeTask) -> Outcome:
 
 
 def bake(task: BakeTask) -> BakeResult:
-    """Do a single task, unless another baker has claimed its chunk. Raises StoreAwayError if
-    the store is away.
+    """Do a single task, unless another baker has claimed its chunk.
+
+    Raises StoreAwayError if the store is away.
     """
     (result,) = bake_together([task])
     return result
@@ -570,8 +573,9 @@ class Unwritten:
 
 @dataclass(frozen=True, eq=False)
 class WriteTask:
-    """A task: write the light of ``chunks`` of one bake. The other fields are as in a
-    ``BakeTask``.
+    """A task: write the light of ``chunks`` of one bake.
+
+    The other fields are as in a ``BakeTask``.
     """
 
     source: SceneSource
@@ -584,8 +588,8 @@ class WriteTask:
 
 
 Written = bool | Exception
-"""The outcome of writing a chunk: True if another writer was found at it, False if not, or an
-error.
+"""The outcome of writing a chunk:
+True if another writer was found at it, False if not, or an error.
 """
 
 
@@ -713,7 +717,7 @@ def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[
 
 
 async def dask_setup(worker: Any) -> None:
-    """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``,
-    before it joins.
+    """Load the kernels of all bakes in a ``worker`` started
+    with ``--preload worker.tasks``, before it joins.
     """
     await asyncio.to_thread(load_kernels, PLAIN_LAYER_KINDS)

@@ -25,8 +25,8 @@ WRITE_CHUNKS = 32
 
 SHORTEST_RETRY = 1.0
 LONGEST_RETRY = 8.0
-"""Seconds until a store that takes no light is tried again; doubled after each failure, up to
-the longest.
+"""Seconds until a store that takes no light is tried again;
+doubled after each failure, up to the longest.
 """
 
 LAST_SECONDS = 20.0
@@ -40,8 +40,8 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """The ``light`` in memory of the bake ``name``, and a task of it, ``like``, from which
-    write tasks take the description of the bake.
+    """The ``light`` in memory of the bake ``name``, and a task of it,
+    ``like``, from which write tasks take the description of the bake.
     """
 
     name: str
@@ -50,8 +50,8 @@ class Kept:
 
 
 Told = Callable[[str, Index], None]
-"""A function that is called with the name of a bake and a chunk at which another writer was
-found.
+"""A function that is called with the name of a bake
+and a chunk at which another writer was found.
 """
 
 
@@ -83,8 +83,9 @@ class LightWriter:
             self._kept[task.digest] = Kept(name, light, replace(task, light=None))
 
     def look(self, wanted: Callable[[str], set[Index]]) -> None:
-        """Begin to write light that is due. ``wanted`` gives the chunks of a bake that are
-        still baked: their light does not rest.
+        """Begin to write light that is due.
+
+        ``wanted`` gives the chunks of a bake that are still baked: their light does not rest.
         """
         if time.monotonic() >= self._retry:
             for kept in list(self._kept.values()):
@@ -101,8 +102,8 @@ class LightWriter:
             self._write(kept, kept.light.unwritten())
 
     def finish(self, seconds: float = LAST_SECONDS) -> None:
-        """Write all light, and return when that is done, or when the store takes none, or after
-        ``seconds``.
+        """Write all light, and return when that is done,
+        or when the store takes none, or after ``seconds``.
         """
         deadline = time.monotonic() + seconds
         while self.unwritten and not self.reason and time.monotonic() < deadline:
@@ -179,8 +180,9 @@ class LightWriter:
         return False
 
     def _pause(self, reason: str) -> None:
-        """Write nothing for a while, as the store takes none. Each further failure doubles the
-        wait.
+        """Write nothing for a while, as the store takes none.
+
+        Each further failure doubles the wait.
         """
         if not self.reason:
             self._wait = SHORTEST_RETRY

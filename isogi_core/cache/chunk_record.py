@@ -108,8 +108,8 @@ def unpack(
 def belongs(
     records: np.ndarray, layer: Layer, texels: int, bake: str, indices: Sequence[Index]
 ) -> np.ndarray:
-    """Return, for each of the ``records`` (k, bytes) uint8, True if it is of this ``bake`` and
-    of its chunk of ``indices``; (k,) bool.
+    """Return, for each of the ``records`` (k, bytes) uint8,
+    True if it is of this ``bake`` and of its chunk of ``indices``; (k,) bool.
     """
     found = record_fields(records, layer, texels)
     here = (found["index"] == np.array(indices).reshape(-1, 3)).all(axis=1)
@@ -153,8 +153,8 @@ def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, 
 
 
 def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
-    """Find the first fault in a record, (bytes,) uint8, that ``pack`` never writes, and return
-    its description; empty if there is none.
+    """Find the first fault in a record, (bytes,) uint8, that ``pack`` never writes,
+    and return its description; empty if there is none.
     """
     record = data.view(record_type(layer, texels))[0]
     level = record["rung"]
@@ -208,8 +208,9 @@ class LayerFacts:
 
     @property
     def lattice_facts(self) -> tuple[Any, ...]:
-        """The facts that decide which texels can hold light. Layers that have equal facts must
-        agree on these texels.
+        """The facts that decide which texels can hold light.
+
+        Layers that have equal facts must agree on these texels.
         """
         names = ("format", "volume_digest", "normals", "offset", "shown")
         return (self.texels, self.chunk, *(self.attributes.get(name) for name in names))
@@ -248,8 +249,8 @@ def facts_in(metadata: bytes) -> LayerFacts:
 
 
 def agrees(metadata: dict[str, Any], facts: LayerFacts) -> bool:
-    """Return True if ``metadata`` describes the array that a layer with these ``facts`` must
-    have.
+    """Return True if ``metadata`` describes the array
+    that a layer with these ``facts`` must have.
     """
     grid = metadata["chunk_grid"]["configuration"]["chunk_shape"]
     return bool(
@@ -296,8 +297,8 @@ class Chunk:
         )
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:
-        """Return the rows of ``light`` of the texels at ``offsets``; the chunk must have all of
-        them.
+        """Return the rows of ``light`` of the texels at ``offsets``;
+        the chunk must have all of them.
         """
         return np.searchsorted(self.offsets, offsets)
 
@@ -341,8 +342,8 @@ class Chunks:
 
 
 def merge_layers(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
-    """Return the ascending places ``found`` in any of the layers, and the light there; a part
-    is dark where its layer lacks the place.
+    """Return the ascending places ``found`` in any of the layers, and the light there;
+    a part is dark where its layer lacks the place.
     """
     first = found[0][0]
     parts = [part for _, part in found]

@@ -25,14 +25,16 @@ from isogi_core.storage.atomic_file import user_cache
 from isogi_core.storage.store import Store, StoreLike
 
 MIN_DIRECT_ORDER = 2
-"""Lowest order of direct light that is shown in place of a higher one: band 0 alone does not
-depend on the normal.
+"""Lowest order of direct light that is shown in place of a higher one:
+band 0 alone does not depend on the normal.
 """
 
 
 def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePlan:
-    """Return the ``plan`` with each layer that the ``store`` has no light of replaced by the
-    smallest larger one that it has, if any.
+    """Return the ``plan`` for a store that may hold other layers.
+
+    Each layer without light in the ``store`` is replaced by the smallest larger layer with light
+    there, if there is one.
     """
     store = Store.of(store)
     there = frozenset(store.layers())
@@ -73,16 +75,17 @@ def stored_layers(
     there: Set[str],
     shown: Isovalue | None = None,
 ) -> Iterator[LayerStore]:
-    """Yield the stores of those ``layers`` that have light. Layers whose digests are not
-    ``there`` are skipped without a request.
+    """Yield the stores of those ``layers`` that have light.
+
+    Layers whose digests are not ``there`` are skipped without a request.
     """
     layer_stores = (LayerStore(store, prepared, layer, shown) for layer in layers)
     return (each for each in layer_stores if each.digest in there and each.exists)
 
 
 def larger_layers(layer: Layer) -> Iterator[Layer]:
-    """Yield the compatible layers that keep every coefficient of ``layer`` at least as
-    precisely, and more.
+    """Yield the compatible layers that keep every coefficient
+    of ``layer`` at least as precisely, and more.
     """
     if layer.kind in ("direct", "indirect"):
         orders = range(layer.order, MAX_ORDER + 1)
@@ -93,8 +96,8 @@ def larger_layers(layer: Layer) -> Iterator[Layer]:
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
-    """Yield the compatible layers that keep only lower bands of ``layer``, or keep its bands
-    less precisely; most bands first.
+    """Yield the compatible layers that keep only lower bands of ``layer``,
+    or keep its bands less precisely; most bands first.
     """
     if layer.kind == "direct":
         least = MIN_DIRECT_ORDER
@@ -113,8 +116,8 @@ def precisions(layer: Layer, order: int) -> Iterator[Layer]:
 
 
 def covers(other: Layer, layer: Layer) -> bool:
-    """Return True if ``other``, whose order is not lower, keeps each coefficient of ``layer``
-    at least as precisely.
+    """Return True if ``other``, whose order is not lower,
+    keeps each coefficient of ``layer`` at least as precisely.
     """
     return other.floats >= layer.floats and (layer.half or not other.half)
 
@@ -122,8 +125,8 @@ def covers(other: Layer, layer: Layer) -> bool:
 log = logging.getLogger("isogi.cache")
 
 STAMP_EVERY = 3600.0
-"""Seconds after which the stamp of light in use is renewed: fine enough for pruning by days,
-and one write an hour.
+"""Seconds after which the stamp of light in use is renewed:
+fine enough for pruning by days, and one write an hour.
 """
 
 
@@ -193,8 +196,9 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or create the layers' arrays and find the smaller layers. Otherwise both happen
-        with the first chunk.
+        """Open or create the layers' arrays and find the smaller layers.
+
+        Otherwise both happen with the first chunk.
         """
         for layer in self.layers:
             layer.open()
@@ -236,8 +240,8 @@ class ChunkStore:
         return sum(layer.size for layer in self.layers)
 
     def objects(self, index: Index) -> Objects:
-        """Read the objects of a chunk without decoding them: one of each layer, then one of
-        each fallback.
+        """Read the objects of a chunk without decoding them:
+        one of each layer, then one of each fallback.
         """
         return tuple(
             None if layer is None else layer.read(index)

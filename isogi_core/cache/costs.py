@@ -24,8 +24,8 @@ from isogi_core.storage.store import Store, StoreLike
 log = logging.getLogger("isogi.cache")
 
 SAVE_EVERY = 30.0
-"""Seconds after which changed costs are written again: a kill loses the costs of at most this
-time.
+"""Seconds after which changed costs are written again:
+a kill loses the costs of at most this time.
 """
 
 
@@ -56,8 +56,9 @@ class Cost(NamedTuple):
 
 
 class Costs:
-    """The costs of the bake ``digest`` in a ``store``, in memory and as an object there. Safe
-    to use from many threads.
+    """The costs of the bake ``digest`` in a ``store``, in memory and as an object there.
+
+    Safe to use from many threads.
     """
 
     def __init__(
@@ -83,8 +84,8 @@ class Costs:
                 self._changed_at = self._clock()
 
     def rate(self, index: Index) -> float | None:
-        """Return the seconds per path of a chunk, as measured there, else the common rate; None
-        before the first task.
+        """Return the seconds per path of a chunk, as measured there,
+        else the common rate; None before the first task.
         """
         with self._lock:
             measured = self._chunks.get(index, Cost()).rate
@@ -106,8 +107,9 @@ class Costs:
 
     @property
     def _common_rate(self) -> float | None:
-        """The median rate of all chunks. Before any chunk has a rate, the lowest seconds per
-        path of first light, None without any.
+        """The median rate of all chunks.
+
+        Before any chunk has a rate, the lowest seconds per path of first light, None without any.
         """
         middle = len(self._rates) // 2
         if self._rates:
@@ -115,8 +117,9 @@ class Costs:
         return self._fastest
 
     def _add(self, index: Index, cost: Cost) -> None:
-        """Add a cost to that of the chunk ``index``, and update total and rates. The caller
-        must hold the lock.
+        """Add a cost to that of the chunk ``index``, and update total and rates.
+
+        The caller must hold the lock.
         """
         before = self._chunks.get(index, Cost())
         after = self._chunks[index] = before.plus(cost)
@@ -130,8 +133,9 @@ class Costs:
             self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
-        """Add the costs in the store. Missing or damaged costs count as unknown; the latter are
-        logged.
+        """Add the costs in the store.
+
+        Missing or damaged costs count as unknown; the latter are logged.
         """
         try:
             found = self._store.get(self._key)
@@ -175,8 +179,9 @@ class Costs:
 
 
 def costs_in(stored: bytes) -> dict[Index, Cost]:
-    """Return the costs of chunks in an object of the store. Raises errors of many kinds if it
-    is damaged.
+    """Return the costs of chunks in an object of the store.
+
+    Raises errors of many kinds if it is damaged.
     """
     kept: Any = json.loads(stored)["attributes"]["chunks"]
     return {

@@ -18,8 +18,8 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 
 WRITE_SECONDS = 4.0
-"""Seconds after which light is written even if more is coming. A kill loses at most this much,
-and other servers find light this late.
+"""Seconds after which light is written even if more is coming.
+A kill loses at most this much, and other servers find light this late.
 """
 
 REST_SECONDS = 1.0
@@ -53,8 +53,8 @@ class FreshLight:
         self._lock = threading.Lock()
 
     def newer(self, index: Index) -> Chunk | None:
-        """Return the chunk ``index`` if some of its light is not written yet, else None: the
-        store has it then.
+        """Return the chunk ``index`` if some of its light is not written yet, else None:
+        the store has it then.
         """
         found = self._chunks.get(index)
         if found is not None and any(found.changed):
@@ -115,8 +115,8 @@ class FreshLight:
             return [each for each in self._chunks.values() if any(each.changed)]
 
     def written(self, fresh: Fresh) -> None:
-        """Mark the light of ``fresh`` as written, unless newer light of its chunk came
-        meanwhile.
+        """Mark the light of ``fresh`` as written,
+        unless newer light of its chunk came meanwhile.
         """
         index = fresh.chunk.index
         with self._lock:
@@ -145,24 +145,24 @@ class FreshLight:
 
 
 STORES: "weakref.WeakKeyDictionary[Store, dict[str, FreshLight]]" = weakref.WeakKeyDictionary()
-"""The light of each store that this process has open, by the digests of bakes. Closed stores
-drop out.
+"""The light of each store that this process has open,
+by the digests of bakes. Closed stores drop out.
 """
 
 LOCK = threading.Lock()
 
 
 def fresh_light(store: Store, digest: str) -> FreshLight:
-    """Return the unwritten light of the bake ``digest`` in a ``store``: the same object for
-    everyone in this process.
+    """Return the unwritten light of the bake ``digest`` in a ``store``:
+    the same object for everyone in this process.
     """
     with LOCK:
         return STORES.setdefault(store, {}).setdefault(digest, FreshLight())
 
 
 def texels_of(chunks: Collection[Chunk], texels: int) -> tuple[np.ndarray, Light]:
-    """Join the texels of some chunks of ``texels`` texels: return their places (see
-    ``Chunks.of_parts``) and light.
+    """Join the texels of some chunks of ``texels`` texels:
+    return their places (see ``Chunks.of_parts``) and light.
     """
     places = [number * texels + chunk.offsets for number, chunk in enumerate(chunks)]
     light = Light.joined([chunk.light for chunk in chunks])

@@ -43,8 +43,8 @@ OTHER_KEYS = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glo
 
 @dataclass(eq=False)
 class LayerFiles:
-    """The objects of one layer: its metadata, None if that is missing, its chunks, and the
-    stamp of its last use.
+    """The objects of one layer: its metadata, None if that is missing,
+    its chunks, and the stamp of its last use.
     """
 
     digest: str
@@ -54,8 +54,9 @@ class LayerFiles:
 
     @property
     def objects(self) -> list[Entry]:
-        """All objects, the metadata last. A layer that is deleted in this order stays readable
-        to the end.
+        """All objects, the metadata last.
+
+        A layer that is deleted in this order stays readable to the end.
         """
         return [*self.chunks.values(), *filter(None, (self.stamp, self.metadata))]
 
@@ -142,8 +143,8 @@ class Claims:
         self._contended = -math.inf
 
     def note_contention(self) -> None:
-        """Note that another baker worked on the same chunk, so that claims are made for
-        CONTENDED_SECONDS.
+        """Note that another baker worked on the same chunk,
+        so that claims are made for CONTENDED_SECONDS.
         """
         self._contended = self._clock()
 
@@ -184,8 +185,8 @@ class Claims:
         return False
 
     def _put(self, key: str, mark: bytes, former: StoredObject | None) -> bool:
-        """Write a claim in place of ``former``; return False if another process has changed it
-        meanwhile.
+        """Write a claim in place of ``former``;
+        return False if another process has changed it meanwhile.
         """
         with suppress(ChangedError):
             self._store.put(key, mark, former)

@@ -159,8 +159,8 @@ class LayerStore:
         raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
-        """Return True if an array in the store is the one that this layer needs: its shape,
-        codecs and volume agree.
+        """Return True if an array in the store is the one that this layer needs:
+        its shape, codecs and volume agree.
         """
         # The array is read before each new chunk, but checked only once.
         if array is self.__dict__.get("array"):
@@ -215,8 +215,9 @@ class LayerStore:
             self.array = array
 
     def decode(self, index: Index, stored: bytes) -> tuple[np.ndarray, Part]:
-        """Decode the object of a chunk to offsets and part. Raises DamagedChunkError if it is
-        damaged or of another chunk.
+        """Decode the object of a chunk to offsets and part.
+
+        Raises DamagedChunkError if it is damaged or of another chunk.
         """
         return unpack_all(self._records([(index, stored)]), self.layer, self.texels)
 
@@ -280,8 +281,8 @@ class LayerStore:
         )
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
-        """Encode a part's texels at ``offsets`` as an object, byte for byte as Zarr would with
-        CHUNK_CODECS.
+        """Encode a part's texels at ``offsets`` as an object,
+        byte for byte as Zarr would with CHUNK_CODECS.
         """
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
@@ -329,8 +330,8 @@ class LayerStore:
 
 
 def to_chunk_places(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
-    """Renumber ``places`` (m,) int32 in records to places in chunks, if record i is of chunk
-    ``numbers[i]``.
+    """Renumber ``places`` (m,) int32 in records to places in chunks,
+    if record i is of chunk ``numbers[i]``.
     """
     record, offset = np.divmod(places, np.int32(texels))
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)

@@ -60,8 +60,9 @@ class Entry:
 
 
 class Numbers:
-    """Free numbers below ``most``. Those given back last are taken first, then new ones in
-    ascending order.
+    """Free numbers below ``most``.
+
+    Those given back last are taken first, then new ones in ascending order.
     """
 
     def __init__(self, most: int) -> None:
@@ -106,8 +107,9 @@ class PagePool:
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
-        """Allocate the arrays that frames of ``spec`` read. The system gives memory as they
-        fill.
+        """Allocate the arrays that frames of ``spec`` read.
+
+        The system gives memory as they fill.
         """
         texels = spec.prepared.lattice.texels
         # A page costs its rows and its part of the table. A small budget has more table than that,
@@ -145,8 +147,9 @@ class PagePool:
             ]
 
     def outdate(self, index: Index) -> None:
-        """Note that the store has newer light of a chunk. The old light may be shown until that
-        is read.
+        """Note that the store has newer light of a chunk.
+
+        The old light may be shown until that is read.
         """
         with self._lock:
             if index in self._entries:
@@ -235,8 +238,8 @@ class PagePool:
             return tuple(map(self.version, held.slots.tolist()))
 
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
-        """Return the transfer of a held chunk's texels at ``offsets`` (m,), 0 if unlit; (m,
-        channels, columns) float32.
+        """Return the transfer of a held chunk's texels at ``offsets`` (m,), 0 if unlit;
+        (m, channels, columns) float32.
         """
         found = np.zeros((len(offsets), *self.transfer.shape[1:]), np.float32)
         if slot >= 0:
@@ -245,8 +248,9 @@ class PagePool:
         return found
 
     def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
-        """Allocate entries of so many ``pages`` (chunks,) each. If there are too few, drop the
-        longest unused chunks but those in ``keep``.
+        """Allocate entries of so many ``pages`` (chunks,) each.
+
+        If there are too few, drop the longest unused chunks but those in ``keep``.
         """
         total = int(pages.sum())
         if not self._has_room(total, len(pages)):
@@ -298,15 +302,15 @@ class PagePool:
 
 
 def pages_of_sheet(lattice: Lattice) -> int:
-    """Return the pages that a chunk crossed by one surface takes at least; the table has a slot
-    for each such chunk.
+    """Return the pages that a chunk crossed by one surface takes at least;
+    the table has a slot for each such chunk.
     """
     return lattice.rows // PAGE_TEXELS
 
 
 def page_bytes(spec: BakeSpec) -> int:
-    """Return the bytes that a page of a ``spec`` takes, its part of the indirection table among
-    them.
+    """Return the bytes that a page of a ``spec`` takes,
+    its part of the indirection table among them.
     """
     lattice = spec.prepared.lattice
     return PAGE_TEXELS * row_bytes(spec) + lattice.texels * 4 // pages_of_sheet(lattice)
@@ -318,8 +322,8 @@ def row_bytes(spec: BakeSpec) -> int:
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
-    """Return the rows of the texels of chunks, (texels,) int32: a chunk with ``counts[i]``
-    texels fills its ``pages[i]`` in order.
+    """Return the rows of the texels of chunks, (texels,) int32:
+    a chunk with ``counts[i]`` texels fills its ``pages[i]`` in order.
     """
     each = [
         (first[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
@@ -334,14 +338,15 @@ MAX_SAMPLE_LEVELS = 32
 """Number of codes for a part's sample level in a stamp; there are fewer levels."""
 
 SHOWN_CHECKSUMS = 509
-"""Number of checksums of light that is shown without samples. Times MAX_SAMPLE_LEVELS³, for
-three parts, it stays below 2^24: single floats hold all stamps exactly.
+"""Number of checksums of light that is shown without samples. Times MAX_SAMPLE_LEVELS³,
+for three parts, it stays below 2^24: single floats hold all stamps exactly.
 """
 
 
 def new_rows(spec: BakeSpec, count: int) -> Rows:
-    """Allocate a texel table of ``count`` rows for frames of a ``spec``. The system gives
-    memory as it fills.
+    """Allocate a texel table of ``count`` rows for frames of a ``spec``.
+
+    The system gives memory as it fills.
     """
     columns = (np.empty(count, np.float32) for _ in range(3))
     return Rows(np.empty((count, spec.channels, spec.columns), np.float32), *columns)
@@ -428,8 +433,8 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """Return ``powers`` of the lights of each two terms, 0 above the lower order; (terms,
-    terms, channels, channels, most n²).
+    """Return ``powers`` of the lights of each two terms, 0 above the lower order;
+    (terms, terms, channels, channels, most n²).
     """
     most = max(term.order for term in spec.terms) ** 2
     count = len(spec.terms)
@@ -441,8 +446,8 @@ def powers_of(spec: BakeSpec) -> np.ndarray:
 
 
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
-    """Return the fewest samples of any part of texels with these ``stamps``, 0 if a part is not
-    baked; (texels,) int32.
+    """Return the fewest samples of any part of texels with these ``stamps``,
+    0 if a part is not baked; (texels,) int32.
     """
     fewest = np.empty(len(stamps), np.int32)
     find_fewest(stamps, parts, MAX_SAMPLE_LEVELS, SAMPLES_OF, fewest)

@@ -1,5 +1,5 @@
-"""Scene assets: the volume, light files and other arrays that workers on other machines need,
-kept in the store by digest.
+"""Scene assets: the volume, light files and other arrays
+that workers on other machines need, kept in the store by digest.
 """
 
 import hashlib
@@ -81,8 +81,8 @@ class Asset:
             raise self.damaged(one_line(error)) from error
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """Yield the array along its first axis, one layer of chunks at a time, so that it need
-        not fit memory.
+        """Yield the array along its first axis,
+        one layer of chunks at a time, so that it need not fit memory.
         """
         shape, chunk, dtype, _ = self.describe()
         for z in range(-(-shape[0] // chunk[0])):
@@ -137,8 +137,8 @@ class Asset:
 
 
 def pack_chunk(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
-    """Return the object of a chunk: its values in little-endian order, padded with zeros at the
-    array's end, compressed, with a checksum.
+    """Return the object of a chunk: its values in little-endian order,
+    padded with zeros at the array's end, compressed, with a checksum.
     """
     part = values[tuple(slice(i * n, (i + 1) * n) for i, n in zip(index, chunk, strict=True))]
     block = np.zeros(chunk, values.dtype.newbyteorder("<"))
@@ -207,8 +207,9 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
 
 
 def send_colours(colours: SurfaceColours, store: Store) -> str:
-    """Write the colours of a surface to the ``store``, unless they are there; return their
-    digest. Raises StoreError.
+    """Write the colours of a surface to the ``store``, unless they are there; return their digest.
+
+    Raises StoreError.
     """
     scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
     places = colours.places
@@ -220,8 +221,9 @@ def send_colours(colours: SurfaceColours, store: Store) -> str:
 
 
 def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
-    """Read the colours among a scene's assets; None if it has none. Raises StoreError if they
-    are missing or damaged.
+    """Read the colours among a scene's assets; None if it has none.
+
+    Raises StoreError if they are missing or damaged.
     """
     if not assets.colours:
         return None
@@ -244,8 +246,8 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
 
 
 def send_glow_bits(bits: np.ndarray, store: Store) -> str:
-    """Write the masks of glowing parts to the ``store``, unless they are there; return their
-    digest. Raises StoreError.
+    """Write the masks of glowing parts to the ``store``, unless they are there;
+    return their digest. Raises StoreError.
     """
     digest = digest_of_file(bits.tobytes())
     Asset(store, f"glow/{digest}").put(bits, VOLUME_OBJECT_VOXELS, {})
@@ -253,8 +255,9 @@ def send_glow_bits(bits: np.ndarray, store: Store) -> str:
 
 
 def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
-    """Read the masks of glowing parts among a scene's assets; None if it has none. Raises
-    StoreError if they are missing or damaged.
+    """Read the masks of glowing parts among a scene's assets; None if it has none.
+
+    Raises StoreError if they are missing or damaged.
     """
     if not assets.glow_bits:
         return None
@@ -305,8 +308,8 @@ def with_copied_file(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapp
 
 
 def fetch_volume(digest: str, store: Store) -> Volume:
-    """Return the volume of a ``digest``, mapped from this machine's copy, which is made if
-    there is none.
+    """Return the volume of a ``digest``,
+    mapped from this machine's copy, which is made if there is none.
     """
     found = find_copy(digest)
     if found is None:
@@ -336,6 +339,7 @@ def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
 
 def fetch_file(digest: str, name: str, store: Store) -> Path:
     """Return the path of this machine's copy of a file, which is fetched if there is none.
+
     Raises StoreError.
     """
 

@@ -25,13 +25,13 @@ ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is read again, as another machine may have baked it."""
 
 MAX_BATCHES_AHEAD = 2 * REMOTE_READERS
-"""Most batches of a view that are being read or wait in memory: enough to keep all readers
-busy, while memory stays bounded.
+"""Most batches of a view that are being read or wait in memory:
+enough to keep all readers busy, while memory stays bounded.
 """
 
 BATCH_BYTES = 1 << 23
-"""Most bytes of records that are unpacked in one call. That is thousands of texels, so the cost
-of the call itself does not matter.
+"""Most bytes of records that are unpacked in one call.
+That is thousands of texels, so the cost of the call itself does not matter.
 """
 
 CHUNKS_OF_ONE_READER = 8
@@ -42,8 +42,9 @@ Made = TypeVar("Made")
 
 
 class Loader:
-    """Loads chunks from the store into the page pool when frames need them. Safe to use from
-    many threads.
+    """Loads chunks from the store into the page pool when frames need them.
+
+    Safe to use from many threads.
     """
 
     def __init__(self, chunk_store: ChunkStore, pool: PagePool) -> None:
@@ -83,8 +84,8 @@ class Loader:
                 self._insert(indices, found, together, refreshed)
 
     def refresh(self, index: Index) -> None:
-        """Note that the store has new light of a chunk, even for threads that are reading it
-        now.
+        """Note that the store has new light of a chunk,
+        even for threads that are reading it now.
         """
         with self._lock:
             self._absent.pop(index, None)
@@ -108,8 +109,8 @@ class Loader:
                 self._readers = [each for each in self._readers if each is not refreshed]
 
     def _is_due(self, index: Index) -> bool:
-        """Return True if a chunk may be read: it was not found absent in the last ASK_AGAIN
-        seconds.
+        """Return True if a chunk may be read:
+        it was not found absent in the last ASK_AGAIN seconds.
         """
         with self._lock:
             return time.monotonic() - self._absent.get(index, -ASK_AGAIN) >= ASK_AGAIN
@@ -117,8 +118,9 @@ class Loader:
     def _read_in_batches(
         self, indices: Sequence[Index]
     ) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
-        """Yield the chunks in batches, in order, each with the light that the store has of
-        them. Several batches are read at once.
+        """Yield the chunks in batches, in order, each with the light that the store has of them.
+
+        Several batches are read at once.
         """
         batches = self._batches(indices)
         store = self.chunk_store.store
@@ -242,8 +244,8 @@ class Caches:
         self._lock = threading.RLock()
 
     def spec(self, shading: str) -> BakeSpec:
-        """Return the bake spec of views of this ``shading``, with larger layers if the store
-        has light of these only.
+        """Return the bake spec of views of this ``shading``,
+        with larger layers if the store has light of these only.
         """
         name = spec_name(shading)
         with self._lock:
@@ -254,6 +256,7 @@ class Caches:
 
     def chunk_store(self, shading: str) -> ChunkStore:
         """Return the chunk store that views of this ``shading`` read, with its layers opened.
+
         Raises StoreError.
         """
         name = spec_name(shading)
@@ -266,8 +269,8 @@ class Caches:
             return self._chunk_stores[name]
 
     def chunk_store_of(self, shown: Isovalue | None) -> ChunkStore:
-        """Return the chunk store of the scene's light, or, with ``shown``, of texels projected
-        onto that isosurface.
+        """Return the chunk store of the scene's light, or,
+        with ``shown``, of texels projected onto that isosurface.
         """
         if shown is None:
             return self.chunk_store("gi")
@@ -311,8 +314,8 @@ class Caches:
             )
 
     def refresh(self, name: str, index: Index, shown: Isovalue | None = None) -> None:
-        """Note that the store has new light of a chunk: in the spec ``name``, or in texels
-        projected onto ``shown``.
+        """Note that the store has new light of a chunk:
+        in the spec ``name``, or in texels projected onto ``shown``.
         """
         with self._lock:
             loader = self.of(name) if shown is None else self._projected.get(shown)
@@ -320,8 +323,9 @@ class Caches:
             loader.refresh(index)
 
     def _share(self, name: str) -> int:
-        """Return the bytes of the budget for a spec. Projected texels of the scene's light get
-        as many as that light.
+        """Return the bytes of the budget for a spec.
+
+        Projected texels of the scene's light get as many as that light.
         """
         sizes = {each: page_bytes(self.spec(each)) for each in SPECS}
         whole = sum(sizes.values())

@@ -1,5 +1,5 @@
-"""The upkeep of a store: a census that counts its light, an audit that finds damage, repair,
-and pruning.
+"""The upkeep of a store: a census that counts its light,
+an audit that finds damage, repair, and pruning.
 """
 
 import logging
@@ -43,8 +43,9 @@ class Damage(NamedTuple):
 
 
 class SharedChunk(NamedTuple):
-    """A chunk, and its objects in all layers of the same lattice. They must agree on the texels
-    that can hold light.
+    """A chunk, and its objects in all layers of the same lattice.
+
+    They must agree on the texels that can hold light.
     """
 
     chunk: Index
@@ -53,8 +54,9 @@ class SharedChunk(NamedTuple):
 
 @dataclass(eq=False)
 class Audit:
-    """The result of an audit. ``whole`` counts sound chunks, ``unread`` those of layers whose
-    metadata is damaged.
+    """The result of an audit.
+
+    ``whole`` counts sound chunks, ``unread`` those of layers whose metadata is damaged.
     """
 
     inventory: Inventory
@@ -98,8 +100,8 @@ def audit_store(
 
 
 def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFacts]) -> list[Damage]:
-    """Check the objects of a chunk, each by itself and then against each other; return one
-    damage an object.
+    """Check the objects of a chunk, each by itself and then against each other;
+    return one damage an object.
     """
     damages = []
     samples = {}
@@ -137,8 +139,9 @@ def _audit_facts(store: Store, result: Audit) -> None:
 
 
 def read_facts(store: Store, digest: str) -> LayerFacts:
-    """Return the facts of a layer. Raises DamagedChunkError if its metadata is missing or
-    damaged.
+    """Return the facts of a layer.
+
+    Raises DamagedChunkError if its metadata is missing or damaged.
     """
     stored = store.read(f"{digest}/zarr.json")
     if stored is None:
@@ -182,8 +185,8 @@ def shared_chunks(audit: Audit) -> list[SharedChunk]:
 
 
 def contradictions(samples: dict[str, np.ndarray]) -> Iterator[Damage]:
-    """Yield a damage for both objects of each pair of which one calls a texel void and the
-    other lights it: either may be wrong.
+    """Yield a damage for both objects of each pair of which one calls
+    a texel void and the other lights it: either may be wrong.
     """
     for one, other in combinations(samples, 2):
         both = samples[one], samples[other]
@@ -199,8 +202,9 @@ def leftovers(inventory: Inventory, now: float) -> Sequence[Entry]:
 
 @dataclass(eq=False)
 class Repair:
-    """The result of a repair. ``moved`` gives the new key of each damaged object, None if it
-    was deleted.
+    """The result of a repair.
+
+    ``moved`` gives the new key of each damaged object, None if it was deleted.
     """
 
     audit: Audit
@@ -277,8 +281,8 @@ class Count:
 
 @dataclass(eq=False)
 class Census:
-    """The readable layers of a store by their digests, and the costs of bakes by the digests of
-    the bakes' layers.
+    """The readable layers of a store by their digests,
+    and the costs of bakes by the digests of the bakes' layers.
     """
 
     inventory: Inventory
@@ -287,8 +291,9 @@ class Census:
 
 
 def census_of(store: Store, texels: bool = True, progress: Progress = no_progress) -> Census:
-    """Count the layers of a ``store``, and with ``texels`` read all chunks and count their
-    texels. Raises StoreError.
+    """Count the layers of a ``store``, and with ``texels`` read all chunks and count their texels.
+
+    Raises StoreError.
     """
     inventory = inventory_of(store.entries())
     counts = dict(each_layer(store, inventory))
@@ -331,8 +336,8 @@ def samples_in(store: Store, count: Count, index: tuple[int, int, int]) -> np.nd
 def texels_in(
     store: Store, count: Count, index: tuple[int, int, int]
 ) -> tuple[np.ndarray, Part] | None:
-    """Return the offsets of a chunk's texels and their part of a layer: none if the object is
-    gone, None if it is damaged.
+    """Return the offsets of a chunk's texels and their part of a layer:
+    none if the object is gone, None if it is damaged.
     """
     facts = count.facts
     files = count.files
@@ -363,8 +368,8 @@ def costs_of(
 
 
 def possible_bakes(counts: dict[str, Count]) -> Iterator[tuple[str, ...]]:
-    """Yield the layers of the same lattice, up to MOST_LAYERS in any order, as they may form a
-    bake.
+    """Yield the layers of the same lattice,
+    up to MOST_LAYERS in any order, as they may form a bake.
     """
     by_lattice = defaultdict(list)
     for digest, count in counts.items():
@@ -403,8 +408,8 @@ class PruneRule:
 
 @dataclass(frozen=True, eq=False)
 class PrunePlan:
-    """The layers to delete, ``going``, the longest unused first, and ``busy`` ones, which are
-    being written to and stay.
+    """The layers to delete, ``going``, the longest unused first,
+    and ``busy`` ones, which are being written to and stay.
     """
 
     going: tuple[Count, ...]
@@ -417,8 +422,9 @@ class PrunePlan:
 
 
 def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
-    """Choose the layers to delete by a ``rule``, at the time ``now``. Raises StoreError if the
-    store does not know ages.
+    """Choose the layers to delete by a ``rule``, at the time ``now``.
+
+    Raises StoreError if the store does not know ages.
     """
     counts = sorted(census.counts.values(), key=lambda count: count.files.used)
     if any(math.isnan(count.files.used) for count in counts):
@@ -464,6 +470,7 @@ def last_write(files: LayerFiles) -> float:
 
 def delete_layers(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
     """Delete the layers of a plan, and the costs of their bakes; return the deleted objects.
+
     Raises StoreError.
     """
     gone = [found for count in plan.going for found in count.files.objects] + stale_costs(

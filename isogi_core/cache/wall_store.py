@@ -30,23 +30,23 @@ WALLS_FOLDER = "walls"
 """Folder of the notes of isovalues at the top of a store, and the kind of the layers."""
 
 WALL_CHUNK_SIDE = 64
-"""Side of a chunk in texels and in planes: all sides of sixteen walls are then in one object,
-or in a few.
+"""Side of a chunk in texels and in planes:
+all sides of sixteen walls are then in one object, or in a few.
 """
 
 Side = tuple[int, int]
 """A wall by its number, and its side: 1 is the front, -1 the back."""
 
 Planes = tuple[np.ndarray, np.ndarray]
-"""Means of E/π of each half, (planes, across, across, 3) float64, and their numbers of paths,
-(planes, across, across) int64.
+"""Means of E/π of each half, (planes, across, across, 3) float64,
+and their numbers of paths, (planes, across, across) int64.
 """
 
 
 @dataclass(frozen=True)
 class WallState:
-    """The state that light of walls depends on besides its scene: the isovalue, and the albedo
-    and glow that a view asks for.
+    """The state that light of walls depends on besides its scene:
+    the isovalue, and the albedo and glow that a view asks for.
     """
 
     isovalue: float
@@ -60,8 +60,8 @@ def wall_layer(scene: Scene) -> Layer:
 
 
 def planes_of(side: Side) -> slice:
-    """Return the planes of the lattice that hold both halves of a side of a wall: four a wall,
-    its front first.
+    """Return the planes of the lattice that hold both halves of a side of a wall:
+    four a wall, its front first.
     """
     first = 4 * side[0] + 2 * int(side[1] < 0)
     return slice(first, first + 2)
@@ -164,8 +164,8 @@ class WallStore:
             log.info("Light of walls is not kept: %s", error)
 
     def around(self, state: WallState) -> tuple[WallState, WallState] | None:
-        """Return the states at the nearest isovalues below and above that have light; None if
-        one side has none.
+        """Return the states at the nearest isovalues below and above that have light;
+        None if one side has none.
         """
         try:
             known = self._isovalues(state)

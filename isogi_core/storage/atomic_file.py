@@ -14,15 +14,15 @@ PARTIAL_SUFFIX = ".partial"
 
 
 def user_cache(name: str) -> Path:
-    """Return the folder ``isogi/NAME`` in the user's cache folder, ``$XDG_CACHE_HOME`` or
-    ``~/.cache``.
+    """Return the folder ``isogi/NAME`` in the user's cache folder,
+    ``$XDG_CACHE_HOME`` or ``~/.cache``.
     """
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "isogi" / name
 
 
 def check_folder(output: Path) -> None:
-    """Raise ViewError if the folder is missing that the file or folder ``output`` is to be
-    written to.
+    """Raise ViewError if the folder is missing
+    that the file or folder ``output`` is to be written to.
     """
     if not output.parent.is_dir():
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
@@ -51,8 +51,9 @@ def check_writable(output: Path, size: int) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write ``data`` to the file ``path``. A reader sees the former file or the new one, never
-    a part of it.
+    """Write ``data`` to the file ``path``.
+
+    A reader sees the former file or the new one, never a part of it.
     """
     with partial_file(path, data) as written:
         os.replace(written, path)

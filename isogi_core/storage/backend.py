@@ -1,5 +1,5 @@
-"""Backends: the operations that every kind of store offers on objects by key, and the meaning
-of its errors.
+"""Backends: the operations that every kind of store offers
+on objects by key, and the meaning of its errors.
 """
 
 import errno
@@ -87,8 +87,8 @@ class StoreUrl:
 
 @dataclass(frozen=True)
 class StoredObject:
-    """The bytes of an object, and the ``tag`` (ETag) of this content; empty if the store has no
-    tags.
+    """The bytes of an object, and the ``tag`` (ETag) of this content;
+    empty if the store has no tags.
     """
 
     data: bytes
@@ -112,13 +112,15 @@ class Entry(NamedTuple):
 
 
 class Backend(Protocol):
-    """Objects by keys such as ``a/b``. Methods raise OSError, with an errno if the cause is
-    known.
+    """Objects by keys such as ``a/b``.
+
+    Methods raise OSError, with an errno if the cause is known.
     """
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None if there is none. Return ``known`` itself if the store says that
-        it is unchanged.
+        """Read an object; None if there is none.
+
+        Return ``known`` itself if the store says that it is unchanged.
         """
         ...
 
@@ -138,8 +140,8 @@ class Backend(Protocol):
         ...
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; an empty ``folder`` is the top
-        of the store.
+        """List the names of the folders right under ``folder``;
+        an empty ``folder`` is the top of the store.
         """
         ...
 
@@ -156,8 +158,9 @@ class Backend(Protocol):
         ...
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise, and change nothing. ``data`` is the
-        sentinel's content.
+        """Raise the error that a write would raise, and change nothing.
+
+        ``data`` is the sentinel's content.
         """
         ...
 

@@ -61,8 +61,9 @@ class Folder:
             return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``. Raises ChangedError if another was written
-        meanwhile.
+        """Write an object in place of ``former``.
+
+        Raises ChangedError if another was written meanwhile.
         """
         path = self.path / key
         # Write the data before taking the lock, as that takes long: under the lock are one read and
@@ -95,8 +96,9 @@ class Folder:
                 return
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel, and bring it to the disk before anything else. Raises
-        ChangedError if there is one.
+        """Write the sentinel, and bring it to the disk before anything else.
+
+        Raises ChangedError if there is one.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         with partial_file(self.path / self.sentinel, data, sync=True) as written:
@@ -115,8 +117,9 @@ class Folder:
         self._remove_empty((self.path / key).parent)
 
     def _remove_empty(self, folder: Path) -> None:
-        """Remove empty folders from ``folder`` up to the store's top, which stays. A writer
-        makes its folder again.
+        """Remove empty folders from ``folder`` up to the store's top, which stays.
+
+        A writer makes its folder again.
         """
         with suppress(OSError):
             while folder != self.path:
@@ -155,8 +158,9 @@ class Folder:
             os.replace(self.path / key, self.path / to)
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise. The file that is written for this is
-        deleted again.
+        """Raise the error that a write would raise.
+
+        The file that is written for this is deleted again.
         """
         with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
@@ -188,8 +192,9 @@ class FileSystem:
         return StoredObject(stored.to_bytes())
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object. Raises ChangedError if another is found right before; a later one is
-        overwritten.
+        """Write an object.
+
+        Raises ChangedError if another is found right before; a later one is overwritten.
         """
         if self.get(key) != former:
             raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
@@ -204,8 +209,8 @@ class FileSystem:
         sync(self._store.delete(key))
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; names with a dot are objects
-        here.
+        """List the names of the folders right under ``folder``;
+        names with a dot are objects here.
         """
         names = {name.partition("/")[0] for name in sync(listed(self._store.list_dir(folder)))}
         return sorted(name for name in names if "." not in name)
@@ -243,8 +248,8 @@ async def listed(names: AsyncIterator[str]) -> list[str]:
 log = logging.getLogger("isogi.cache")
 
 ROOM_MADE = 0.9
-"""Share of the room that stays filled when the oldest copies are deleted, so that a scan serves
-many writes.
+"""Share of the room that stays filled when the oldest copies are deleted,
+so that a scan serves many writes.
 """
 
 
@@ -295,8 +300,8 @@ class Copies:
         return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()
 
     def _make_room(self, size: int) -> None:
-        """Delete the longest unused copies, but only each time that a tenth of the room was
-        filled since the last scan.
+        """Delete the longest unused copies, but only each time
+        that a tenth of the room was filled since the last scan.
         """
         with self._lock:
             self._grown += size

@@ -1,5 +1,5 @@
-"""A bucket of an object store (S3, Google, Azure, or read by HTTP) as a backend, by means of
-obstore.
+"""A bucket of an object store (S3, Google, Azure, or read by HTTP)
+as a backend, by means of obstore.
 """
 
 import errno
@@ -30,8 +30,8 @@ CALL_VARIABLES = (
     "PROXY_CA_CERTIFICATE",
     "PROXY_EXCLUDES",
 )
-"""Environment variables, without their prefix, of options of calls; obstore reads the others by
-itself.
+"""Environment variables, without their prefix, of options of calls;
+obstore reads the others by itself.
 """
 
 FULL_ANSWERS = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
@@ -45,8 +45,9 @@ READ_ONLY_ANSWERS = ("status code: 405", NOT_IMPLEMENTED)
 
 
 class Bucket:
-    """Objects under a bucket's prefix. Methods raise OSError with EACCES, ENOSPC or EROFS, and
-    with EIO for all other causes.
+    """Objects under a bucket's prefix.
+
+    Methods raise OSError with EACCES, ENOSPC or EROFS, and with EIO for all other causes.
     """
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
@@ -78,8 +79,9 @@ class Bucket:
             ) from None
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None if it or the bucket does not exist. Return ``known`` if its tag
-        is still that of the object.
+        """Read an object; None if it or the bucket does not exist.
+
+        Return ``known`` if its tag is still that of the object.
         """
         errors = self._obstore.exceptions
         with self._translated_errors():
@@ -117,8 +119,8 @@ class Bucket:
                 ) from None
 
     def _put(self, key: str, data: bytes, mode: Any) -> None:
-        """Write an object, without the condition ``mode`` if the store has no conditional
-        writes.
+        """Write an object, without the condition ``mode``
+        if the store has no conditional writes.
         """
         try:
             self._obstore.put(self._store, key, data, mode=mode, use_multipart=False)
@@ -220,8 +222,8 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
 
 
 def retry_options(store_url: StoreUrl) -> dict[str, Any]:
-    """Return the options of retries: how often a failed call is tried again, and after which
-    pauses.
+    """Return the options of retries:
+    how often a failed call is tried again, and after which pauses.
     """
     return {
         "max_retries": store_url.retries,
@@ -240,8 +242,8 @@ CONNECTION_FAULTS = {
 
 
 def sentence(error: Exception) -> str:
-    """Return the server's answer in an error of obstore, without addresses, queries, documents
-    and debug text.
+    """Return the server's answer in an error of obstore,
+    without addresses, queries, documents and debug text.
     """
     if broken := next(
         (said for words, said in CONNECTION_FAULTS.items() if words in str(error)), None

@@ -44,8 +44,8 @@ SENTINEL_CONTENT = json.dumps({"kind": "isogi light", "format": STORE_FORMAT}).e
 """The sentinel's content."""
 
 CHECKED = 1.0
-"""Seconds for which a check of the sentinel stands, and after which an unreachable store is
-checked again.
+"""Seconds for which a check of the sentinel stands,
+and after which an unreachable store is checked again.
 """
 
 CHECK_SECONDS = 0.5
@@ -154,8 +154,8 @@ class Store:
         return None if found is None else found.data
 
     def now(self) -> float:
-        """Return the time of this machine's calendar, which is taken to agree with the one that
-        dates objects.
+        """Return the time of this machine's calendar,
+        which is taken to agree with the one that dates objects.
         """
         return time.time()
 
@@ -224,8 +224,9 @@ class Store:
         return self.folders("")
 
     def folders(self, folder: str) -> list[str]:
-        """List the folders right under ``folder``. An empty list means that the store is there
-        and has none.
+        """List the folders right under ``folder``.
+
+        An empty list means that the store is there and has none.
         """
         self._check_after_failure()
         with self._translated_errors(f"list {folder or 'all'} in"):
@@ -273,16 +274,16 @@ class Store:
         return self._clock() - self._last_answer
 
     def note_silence(self) -> StoreAwayError:
-        """Note that the store does not answer, and return the error for callers that wait for
-        it.
+        """Note that the store does not answer,
+        and return the error for callers that wait for it.
         """
         self._away = StoreAwayError(f"The store at {self.url} does not answer.")
         self._checked_until = self._clock() + CHECKED
         return self._away
 
     def is_new_message(self, text: str) -> bool:
-        """Return True, and remember the message, if ``text`` was not logged in the last
-        LOG_SECONDS.
+        """Return True, and remember the message,
+        if ``text`` was not logged in the last LOG_SECONDS.
         """
         now = self._clock()
         with self._opening:
@@ -306,8 +307,9 @@ class Store:
             raise trouble from None
 
     def only_read(self) -> bool:
-        """Return True if the store is read-only. A store that was is tested again every
-        WRITE_RETRY_SECONDS.
+        """Return True if the store is read-only.
+
+        A store that was is tested again every WRITE_RETRY_SECONDS.
         """
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
@@ -316,8 +318,8 @@ class Store:
         return self.read_only
 
     def _check_in_thread(self) -> None:
-        """Start a thread that checks the store, unless one is running or the last check still
-        stands, and wait CHECK_SECONDS for it.
+        """Start a thread that checks the store, unless one is running
+        or the last check still stands, and wait CHECK_SECONDS for it.
         """
         with self._opening:
             if self._clock() < self._checked_until or (
@@ -364,8 +366,8 @@ class Store:
 
     @contextmanager
     def _writing(self, action: str) -> Iterator[None]:
-        """Raise StoreReadOnlyError if the store is read-only, run the block, and translate its
-        errors.
+        """Raise StoreReadOnlyError if the store is read-only,
+        run the block, and translate its errors.
         """
         self._check_after_failure()
         if self.read_only:
@@ -376,8 +378,9 @@ class Store:
             yield
 
     def _check(self) -> StoreAwayError | None:
-        """Read the sentinel, and make it in a new store. Return the reason if that fails, else
-        None.
+        """Read the sentinel, and make it in a new store.
+
+        Return the reason if that fails, else None.
         """
         try:
             found = self._backend.get(SENTINEL_KEY)
@@ -397,8 +400,9 @@ class Store:
         return self._create_sentinel()
 
     def _create_sentinel(self) -> StoreAwayError | None:
-        """Write the sentinel, and return the reason if that fails, else None. A read-only place
-        is used without one.
+        """Write the sentinel, and return the reason if that fails, else None.
+
+        A read-only place is used without one.
         """
         try:
             self._backend.create_sentinel(SENTINEL_CONTENT)
@@ -490,8 +494,9 @@ def wrap(record: np.ndarray) -> bytes:
 
 
 def unwrap(stored: bytes, size: int) -> np.ndarray:
-    """Return the record in an object, (``size``,) uint8. Raises DamagedChunkError if it is
-    damaged.
+    """Return the record in an object, (``size``,) uint8.
+
+    Raises DamagedChunkError if it is damaged.
     """
     return unwrap_all([stored], size)[0]
 
@@ -540,8 +545,9 @@ MAX_TRIES = 5
 
 
 class Documents:
-    """The JSON documents in one ``folder`` of a ``store``. Methods block: do not call them in
-    an event loop.
+    """The JSON documents in one ``folder`` of a ``store``.
+
+    Methods block: do not call them in an event loop.
     """
 
     def __init__(self, store: StoreLike, folder: str) -> None:
@@ -568,8 +574,9 @@ class Documents:
         return document
 
     def write(self, name: str, document: dict[str, Any]) -> None:
-        """Write a document in place of the former one. Raises StoreError if others write it at
-        the same time, again and again.
+        """Write a document in place of the former one.
+
+        Raises StoreError if others write it at the same time, again and again.
         """
         key = self._key(name)
         content = json.dumps(document, indent=1, allow_nan=False).encode()

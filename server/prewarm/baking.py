@@ -94,8 +94,8 @@ class Batch:
 
     @property
     def order(self) -> tuple[bool, float, int, str, int]:
-        """Key that sorts batches: texels on their own isosurfaces come first, and fewer samples
-        before more.
+        """Key that sorts batches:
+        texels on their own isosurfaces come first, and fewer samples before more.
         """
         return (
             self.shown is not None,
@@ -167,8 +167,9 @@ class PrewarmContext:
         return max(self.deadline - time.monotonic(), 0.0)
 
     def late(self, end: float) -> bool:
-        """Return True if the monotonic clock has reached ``end``. Raises Cancelled if the
-        prewarm was stopped.
+        """Return True if the monotonic clock has reached ``end``.
+
+        Raises Cancelled if the prewarm was stopped.
         """
         self.check()
         return time.monotonic() >= end
@@ -245,8 +246,9 @@ class Baking:
         return Cost(now.seconds - before.seconds, now.paths - before.paths)
 
     def run(self) -> None:
-        """Bake until everything is done or the time is over, then withdraw all requests. Raises
-        WorkersError, and Cancelled.
+        """Bake until everything is done or the time is over, then withdraw all requests.
+
+        Raises WorkersError, and Cancelled.
         """
         self._waiting.extend(self._parts())
         try:
@@ -284,8 +286,8 @@ class Baking:
         return bool(self._open)
 
     def _wait(self) -> None:
-        """Wait for the oldest part, at most REPORT_SECONDS. Raises Cancelled, and WorkersError
-        if no light comes.
+        """Wait for the oldest part, at most REPORT_SECONDS.
+        Raises Cancelled, and WorkersError if no light comes.
         """
         context = self._context
         now = time.monotonic()
@@ -315,8 +317,8 @@ class Baking:
         )
 
     def _left(self, share: float) -> TimeLeft:
-        """Return the time that the rest takes once a ``share`` is done, at the pace measured
-        lately.
+        """Return the time that the rest takes once a ``share`` is done,
+        at the pace measured lately.
         """
         workers = self._context.engine.baker.workers
         round_seconds = self._expected.seconds / workers
@@ -347,8 +349,8 @@ UNREACHED_ERROR = 1e-9
 """A target error that the first paths do not reach."""
 
 SCHEDULED = Path("/proc/thread-self/schedstat")
-"""File in which Linux counts the nanoseconds that a thread ran, and those for which it was
-ready but had no core.
+"""File in which Linux counts the nanoseconds that a thread ran,
+and those for which it was ready but had no core.
 """
 
 
@@ -390,8 +392,8 @@ def rehearse(
 
 
 def ready_time() -> float:
-    """Return the seconds that this thread ran or was ready to run; on systems that do not count
-    them, the time.
+    """Return the seconds that this thread ran or was ready to run;
+    on systems that do not count them, the time.
     """
     try:
         ran, waited, *_ = SCHEDULED.read_text(encoding="ascii").split()
@@ -435,8 +437,8 @@ def climb_all(
 
 
 def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
-    """Return the seconds that the first paths of texels take, including maps that are not kept
-    yet.
+    """Return the seconds that the first paths of texels take,
+    including maps that are not kept yet.
     """
     begun = ready_time()
     refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_ERROR)
@@ -505,8 +507,9 @@ class Tried:
         self._lock = threading.Lock()
 
     def go_through(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
-        """Rehearse one demand after the other until enough is known. Several threads may do so
-        at once.
+        """Rehearse one demand after the other until enough is known.
+
+        Several threads may do so at once.
         """
         while not self._enough() and (demand := self._next(demands)):
             one = rehearse(renderer, demand, until, self._each, self._cancelled)
@@ -519,8 +522,8 @@ class Tried:
             return next(demands, None)
 
     def _enough(self) -> bool:
-        """Return True if the mean cost is known well enough, the time is over, or the forecast
-        was cancelled.
+        """Return True if the mean cost is known well enough,
+        the time is over, or the forecast was cancelled.
         """
         with self._lock:
             known = (
@@ -551,7 +554,7 @@ def stratified(demands: Sequence[Demand]) -> Iterator[Demand]:
 
 
 def radical_inverse(number: int) -> float:
-    """Return element ``number`` of van der Corput's sequence to base 2: each of its parts is
-    spread evenly over [0, 1).
+    """Return element ``number`` of van der Corput's sequence to base 2:
+    each of its parts is spread evenly over [0, 1).
     """
     return int(f"{number:032b}"[::-1], 2) / 2.0**32

@@ -1,5 +1,5 @@
-"""The order of a prewarm: isovalues, directions and target, from the command line, HTTP or a
-file.
+"""The order of a prewarm: isovalues, directions and target,
+from the command line, HTTP or a file.
 """
 
 from __future__ import annotations
@@ -93,8 +93,9 @@ class Levels:
 
 
 def levels_of(texts: Sequence[str]) -> Levels:
-    """Return the isovalues that the texts name. Raises ParameterError if a text names none, or
-    if they are too many.
+    """Return the isovalues that the texts name.
+
+    Raises ParameterError if a text names none, or if they are too many.
     """
     single: dict[float, None] = {}
     ranges: dict[tuple[float, float], None] = {}
@@ -117,8 +118,9 @@ def levels_of(texts: Sequence[str]) -> Levels:
 
 
 def sampled_count(text: str) -> int:
-    """Return the number of isovalues in a text such as adaptive:20. Raises ParameterError if
-    there is none.
+    """Return the number of isovalues in a text such as adaptive:20.
+
+    Raises ParameterError if there is none.
     """
     count = text.partition(":")[2]
     if not re.fullmatch(r"[1-9]\d{0,4}", count, re.ASCII) or int(count) > MOST_ISOVALUES:
@@ -127,8 +129,9 @@ def sampled_count(text: str) -> int:
 
 
 def numbers_in(text: str) -> list[float]:
-    """Return the one, two or three numbers in a text. Raises ParameterError if they are not an
-    isovalue or a range.
+    """Return the one, two or three numbers in a text.
+
+    Raises ParameterError if they are not an isovalue or a range.
     """
     numbers = [finite(part) for part in text.split(":")]
     if all(map(math.isfinite, numbers)) and sensible(numbers):
@@ -149,8 +152,8 @@ def sensible(numbers: Sequence[float]) -> bool:
 
 
 def stepped(first: float, last: float | None = None, step: float = 1.0) -> list[float]:
-    """Return the numbers from ``first`` to ``last`` by ``step``; only the first without a
-    ``last``.
+    """Return the numbers from ``first`` to ``last`` by ``step``;
+    only the first without a ``last``.
     """
     if last is None:
         steps = 0
@@ -248,8 +251,8 @@ class PrewarmOrder(NoParams):
 
     @model_validator(mode="after")
     def one_way(self) -> Self:
-        """Raise ValueError for directions along with all_directions, and for ranges of
-        isovalues without it.
+        """Raise ValueError for directions along with all_directions,
+        and for ranges of isovalues without it.
         """
         others = [name for name in VIEW_FIELDS if getattr(self, name)]
         if self.all_directions and others:
@@ -282,8 +285,9 @@ class PrewarmOrder(NoParams):
         return list(dict.fromkeys([*(all_sides(count) if count else ()), *single, *around]))
 
     def isovalues_of(self, scene: Scene) -> Levels:
-        """Return the isovalues, that of the ``scene`` if none is given. Raises ParameterError
-        if the scene does not allow one.
+        """Return the isovalues, that of the ``scene`` if none is given.
+
+        Raises ParameterError if the scene does not allow one.
         """
         if self.isovalues:
             levels = self.levels.found_in(scene)
@@ -295,8 +299,8 @@ class PrewarmOrder(NoParams):
         return levels
 
     def digest(self, scene: Scene) -> str:
-        """Return the digest, in hexadecimal, of everything that decides which light is baked in
-        a scene; the deadline does not.
+        """Return the digest, in hexadecimal, of everything that decides
+        which light is baked in a scene; the deadline does not.
         """
         asked = self.model_dump(exclude={"deadline"})
         return hashlib.blake2b(
@@ -365,14 +369,14 @@ class Views:
 SURFACE_VIEWS = 6
 SURFACE_VIEW_PIXELS = 192
 MAX_VIEWED_ISOVALUES = 4
-"""Number of views, from all sides, that stand for a whole isosurface, their pixels a side, and
-the most isovalues that get such views.
+"""Number of views, from all sides, that stand for a whole isosurface,
+their pixels a side, and the most isovalues that get such views.
 """
 
 
 def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Settings) -> Views:
-    """Return the views that stand for the whole isosurfaces of ``levels``: of the lowest, the
-    highest and some between.
+    """Return the views that stand for the whole isosurfaces of ``levels``:
+    of the lowest, the highest and some between.
     """
     every = sorted(set(levels.all))
     # Choose isovalues evenly by rank, and views of moderate size from all sides.

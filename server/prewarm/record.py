@@ -1,5 +1,5 @@
-"""The record of a prewarm: a file next to the light, with the order, its progress, and a
-summary of the result.
+"""The record of a prewarm: a file next to the light,
+with the order, its progress, and a summary of the result.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ MOST_FAILURES = 100
 
 
 class Errors(BaseModel):
-    """The total relative errors of the pictures: of the views, or of those that stand for whole
-    isosurfaces.
+    """The total relative errors of the pictures:
+    of the views, or of those that stand for whole isosurfaces.
     """
 
     worst: float
@@ -198,15 +198,15 @@ class RecordDocument(BaseModel):
 
     @property
     def left(self) -> bool:
-        """True if its process is known to have ended before the prewarm did, without being
-        asked to stop.
+        """True if its process is known to have ended before the prewarm did,
+        without being asked to stop.
         """
         return self.status in OPEN_STATES and gone(self.worker)
 
 
 def gone(worker: str) -> bool:
-    """Return True if a worker was a process of this machine and has ended; False if that cannot
-    be known.
+    """Return True if a worker was a process of this machine and has ended;
+    False if that cannot be known.
     """
     machine, number, _ = worker.split("/")
     if machine != socket.gethostname():
@@ -235,8 +235,9 @@ class Record:
         by: Literal["command", "server"],
         owner: str = "",
     ) -> None:
-        """Write nothing yet. The name does not depend on the deadline, so it is the same for
-        the same light.
+        """Write nothing yet.
+
+        The name does not depend on the deadline, so it is the same for the same light.
         """
         digest = order.digest(scene)
         self.document = RecordDocument(
@@ -253,8 +254,8 @@ class Record:
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Continue at the sample level of an earlier prewarm of this order, and record when
-        this one climbs. Raises StoreError.
+        """Continue at the sample level of an earlier prewarm of this order,
+        and record when this one climbs. Raises StoreError.
         """
         former = [
             each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id
@@ -325,8 +326,9 @@ class Record:
 
 
 def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
-    """Yield the prewarms recorded in a store. Records that cannot be read are logged and left
-    out. Raises StoreError.
+    """Yield the prewarms recorded in a store.
+
+    Records that cannot be read are logged and left out. Raises StoreError.
     """
     documents = Documents(store, RECORDS_FOLDER)
     for name in documents.names():

@@ -105,8 +105,8 @@ class Survey:
 
 @dataclass(frozen=True)
 class Seen:
-    """The state of a picture at the last look: pixels of the surface, of these ``final`` ones,
-    and the total relative ``error``.
+    """The state of a picture at the last look: pixels of the surface,
+    of these ``final`` ones, and the total relative ``error``.
     """
 
     surface: int
@@ -165,8 +165,8 @@ class Pictures:
         return found
 
     def _checked(self, view: View, end: float) -> Frame:
-        """Take steps of the check of a view until there is none, or light of texels is needed
-        first; return the frame.
+        """Take steps of the check of a view until there is none,
+        or light of texels is needed first; return the frame.
         """
         context = self._context
         frame = context.frame_of(view)
@@ -200,8 +200,8 @@ class Pictures:
 
 
 def rung_of(frame: Frame) -> int:
-    """Return the samples that texels of a ``frame`` have, apart from those that need fewer; 0
-    if it reads no texels.
+    """Return the samples that texels of a ``frame`` have,
+    apart from those that need fewer; 0 if it reads no texels.
     """
     if frame.quality.lacking:
         return frame.quality.lacking.reading.rung
@@ -209,8 +209,8 @@ def rung_of(frame: Frame) -> int:
 
 
 def lacking_of(frame: Frame) -> Iterator[Wish]:
-    """Yield the light that the picture of a ``frame`` lacks, or the picture with finer texels
-    that is to replace it.
+    """Yield the light that the picture of a ``frame`` lacks,
+    or the picture with finer texels that is to replace it.
     """
     coming = frame.quality.finer or frame
     for stage in coming.stages:
@@ -223,8 +223,8 @@ def lacking_of(frame: Frame) -> Iterator[Wish]:
 
 
 def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
-    """Replace the efforts of lacking light by exact ones, from the store, as several views may
-    read the same texels.
+    """Replace the efforts of lacking light by exact ones,
+    from the store, as several views may read the same texels.
     """
     for (batch, index), demand in found.demands.items():
         if demand.effort.unlit < len(demand.offsets):
@@ -234,8 +234,8 @@ def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
 
 
 def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
-    """Return the light that the store lacks for all texels of whole isosurfaces to have
-    ``enough`` samples.
+    """Return the light that the store lacks for all texels
+    of whole isosurfaces to have ``enough`` samples.
     """
     prepared = context.renderer.prepared
     found = Survey()
@@ -267,8 +267,8 @@ def unseen_demand(index: Index, offsets: np.ndarray, shown: Isovalue | None = No
 
 
 def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Demand]:
-    """Yield demands for the texels that must be projected onto the isosurfaces of single
-    isovalues; ranges have none.
+    """Yield demands for the texels that must be projected onto
+    the isosurfaces of single isovalues; ranges have none.
     """
     prepared = context.renderer.prepared
     tiles = context.renderer.tiles
@@ -296,8 +296,8 @@ def count(found: Survey, batch: Batch, demand: Demand) -> None:
 
 
 def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
-    """Return a ``demand`` with the effort that its texels take, by the light that the store has
-    of them.
+    """Return a ``demand`` with the effort that its texels take,
+    by the light that the store has of them.
     """
     store = context.store_of(batch)
     spec = store.spec
@@ -328,20 +328,20 @@ DRY_TRIAL = 10.0
 """Seconds that a forecast may take, before baking and in a dry run."""
 
 CHECKING = 0.25
-"""Cost of checking a picture, relative to that of the light of all its texels: paths from
-pixels are traced as long as they cost less than the next level of texels.
+"""Cost of checking a picture, relative to that of the light of all its texels:
+paths from pixels are traced as long as they cost less than the next level of texels.
 """
 
 USUAL_END_SHARE = 1 / 64
-"""Samples at which pictures end, relative to those at which the last of their texels would: 16
-to 64 at 2 %.
+"""Samples at which pictures end, relative to those at
+which the last of their texels would: 16 to 64 at 2 %.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """An order made out for a scene: its ``views`` or, if there are none, whole isosurfaces,
-    which the pictures of ``samples`` stand for.
+    """An order made out for a scene: its ``views`` or, if there are none,
+    whole isosurfaces, which the pictures of ``samples`` stand for.
     """
 
     order: PrewarmOrder
@@ -356,8 +356,9 @@ class Wanted:
 
 
 def wanted(context: PrewarmContext, order: PrewarmOrder, settings: Settings) -> Wanted:
-    """Make out an ``order`` for the scene of a context. Raises ViewError if the scene does not
-    allow it.
+    """Make out an ``order`` for the scene of a context.
+
+    Raises ViewError if the scene does not allow it.
     """
     scene = context.scene
     views = Views(order, scene, settings)
@@ -456,8 +457,8 @@ def same(found: Survey, left: Survey) -> bool:
 
 
 def rung_ahead(context: PrewarmContext, found: Survey) -> int:
-    """Return the samples at which pictures are expected to end, or those that they want now if
-    these are more.
+    """Return the samples at which pictures are expected to end,
+    or those that they want now if these are more.
     """
     wanted_now = max((batch.enough for batch, _ in found.demands), default=FIRST_LEVEL)
     return max(wanted_now, int(USUAL_END_SHARE * most_samples(context.target)))
@@ -493,8 +494,9 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
 
 
 def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:
-    """Return the summary of an order with the forecast of its time, without baking. Raises
-    StoreError, and Cancelled.
+    """Return the summary of an order with the forecast of its time, without baking.
+
+    Raises StoreError, and Cancelled.
     """
     rounds = Rounds(context, what)
     since = time.monotonic()
@@ -543,8 +545,8 @@ def look_ahead(
 
 
 def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float) -> Summary:
-    """Return the summary before the baking; ``around`` are the seconds spent before and after
-    it.
+    """Return the summary before the baking;
+    ``around`` are the seconds spent before and after it.
     """
     context = rounds.context
     what = rounds.what
@@ -570,8 +572,9 @@ def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float
 
 
 def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summary:
-    """Return the summary after the baking. It is ``late`` if its time ended before the light
-    ``left`` was baked.
+    """Return the summary after the baking.
+
+    It is ``late`` if its time ended before the light ``left`` was baked.
     """
     reasons = list(rounds.failures.items())
     spent = rounds.spent
@@ -598,8 +601,8 @@ def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summa
 
 
 def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
-    """Return the fields of a summary that say how good light is: by pictures, and for whole
-    isosurfaces the share of texels.
+    """Return the fields of a summary that say how good light is:
+    by pictures, and for whole isosurfaces the share of texels.
     """
     pictures = rounds.pictures
     seen = list(pictures.seen.values())
@@ -628,8 +631,8 @@ def stored_bytes(context: PrewarmContext, places: Iterable[tuple[Batch, Index]])
 
 
 WORTHWHILE_ERROR_RATIO = 0.95
-"""Largest ratio of the error after a doubling of samples to that before at which another
-doubling is tried.
+"""Largest ratio of the error after a doubling of samples
+to that before at which another doubling is tried.
 """
 
 BETWEEN = 3
@@ -638,8 +641,8 @@ BETWEEN = 3
 
 @dataclass(frozen=True, eq=False)
 class RangeLight:
-    """The baked light of a range: the ``samples`` of texels, and ``pictures`` that measure its
-    error.
+    """The baked light of a range: the ``samples`` of texels,
+    and ``pictures`` that measure its error.
     """
 
     samples: int
@@ -647,8 +650,9 @@ class RangeLight:
 
 
 def views_of(context: PrewarmContext, low: float, high: float, settings: Settings) -> list[View]:
-    """Return views that stand for a range of isovalues, from all sides. If the light rotates,
-    each has another rotation.
+    """Return views that stand for a range of isovalues, from all sides.
+
+    If the light rotates, each has another rotation.
     """
     levels = Levels(tuple({low + (high - low) * n / (BETWEEN - 1): None for n in range(BETWEEN)}))
     views = views_around(order_of({"all_directions": True}), levels, context.scene, settings)
@@ -707,15 +711,16 @@ def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
 
 
 def lacking(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
-    """Return the light that texels of whole isosurfaces lack to have ``rung`` samples, or to be
-    at the target by themselves.
+    """Return the light that texels of whole isosurfaces lack
+    to have ``rung`` samples, or to be at the target by themselves.
     """
     return of_surfaces(context, levels, rung, (0.0, 1.0))
 
 
 def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
-    """Bake the light that was ``found`` lacking of a level. Raises WorkersError, StoreError,
-    and Cancelled.
+    """Bake the light that was ``found`` lacking of a level.
+
+    Raises WorkersError, StoreError, and Cancelled.
     """
     if not found.demands:
         return
