@@ -173,6 +173,7 @@ class BakeRequest:
         wanted = self._merge()
         if not self.sparse:
             return wanted.offsets, wanted.footprints
+        # Light a quarter of the texels first, evenly spread, and the rest with the next task.
         first = first_texels(wanted.offsets, self.bits)
         first = first if first.any() else ~first
         return wanted.offsets[first], wanted.footprints[first]
@@ -234,6 +235,8 @@ class BakeRequest:
         unlit, taken, left, *_ = self.effort
         if unlit:
             return FIRST_LEVEL * (len(self.next[0]) if self.sparse else unlit)
+        # Work that is not too long is done to the end. Else texels go one level up, which doubles
+        # their samples.
         if left <= LONG_TASK_PATHS:
             return left
         return min(left, taken)
@@ -295,6 +298,7 @@ class BakeRequest:
         self._known = not grown
         if grown:
             return
+        # The result is of all texels together: share its priority evenly among the clients.
         for interest in self.interests.values():
             interest.priority = result.priority / len(self.interests)
         self.priority = result.priority
@@ -309,6 +313,7 @@ class BakeRequest:
             first = next(iter(self.interests.values())).priority
         else:
             first = 0.0
+        # The priority of a single interest is exact: rounding errors do not add up.
         if len(self.interests) < 2:
             self.priority = first
         else:
@@ -338,6 +343,7 @@ def next_until(effort: Effort) -> int:
     """
     if effort.unlit:
         return FIRST_LEVEL
+    # The level above the mean of the texels that have light.
     mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
     if effort.left <= LONG_TASK_PATHS:
         return MAX_SAMPLES
@@ -374,6 +380,7 @@ def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
     """Return True if all ``offsets`` are among ``others``. Both must be ascending."""
     if offsets is others or len(offsets) > len(others):
         return offsets is others
+    # Look up each offset among the others by bisection.
     places = np.minimum(np.searchsorted(others, offsets), len(others) - 1)
     return bool((others[places] == offsets).all())
 
@@ -466,6 +473,7 @@ class Shares:
         correct the amount that its clients were ``charged`` when it began.
         """
         self._charge(clients, seconds - charged)
+        # A running mean of the lengths of tasks is charged in advance.
         self.usual = PAST_TASKS_WEIGHT * self.usual + (1.0 - PAST_TASKS_WEIGHT) * seconds
 
     def _account(self, client: Hashable) -> Account:

@@ -278,6 +278,7 @@ class DaskPool:
         """Report tasks that had already ended at the last check,
         but for which Dask's callback has not come.
         """
+        # The callback of a task may still be on its way, so leave it the time until the next check.
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:
             log.info("a task had ended unnoticed: %s", key)
@@ -326,6 +327,8 @@ def hand_on_result(ended: "Future[Any]", done: Done) -> None:
     except KilledWorker:
         done(None, LostWorkerError("the process that was to bake it died."))
     except Exception as error:
+        # An error of the task itself is passed on; any other means that the worker or the scheduler
+        # is gone.
         own = ended.status == "error"
         done(None, error if own else WorkersAwayError(f"The workers were lost: {error}"))
     else:

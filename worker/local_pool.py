@@ -252,6 +252,7 @@ class LocalPool:
         while not self._closed:
             self._hand_out()
             answers = {worker.answers: worker for worker in self._workers}
+            # Wait for an answer, for the end of a process, or for other threads.
             for ready in wait([self._woken, *answers], RETRY_SECONDS):
                 if ready is self._woken:
                     self._woken.recv_bytes()
@@ -303,6 +304,7 @@ class LocalPool:
         with self._lock:
             self._workers.remove(worker)
         at_work = worker.sent.popleft() if worker.sent else None
+        # Put the jobs that it had not begun back at the head of the queue, in order.
         self._waiting.extendleft(reversed(worker.sent))
         worker.close()
         self._deaths += 1

@@ -56,6 +56,7 @@ def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
 
     The first answer belongs to no job: it says that the process is ready.
     """
+    # Leave Ctrl-C to the server, which also gets it, and outlive a signal to end for a while.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, end_later)
     os.environ.clear()
@@ -69,6 +70,7 @@ def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
     with suppress(OSError):  # the server is gone
         answers.send_bytes(pickle.dumps(Answer(os.getpid())))
         attempt(partial(load_kernels, tuple(start.kinds)))
+        # After the end of the pipe the queue may hold more jobs: nobody waits for them.
         while (sent := waiting.get()) is not None and not closed.is_set():
             answers.send_bytes(answer_to(sent))
 
@@ -110,6 +112,7 @@ def packed_error(error: Exception) -> bytes:
     """Return an error as a pickled answer; only its text if it cannot be pickled and read again."""
     try:
         packed = pickle.dumps(Answer(None, error))
+        # Some errors can be pickled but not read again.
         pickle.loads(packed)
     except Exception:
         packed = pickle.dumps(Answer(None, WorkersError(f"A worker failed: {error!r}")))

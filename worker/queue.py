@@ -372,6 +372,7 @@ class BakeQueue:
             del self.requests[key]
         request.postponed = seconds > 0.0
         request.waited = request.waited + seconds
+        # A postponed request is ranked again when its time has come; see ``_bring_back``.
         if request.postponed:
             self._postponed.append((self.clock() + seconds, request))
         self._rank_everywhere(request)
@@ -420,8 +421,11 @@ class BakeQueue:
         Rank the request again for all clients if it has changed much, else only for this one.
         """
         self._interesting.setdefault(client, {}).pop(request.key, None)
+        # Put the request at the end of the client's order, which is by the time of asking.
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
+        # It has got or lost first light, or gained much priority: its places in all queues are
+        # out of date.
         if bool(request.effort.unlit) != lacking or request.priority >= RERANK_GROWTH * priority:
             self._rank_everywhere(request)
         elif not request.in_flight:
@@ -481,6 +485,7 @@ class BakeQueue:
         """Begin the task of a request in the turn of a client."""
         bake, index = request.key
         self._in_flight.setdefault(index, set()).add(bake)
+        # All clients that want the chunk share its cost.
         request.payers = tuple(request.interests)
         request.in_flight = True
         self._alone = request.suspect
