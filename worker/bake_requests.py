@@ -180,7 +180,7 @@ class BakeRequest:
 
     @property
     def sparse(self) -> bool:
-        """True if its next task lights only a first few texels:
+        """True if its next task lights only a first quarter of the texels:
         none has light yet, and some client is not patient.
         """
         unlit = not self.begun and self.effort.unlit >= len(self.offsets)

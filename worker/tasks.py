@@ -635,8 +635,8 @@ def keep_light(
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
-    # Texels without light take it at once if their isosurface does not exist in the part that is
-    # cut away.
+    # Texels without light take it immediately if their isosurface does not exist in the part that
+    # is cut away.
     kept = lender.lend(
         light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False
     )
