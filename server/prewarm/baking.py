@@ -252,7 +252,7 @@ class Baking:
         """
         self._waiting.extend(self._parts())
         try:
-            while not self.late and self._filled():
+            while not self.late and self._request_parts():
                 self._report()
                 self._wait()
                 self._settle()
@@ -267,7 +267,7 @@ class Baking:
             while part := [demand for _, demand in islice(group, size)]:
                 yield batch, part
 
-    def _filled(self) -> bool:
+    def _request_parts(self) -> bool:
         """Request more parts if there is room; return True if any part is requested.
 
         A batch begins when the one before has ended. If they overlapped, texels of a chunk would
@@ -310,11 +310,10 @@ class Baking:
         total = len(self.wishes)
         open_now = [baking for _, baking in self._open]
         done = self.done + sum(len(each.chunks) - each.waiting() for each in open_now)
-        (first, last) = self._expected.span
         share = done / max(total, 1)
-        self._context.report(
-            Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share))
-        )
+        first, last = self._expected.span
+        overall = first + (last - first) * share
+        self._context.report(Step("Baking", "chunk", done, total, overall, self._left(share)))
 
     def _left(self, share: float) -> TimeLeft:
         """Return the time that the rest takes once a ``share`` is done,
@@ -367,14 +366,14 @@ def rehearse(
     texels = spec.prepared.lattice.positions(demand.index, demand.offsets)
     # The first call makes the maps of active cells that the second one finds: the difference is
     # their cost.
-    maps = first_light(spec, texels) - first_light(spec, texels)
+    maps = seconds_of_first_light(spec, texels) - seconds_of_first_light(spec, texels)
     chunk = store.load(demand.index).with_texels(demand.offsets)
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
     # Measure the tasks of the chunk.
     begun = ready_time()
     processor = time.thread_time()
-    tasks, paths = climb_all(
+    tasks, paths = do_tasks(
         light, texels, spec, demand, until, (time.perf_counter() + most, cancelled)
     )
     # If they ended early, the paths left cost as much as those taken.
@@ -402,7 +401,7 @@ def ready_time() -> float:
     return (int(ran) + int(waited)) * 1e-9
 
 
-def climb_all(
+def do_tasks(
     light: Light,
     texels: np.ndarray,
     spec: BakeSpec,
@@ -420,23 +419,32 @@ def climb_all(
     tasks = 0
     paths = 0
     while True:
-        place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
-        what = demand.offsets, demand.footprints, next_until(effort), until.target
-        task = BakeTask(*place, *what, enough=until.enough)
+        task = BakeTask(
+            spec.prepared.scene.source,
+            spec.plan,
+            spec.digest,
+            StoreUrl(""),
+            demand.index,
+            demand.offsets,
+            demand.footprints,
+            next_until(effort),
+            until.target,
+            enough=until.enough,
+        )
         before = light.samples
         since = time.thread_time()
         sample_texels(light, texels, spec, task)
         cost = cost_of(light.samples, before, time.thread_time() - since)
         result = replace(results_of(light, spec, [task])[0], cost=cost)
-        tasks = tasks + 1
-        paths = paths + cost.paths
+        tasks += 1
+        paths += cost.paths
         if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
             return tasks, paths
         # The effort left decides how many samples the next task takes.
         effort = result.effort
 
 
-def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
+def seconds_of_first_light(spec: BakeSpec, texels: np.ndarray) -> float:
     """Return the seconds that the first paths of texels take,
     including maps that are not kept yet.
     """
@@ -483,19 +491,21 @@ def forecast(
     load_kernels(renderer.caches.spec("gi").kinds)
     threads = min(workers, cores())
     chosen = stratified(demands)
-    tried = Tried(budget, cancelled)
+    rehearsals = Rehearsals(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
-        for ended in [
-            pool.submit(tried.go_through, renderer, chosen, until) for _ in range(threads)
-        ]:
-            ended.result()
+        futures = [pool.submit(rehearsals.run, renderer, chosen, until) for _ in range(threads)]
+        for future in futures:
+            future.result()
     texels = sum(len(demand.offsets) for demand in demands)
     # Dispatch costs extra time only if the workers leave no core free.
-    per_task = PER_TASK + DISPATCH * (workers >= cores())
-    return extrapolated(tried.all, texels, len(tried.all) == len(demands), per_task)
+    if workers >= cores():
+        per_task = PER_TASK + DISPATCH
+    else:
+        per_task = PER_TASK
+    return extrapolated(rehearsals.all, texels, len(rehearsals.all) == len(demands), per_task)
 
 
-class Tried:
+class Rehearsals:
     """The rehearsals of a forecast, within ``budget`` seconds together."""
 
     def __init__(self, budget: float, cancelled: threading.Event) -> None:
@@ -506,7 +516,7 @@ class Tried:
         self._cancelled = cancelled
         self._lock = threading.Lock()
 
-    def go_through(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
+    def run(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
         """Rehearse one demand after the other until enough is known.
 
         Several threads may do so at once.
@@ -531,9 +541,8 @@ class Tried:
                 and relative_standard_error(seconds_per_texel(self.all))
                 <= SUFFICIENT_RELATIVE_ERROR
             )
-        return (
-            known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
-        )
+        late = bool(self.all) and time.monotonic() > self._end
+        return known or late or self._cancelled.is_set()
 
 
 def stratified(demands: Sequence[Demand]) -> Iterator[Demand]:

@@ -53,8 +53,8 @@ MOST_ISOVALUES = 10_000
 
 VALUES_EXPECTED = (
     f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of "
-    "them, first:last for"
-    " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
+    "them, first:last for all between, or a number of levels of the scene's range, adaptive:20 or "
+    "uniform:20"
 )
 
 
@@ -204,11 +204,10 @@ class PrewarmOrder(NoParams):
     isovalues: tuple[Level, ...] = Field(
         (),
         max_length=MOST_GIVEN,
-        description="Numbers, ranges with a step (60:120:5), or ranges that mean every "
-        "isovalue between (60:120), which"
-        " takes all_directions, or so many of the scene's range, evenly (uniform:20) or so "
-        "that the surfaces are evenly"
-        " spaced (adaptive:20); default: the scene's isovalue.",
+        description="Numbers, ranges with a step (60:120:5), ranges that mean every isovalue "
+        "between (60:120; only with all_directions), or a number of isovalues of the scene's "
+        "range, spread evenly (uniform:20) or so that the surfaces are evenly spaced "
+        "(adaptive:20); default: the scene's isovalue.",
     )
     views: Count | None = Field(
         None,
@@ -225,7 +224,7 @@ class PrewarmOrder(NoParams):
     )
     all_directions: StrictBool = Field(
         False,
-        description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever.",
+        description="Bake whole isosurfaces, for cameras anywhere, instead of views.",
     )
     distance: float = knob("distance")
     fov: float = knob("fov")
@@ -238,7 +237,8 @@ class PrewarmOrder(NoParams):
         ),
     )
     deadline: Annotated[float, Span(0, LONGEST_SECONDS)] | None = Field(
-        None, description="Seconds after which it ends, whatever is baked by then; default: none."
+        None,
+        description="Seconds after which the prewarm ends, even without all light; default: none.",
     )
 
     @model_validator(mode="before")
@@ -312,7 +312,7 @@ class PrewarmRequest(PrewarmOrder):
     """An order, or the question how much light it is and how long it takes."""
 
     dry_run: StrictBool = Field(
-        False, description="Bake nothing: say how much there is, and how long it takes."
+        False, description="Bake nothing, and forecast the amount of light and the time."
     )
 
     @property
@@ -337,13 +337,16 @@ class Views:
         self._knobs = {
             name: getattr(order, name) for name in ("distance", "fov", "width", "height")
         }
-        self._levels = () if order.all_directions else order.isovalues_of(scene).single
+        if order.all_directions:
+            self._levels: tuple[float, ...] = ()
+        else:
+            self._levels = order.isovalues_of(scene).single
         self._directions = order.looks_from
         # Refuse too many views, and one that is not allowed, before any work begins.
         if len(self) > MOST_VIEWS:
             asked = (
-                f"{len(self._directions):,} views of each of {len(self._levels):,} "
-                f"isovalues are {len(self):,}"
+                f"{len(self._directions):,} views of each of {len(self._levels):,} isovalues are "
+                f"{len(self):,}"
             )
             raise ParameterError(f"{asked}: ask for {MOST_VIEWS:,} views at most.", "isovalues")
         for level in self._levels[:1]:
@@ -361,9 +364,10 @@ class Views:
         view = view_of(
             self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings
         )
-        return (
-            view if self._scene.surfaces.shine is None else replace(view, shine=DULL)
-        )  # nothing is baked for shine
+        # Nothing is baked for shine, so leave it out.
+        if self._scene.surfaces.shine is None:
+            return view
+        return replace(view, shine=DULL)
 
 
 SURFACE_VIEWS = 6
@@ -384,23 +388,16 @@ def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Se
         every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))]
         for n in range(MAX_VIEWED_ISOVALUES)
     }
-    isovalues = tuple(map(repr, sorted(chosen)))
     around = {
         "all_directions": False,
         "views": SURFACE_VIEWS,
         "directions": (),
         "orbits": (),
-        "isovalues": isovalues,
+        "isovalues": tuple(map(repr, sorted(chosen))),
+        "width": SURFACE_VIEW_PIXELS,
+        "height": SURFACE_VIEW_PIXELS,
     }
-    return Views(
-        order_of(
-            order.model_dump()
-            | around
-            | {"width": SURFACE_VIEW_PIXELS, "height": SURFACE_VIEW_PIXELS}
-        ),
-        scene,
-        settings,
-    )
+    return Views(order_of(order.model_dump() | around), scene, settings)
 
 
 def order_of(fields: dict[str, Any]) -> PrewarmOrder:

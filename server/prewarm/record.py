@@ -93,15 +93,12 @@ class Summary(BaseModel):
     def __str__(self) -> str:
         """Return the summary on one line, for a person."""
         if self.views:
-            what = f"{self.views:,} views"
+            subject = f"{self.views:,} views, {self.final:.1%} of their surface"
         else:
-            what = "whole isosurfaces"
-        share = f"{what}, {self.final:.1%} of their {'surface' if self.views else 'texels'} final"
-        if self.time is None:
-            step = ""
-        else:
-            step = f"step {self.time}: "
-        quality = f"{step}{share} at {self.target_error:g}"
+            subject = f"whole isosurfaces, {self.final:.1%} of their texels"
+        quality = f"{subject} final at {self.target_error:g}"
+        if self.time is not None:
+            quality = f"step {self.time}: {quality}"
         if self.stopped == "dry run":
             return f"{quality}; {self._ahead()}"
         return f"{quality}, {self._done()}"
@@ -124,11 +121,12 @@ class Summary(BaseModel):
             f"{self.paths:,} paths in {span(self.seconds)} (forecast: {forecast}), worst "
             f"error {self.error:.2g}"
         )
+        parts = [done]
         if self.failures:
-            wrong = f"; {self.failed:,} chunks cannot be baked: {self.failures[0].reason}"
-        else:
-            wrong = ""
-        return f"{done}{wrong}" + (f"; {self.file}" if self.file else "")
+            parts.append(f"{self.failed:,} chunks cannot be baked: {self.failures[0].reason}")
+        if self.file:
+            parts.append(self.file)
+        return "; ".join(parts)
 
 
 def failures_of(reasons: Sequence[tuple[tuple[int, int, int], str]]) -> tuple[Failure, ...]:
@@ -298,14 +296,14 @@ class Record:
     def report(self, step: Step) -> None:
         """Record a step of progress if BEAT seconds have passed since the last.
 
-        If the store does not take it, this is logged, and tried again as late.
+        If the store does not take it, this is logged, and tried again after BEAT seconds.
         """
         if time.monotonic() - self._written >= BEAT:
             try:
                 self.keep(status=Status.RUNNING, message=str(step), progress=int(100 * step.share))
             except StoreError as error:
                 self._written = time.monotonic()
-                log.warning("How far a prewarm is cannot be kept: %s", error)
+                log.warning("The progress of a prewarm cannot be recorded: %s", error)
 
     def close(self, summary: Summary) -> Summary:
         """Record the end, and return the summary with the record's place. Raises StoreError."""

@@ -150,16 +150,15 @@ class Pictures:
             if number in self.waiting:
                 self._context.check()
                 self._context.report(
-                    Step("Looking", "view", done, total, share_of(done, total, span))
+                    Step("Looking", "view", done, total, progress_share(done, total, span))
                 )
                 # A view of a sample whose camera stands in a wall raises ViewError, and is left
                 # out.
-                with suppress(*(ViewError,) * self._sample):
+                left_out = (ViewError,) if self._sample else ()
+                with suppress(*left_out):
                     self._take(number, self._checked(view, end), found)
                 if number not in self.seen:
-                    self.waiting -= {number}
-                else:
-                    self.waiting -= set()
+                    self.waiting.discard(number)
                 done += 1
         self._context.report(Step("Looking", "view", total, total, span[1]))
         return found
@@ -184,19 +183,18 @@ class Pictures:
 
     def _take(self, number: int, frame: Frame, found: Survey) -> None:
         """Note how good a picture is, and the light that it lacks."""
-        wishes = [wish for wish in lacking_of(frame) if not (self._sample and wish[0].fineness)]
-        if number in self.seen:
-            self.read += 0
-        else:
+        wishes = [wish for wish in wishes_of(frame) if not (self._sample and wish[0].fineness)]
+        if number not in self.seen:
             self.read += sum(len(demand.offsets) for _, demand in wishes)
         self.seen[number] = Seen(frame.surface, frame.counts["final"], frame.total.likely)
         for wish in wishes:
             found.add(*wish)
-        self.rung = max(
-            self.rung, *(batch.enough for batch, _ in wishes), 0 if wishes else rung_of(frame)
-        )
-        if not wishes and not frame.checkable:
-            self.waiting.discard(number)
+        if wishes:
+            self.rung = max(self.rung, *(batch.enough for batch, _ in wishes))
+        else:
+            self.rung = max(self.rung, rung_of(frame))
+            if not frame.checkable:
+                self.waiting.discard(number)
 
 
 def rung_of(frame: Frame) -> int:
@@ -208,7 +206,7 @@ def rung_of(frame: Frame) -> int:
     return 0
 
 
-def lacking_of(frame: Frame) -> Iterator[Wish]:
+def wishes_of(frame: Frame) -> Iterator[Wish]:
     """Yield the light that the picture of a ``frame`` lacks,
     or the picture with finer texels that is to replace it.
     """
@@ -229,11 +227,11 @@ def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
     for (batch, index), demand in found.demands.items():
         if demand.effort.unlit < len(demand.offsets):
             context.check()
-            found.demands[batch, index] = look_up(context, batch, demand)
+            found.demands[batch, index] = with_stored_effort(context, batch, demand)
     return found
 
 
-def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
+def survey_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
     """Return the light that the store lacks for all texels
     of whole isosurfaces to have ``enough`` samples.
     """
@@ -247,14 +245,16 @@ def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span
         volume.voxels, prepared.shape, prepared.lattice.chunk, places
     ):
         context.check()
-        context.report(Step("Looking", "layer", index[0], total, share_of(index[0], total, span)))
+        context.report(
+            Step("Looking", "layer", index[0], total, progress_share(index[0], total, span))
+        )
         batch = Batch(None, enough)
-        count(found, batch, look_up(context, batch, unseen_demand(index, offsets)))
+        count_chunk(found, batch, with_stored_effort(context, batch, unseen_demand(index, offsets)))
     # Texels that are projected onto an isosurface.
     for demand in projected_demands(context, levels):
         context.check()
         batch = Batch(demand.shown, enough)
-        count(found, batch, look_up(context, batch, demand))
+        count_chunk(found, batch, with_stored_effort(context, batch, demand))
     context.report(Step("Looking", "layer", total, total, span[1]))
     return found
 
@@ -285,7 +285,7 @@ def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Deman
                 yield unseen_demand(index, offsets[beyond], level)
 
 
-def count(found: Survey, batch: Batch, demand: Demand) -> None:
+def count_chunk(found: Survey, batch: Batch, demand: Demand) -> None:
     """Count a chunk of a ``batch`` whose texels were looked up, and add the light that it lacks."""
     texels = len(demand.offsets)
     lacking = demand.effort.unlit + round(demand.effort.lit)
@@ -295,7 +295,7 @@ def count(found: Survey, batch: Batch, demand: Demand) -> None:
         found.add(batch, demand)
 
 
-def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
+def with_stored_effort(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
     """Return a ``demand`` with the effort that its texels take,
     by the light that the store has of them.
     """
@@ -311,7 +311,7 @@ def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
     return replace(demand, effort=Effort.of(error, samples, context.target, batch.enough))
 
 
-def share_of(done: int, total: int, span: Span) -> float:
+def progress_share(done: int, total: int, span: Span) -> float:
     """Return the share of all work when ``done`` of ``total`` in a ``span`` are done."""
     return span[0] + (span[1] - span[0]) * done / max(total, 1)
 
@@ -402,14 +402,14 @@ class Rounds:
         # next.
         levels = self.what.levels
         middle = sum(span) / 2.0
-        found = of_surfaces(self.context, levels, self.pictures.rung, (span[0], middle))
+        found = survey_surfaces(self.context, levels, self.pictures.rung, (span[0], middle))
         if found.demands or not self.pictures.waiting:
             return found
         rung = self.pictures.rung
         lacking = self.pictures.look((middle, span[1]), end)
         if self.pictures.rung > rung:
             self.context.climbed(self.pictures.rung)
-        found = of_surfaces(self.context, levels, self.pictures.rung, (span[1], span[1]))
+        found = survey_surfaces(self.context, levels, self.pictures.rung, (span[1], span[1]))
         for wish in lacking.wishes:
             found.add(*wish)
         return with_efforts(self.context, found)
@@ -436,7 +436,7 @@ class Rounds:
             left = self.look((baked, last), end)
             self.done = last
             # Stop if nothing was baked and the same light is lacking: it cannot be baked.
-            if not baking.spent.paths and same(found, left):
+            if not baking.spent.paths and is_unchanged(found, left):
                 return left
             found = left
             # From the first round on, use the measured time per path.
@@ -451,7 +451,7 @@ class Rounds:
         self.spent = self.spent.plus(baking.spent)
 
 
-def same(found: Survey, left: Survey) -> bool:
+def is_unchanged(found: Survey, left: Survey) -> bool:
     """Return True if as much light is ``left`` as was ``found`` before."""
     return found.demands.keys() == left.demands.keys() and found.paths == left.paths
 
@@ -484,13 +484,13 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
     looked = time.monotonic() - since
     while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
-    summary, ahead = look_ahead(rounds, found, looked, TRIAL_SECONDS)
+    summary, ahead = forecast_summary(rounds, found, looked, TRIAL_SECONDS)
     begun(summary)
     # Leave time for a last look, but at most half of the time.
     end = context.deadline - min(looked, context.left / 2.0)
     left = rounds.bake(found, ahead, end)
     late = context.late(end) and bool(left.demands or rounds.pictures.waiting)
-    return summed_up(rounds, summary, left, late)
+    return final_summary(rounds, summary, left, late)
 
 
 def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:
@@ -501,10 +501,10 @@ def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:
     rounds = Rounds(context, what)
     since = time.monotonic()
     found = rounds.look((0.0, 0.5), context.deadline)
-    return look_ahead(rounds, found, time.monotonic() - since, DRY_TRIAL)[0]
+    return forecast_summary(rounds, found, time.monotonic() - since, DRY_TRIAL)[0]
 
 
-def look_ahead(
+def forecast_summary(
     rounds: Rounds, found: Survey, looked: float, budget: float
 ) -> tuple[Summary, CostEstimate]:
     """Return the summary before the baking, and the forecast of its cost, which takes about
@@ -522,17 +522,15 @@ def look_ahead(
     workers = context.engine.baker.workers
     until = Until(context.target, rung)
     ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
-    texels, others = (
-        sum(len(demand.offsets) for demand in each) for each in (usual, found.demands.values())
-    )
-    ahead = ahead.times(others / max(texels, 1))
+    rehearsed = sum(len(demand.offsets) for demand in usual)
+    texels = sum(len(demand.offsets) for demand in found.demands.values())
+    ahead = ahead.times(texels / max(rehearsed, 1))
     # The check of a picture costs a share of the light of all its texels, and several pictures may
     # read a texel.
-    rounds.checks = (
-        CHECKING
-        * ahead.seconds
-        * max(rounds.pictures.read / max(others, 1), float(rounds.what.whole))
-    )
+    pictures_per_texel = rounds.pictures.read / max(texels, 1)
+    if rounds.what.whole:
+        pictures_per_texel = max(pictures_per_texel, 1.0)
+    rounds.checks = CHECKING * ahead.seconds * pictures_per_texel
     context.check()
     if found.demands:
         around = passed + min(context.seconds - passed, TRIAL_SECONDS) + looked
@@ -571,7 +569,7 @@ def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float
     )
 
 
-def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summary:
+def final_summary(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summary:
     """Return the summary after the baking.
 
     It is ``late`` if its time ended before the light ``left`` was baked.
@@ -582,18 +580,18 @@ def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summa
     # Pictures are not looked at while texels lack light: do it once more, without further checks.
     if late and rounds.what.whole:
         rounds.pictures.look((LAST_ROUND_END_SHARE, 1.0), time.monotonic())
-    done = {"paths": spent.paths, "seconds": context.seconds, "processor_seconds": spent.seconds}
     if late:
         stopped = "deadline"
     elif reasons:
         stopped = "failures"
     else:
         stopped = "target"
-    size = stored_bytes(context, rounds.places)
     facts = {
-        **done,
+        "paths": spent.paths,
+        "seconds": context.seconds,
+        "processor_seconds": spent.seconds,
         "stopped": stopped,
-        "stored_bytes": size,
+        "stored_bytes": stored_bytes(context, rounds.places),
         "failed": len(reasons),
         "failures": failures_of(reasons),
     }
@@ -612,8 +610,10 @@ def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
     # For whole isosurfaces count texels instead of pixels; none are final before pictures have
     # decided.
     if rounds.what.whole:
-        final = left.final * bool(left.demands or not pictures.waiting)
         total = left.seen
+        final = left.final
+        if pictures.waiting and not left.demands:
+            final = 0
     worst = max(errors)
     mean = sum(errors) / len(errors)
     return {
@@ -656,11 +656,10 @@ def views_of(context: PrewarmContext, low: float, high: float, settings: Setting
     """
     levels = Levels(tuple({low + (high - low) * n / (BETWEEN - 1): None for n in range(BETWEEN)}))
     views = views_around(order_of({"all_directions": True}), levels, context.scene, settings)
-    turns = context.scene.lighting.rotating
+    if not context.scene.lighting.rotating:
+        return list(views)
     return [
         replace(view, light=quaternion_from_angles(number * GOLDEN % 360.0, 0.0, 0.0))
-        if turns
-        else view
         for number, view in enumerate(views)
     ]
 
@@ -685,13 +684,16 @@ def bake_range(
     pictures = None
     while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
-    lacked = lacking(context, levels, rung)
+    lacked = survey_range(context, levels, rung)
     while True:
         bake_rung(context, lacked, rung)
         # Skip levels that lack no texel.
-        while rung < most and not (lacked := lacking(context, levels, next_level(rung))).demands:
+        while rung < most:
+            lacked = survey_range(context, levels, next_level(rung))
+            if lacked.demands:
+                break
             rung = next_level(rung)
-        pictures = pictures or measured(context, list(views))
+        pictures = pictures or trace_controls(context, list(views))
         error = pictures.measure(coding).likely
         # Stop at the goal, or if another level is not worth it.
         if error <= goal or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
@@ -700,7 +702,7 @@ def bake_range(
         before = error
 
 
-def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
+def trace_controls(context: PrewarmContext, views: list[View]) -> ControlPictures:
     """Return the pictures of ``views`` with their control pixels. Raises Cancelled."""
 
     def report(done: int) -> None:
@@ -710,11 +712,11 @@ def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
     return ControlPictures(context.renderer, views, context.target, report)
 
 
-def lacking(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
+def survey_range(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
     """Return the light that texels of whole isosurfaces lack
     to have ``rung`` samples, or to be at the target by themselves.
     """
-    return of_surfaces(context, levels, rung, (0.0, 1.0))
+    return survey_surfaces(context, levels, rung, (0.0, 1.0))
 
 
 def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
