@@ -99,6 +99,7 @@ def smaller_layers(layer: Layer) -> Iterator[Layer]:
     """Yield the compatible layers that keep only lower bands of ``layer``,
     or keep its bands less precisely; most bands first.
     """
+    # Direct light needs at least two bands.
     if layer.kind == "direct":
         least = MIN_DIRECT_ORDER
     else:
@@ -153,6 +154,7 @@ class UseStamps:
 
         The stamps are written by a thread, so that no frame waits for them.
         """
+        # Set the next time first, so that only one thread stamps.
         with self._lock:
             if self._clock() < self._due:
                 return
@@ -166,7 +168,7 @@ class UseStamps:
                 key = f"{STAMPS_FOLDER}/{digest}"
                 self._store.put(key, b"", self._store.get(key))
         except StoreError as error:
-            log.info("When light was used cannot be kept: %s", error)
+            log.info("The time of the last use of light cannot be stored: %s", error)
 
 
 Objects = tuple[bytes | None, ...]
@@ -300,6 +302,7 @@ class ChunkStore:
         """
         contended = False
         for number, (layer, part) in enumerate(zip(self.layers, chunk.light.parts, strict=True)):
+            # A layer without new light is not written again.
             if changed is None or changed[number]:
                 contended |= layer.save(chunk.index, chunk.offsets, part)
         return contended
@@ -342,6 +345,7 @@ def add_fallback_light(
     union = np.union1d(offsets, others[lacking]).astype(np.int32)
     whole = part.among(offsets, union)
     rows = np.searchsorted(union, others[lacking])
+    # The fallback has fewer bands; those above stay 0.
     whole.coefficients[rows, :, : other.layer.order**2] = other.coefficients[lacking]
     whole.samples[rows] = np.where(other.samples[lacking] == VOID, VOID, 0)
     return union, whole

@@ -45,6 +45,7 @@ class Cost(NamedTuple):
     @property
     def rate(self) -> float | None:
         """Seconds per path of light after the first, None if there was none."""
+        # Leave out first light, whose seconds include work that is done once a texel.
         paths = self.paths - FIRST_LEVEL * self.texels
         if paths > 0:
             return (self.seconds - self.first) / paths
@@ -143,7 +144,7 @@ class Costs:
                 return
             chunks = costs_in(found.data)
         except Exception as error:
-            log.info("What the bake took before is unknown: %s", error)
+            log.info("The costs of earlier baking cannot be read: %s", error)
             return
         with self._lock:
             for index, cost in chunks.items():
@@ -173,7 +174,7 @@ class Costs:
                 group = {"zarr_format": 3, "node_type": "group", "attributes": {"chunks": chunks}}
                 self._store.put(self._key, json.dumps(group).encode(), self._store.get(self._key))
             except Exception as error:
-                log.warning("What the bake took cannot be kept: %s", error)
+                log.warning("The costs of baking cannot be stored: %s", error)
                 with self._lock:
                     self._changed_at = self._clock()
 

@@ -69,6 +69,7 @@ class FreshLight:
         if found is None:
             return None
         chunk = found.chunk
+        # Send only the texels that are asked for: a worker needs no others.
         rows = np.flatnonzero(np.isin(chunk.offsets, offsets))
         return Chunk(index, chunk.offsets[rows], chunk.light.rows(rows))
 
@@ -120,6 +121,7 @@ class FreshLight:
         """
         index = fresh.chunk.index
         with self._lock:
+            # If newer light came during the write, the entry is another one, and stays unwritten.
             if self._chunks.get(index) is fresh:
                 none = (False,) * len(fresh.changed)
                 self._chunks[index] = replace(fresh, changed=none)

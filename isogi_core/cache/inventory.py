@@ -99,6 +99,7 @@ class Inventory:
 
     def add(self, found: Entry) -> None:
         """Sort in an object that was found in the store."""
+        # Quarantine comes first, as keys there contain those of other kinds.
         if found.key.startswith(f"{QUARANTINE_FOLDER}/"):
             self.quarantined.append(found)
         elif LEFTOVER_KEY.fullmatch(found.key):
@@ -156,6 +157,7 @@ class Claims:
         An owner takes over a claim that it left earlier, and with ``insist`` a claim of anyone. An
         empty owner claims nothing.
         """
+        # A baker that has noticed no other saves the requests.
         if not owner or self._clock() - self._contended > CONTENDED_SECONDS:
             yield True
             return

@@ -66,7 +66,7 @@ RECORD_CODES = {
 """Constants that a reader without isogi needs to decode the bytes of a record."""
 
 MOVE_AWAY = (
-    "have `isogi store repair` mend it, or move that folder away, and the light is baked again."
+    "let `isogi store repair` repair it, or move that folder away, and the light is baked again."
 )
 
 
@@ -156,7 +156,7 @@ class LayerStore:
         array = self._find()
         if array is None or self._is_ours(array):
             return array
-        raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
+        raise StoreError(f"The data at {self.path} are not the light of this scene; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
         """Return True if an array in the store is the one that this layer needs:
@@ -182,7 +182,7 @@ class LayerStore:
             self.store.put(self._metadata_key, self._description(), None)
         array = self._open()
         if array is None:
-            raise StoreError(f"Cannot make a place for light at {self.path}: it is gone again.")
+            raise StoreError(f"Light at {self.path} cannot be created: another process deletes it.")
         return array
 
     def _description(self) -> bytes:
@@ -237,9 +237,9 @@ class LayerStore:
         objects = [(indices[i], stored[i] or b"") for i in there]
         try:
             records = self._records(objects)
-        # Objects are checked together, as that is faster; only if one is damaged, check each by
-        # itself, and leave the damaged ones out.
         except DamagedChunkError:
+            # Objects are checked together, as that is faster. Now that one is damaged, check each
+            # by itself, and leave the damaged ones out.
             sound = [self._is_sound(each, report) for each in objects]
             there = list(compress(there, sound))
             objects = list(compress(objects, sound))
@@ -313,8 +313,8 @@ class LayerStore:
                 self.store.put(key, stored, former)
                 return has_more_samples(offsets, part, *whole)
         raise StoreError(
-            f"Others keep writing chunk {index} of the light at {self.path}; it is tried again "
-            "later."
+            f"Others keep writing chunk {index} of the light at {self.path}; writing it is tried "
+            "again later."
         )
 
     def _former(self, index: Index, found: StoredObject | None) -> tuple[np.ndarray, Part]:

@@ -70,7 +70,7 @@ class Asset:
         found = self.store.get(f"{self.name}/{METADATA_KEY}")
         if found is None:
             raise StoreError(
-                f"The workers need {self.name} of {self._where}, which lacks it: restart the "
+                f"The workers need {self.name}, which is missing in {self._where}: restart the "
                 "server."
             )
         try:

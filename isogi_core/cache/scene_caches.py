@@ -89,6 +89,7 @@ class Loader:
         """
         with self._lock:
             self._absent.pop(index, None)
+            # Reads that are going on may have got the older light.
             for refreshed in self._readers:
                 refreshed.add(index)
         self.pool.outdate(index)
@@ -168,6 +169,8 @@ class Loader:
         """
         if found.indices:
             self.pool.insert(found, together)
+        # Note when chunks were found absent, so that they are not read again soon. A chunk
+        # refreshed during the read may exist by now.
         with self._lock:
             old = refreshed & {*indices}
             absent = {*indices} - {*found.indices} - old
@@ -186,6 +189,7 @@ def wait_for_read(store: Store, reading: Future[Made]) -> Made:
         try:
             return reading.result(store.url.seconds)
         except TimeoutError:
+            # Other reads end, so the store is slow but not silent: keep waiting.
             if store.seconds_silent >= store.url.seconds:
                 raise store.note_silence() from None
     return reading.result()
@@ -300,6 +304,7 @@ class Caches:
                     PagePool(spec, self._share("gi") // PROJECTED_ISOVALUES),
                 )
             self._projected.move_to_end(shown)
+            # Drop the caches of isovalues that were shown longest ago.
             while len(self._projected) > PROJECTED_ISOVALUES:
                 self._projected.popitem(last=False)
             return self._projected[shown]

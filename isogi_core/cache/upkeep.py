@@ -190,6 +190,7 @@ def contradictions(samples: dict[str, np.ndarray]) -> Iterator[Damage]:
     """
     for one, other in combinations(samples, 2):
         both = samples[one], samples[other]
+        # Compare in both directions: void here and lit there.
         if any(((a == VOID) & (b > 0)).any() for a, b in (both, both[::-1])):
             yield Damage(one, f"it does not agree with {other} on which texels can hold light")
             yield Damage(other, f"it does not agree with {one} on which texels can hold light")
@@ -314,6 +315,7 @@ def each_layer(store: Store, inventory: Inventory) -> list[tuple[str, Count]]:
 def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> None:
     """Read all chunks of the layers, and add the samples of their texels to ``counts``."""
     chunks = [(count, index) for count in counts for index in count.files.chunks]
+    # Read chunks on several threads, and count them here, in order.
     with ThreadPoolExecutor(AUDIT_READERS) as pool:
         found = pool.map(lambda chunk: samples_in(store, *chunk), chunks)
         for number, ((count, _), samples) in enumerate(zip(chunks, found, strict=True), 1):
@@ -430,9 +432,10 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
     if any(math.isnan(count.files.used) for count in counts):
         raise StoreError(
             "This store does not know when its objects were written: name the scene whose "
-            "light goes."
+            "light is to be deleted."
         )
     wanted = choose_layers([count for count in counts if is_of_scene(count, rule.scene)], rule, now)
+    # A bake that is going on would write its light again: leave its layers.
     busy = [count for count in wanted if now - last_write(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
 
@@ -501,6 +504,7 @@ def trim_projected(store: Store, most: int) -> int:
     """
     try:
         census = census_of(store, texels=False)
+        # Layers with an isovalue of their own are of projected texels or of walls.
         counts = {
             digest: count
             for digest, count in census.counts.items()

@@ -109,6 +109,7 @@ class WallLayer(LayerStore):
             stored = self.read(index)
             if stored is not None:
                 offsets, part = self.decode(index, stored)
+                # Places in the lattice from offsets in the chunk.
                 z, y, x = (
                     np.unravel_index(offsets, (WALL_CHUNK_SIDE,) * 3)
                     + WALL_CHUNK_SIDE * np.array(index)[:, None]
@@ -170,8 +171,9 @@ class WallStore:
         try:
             known = self._isovalues(state)
         except StoreError as error:
-            log.info("Which isovalues have light of walls is not known: %s", error)
+            log.info("The isovalues that have light of walls cannot be read: %s", error)
             return None
+        # The isovalue lies between the noted ones k - 1 and k.
         k = bisect_left(known, state.isovalue)
         if not 0 < k < len(known):
             return None

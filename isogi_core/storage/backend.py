@@ -49,8 +49,8 @@ class StoreUrl:
             scheme = self.url.partition("://")[0]
             raise StoreUrlError(
                 f"The store's {scheme}:// URL must not hold a password or a key "
-                "(user:password@, or what follows ?):"
-                " put credentials into the environment of the server and of each worker."
+                "(user:password@, or a query after ?): put credentials into the environment of the "
+                "server and of each worker."
             )
 
     def __str__(self) -> str:
@@ -186,9 +186,10 @@ def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAway
     sentence = f"Cannot {action} the store at {store_url}: {one_line(error)}"
     if number in FULL_ERRNOS:
         return StoreFullError(f"{sentence}; the store is full: make room, and baking goes on.")
+    # A refused read does not mean that the store is read-only.
     if number in READ_ONLY_ERRNOS and action.startswith(WRITING_VERBS):
         return StoreReadOnlyError(
-            f"{sentence}; what is there is served, and nothing more is baked."
+            f"{sentence}; the light that is there is served, and nothing more is baked."
         )
     return StoreAwayError(f"{sentence}.")
 

@@ -40,6 +40,7 @@ class Calls:
             raise
         finally:
             seconds = time.perf_counter() - begun
+            # Counters are not atomic.
             with self._lock:
                 self.count[kind] += 1
                 self.failed[kind] += failed

@@ -100,13 +100,16 @@ class Folder:
 
         Raises ChangedError if there is one.
         """
+        # The sentinel marks the store as present, so it must survive a loss of power if light does.
         self.path.mkdir(parents=True, exist_ok=True)
         with partial_file(self.path / self.sentinel, data, sync=True) as written:
             try:
                 # Unlike a rename, a hard link fails if the name is taken.
                 os.link(written, self.path / self.sentinel)
             except FileExistsError:
-                raise ChangedError(f"There is a {self.sentinel} by now.") from None
+                raise ChangedError(
+                    f"Another process has written {self.sentinel} meanwhile."
+                ) from None
             except OSError:  # a file system without hard links
                 os.replace(written, self.path / self.sentinel)
         sync_folder(self.path)
@@ -278,6 +281,7 @@ class Copies:
             os.utime(path)
         except OSError:
             return None
+        # A copy is a line with the checksum, a line with the tag, and the data.
         checksum, _, rest = kept.partition(b"\n")
         tag, _, data = rest.partition(b"\n")
         if checksum == checksum_of(rest):
@@ -294,7 +298,7 @@ class Copies:
             write_whole(self._path(key), checksum_of(rest) + b"\n" + rest)
             self._make_room(len(rest))
         except OSError as error:
-            log.info("A copy of light cannot be kept at %s: %s", self._folder, error)
+            log.info("A copy of light cannot be written to %s: %s", self._folder, error)
 
     def _path(self, key: str) -> Path:
         return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()

@@ -86,6 +86,7 @@ class Bucket:
         errors = self._obstore.exceptions
         with self._translated_errors():
             try:
+                # Ask the store to send the object only if its tag is another one.
                 if known is not None and known.tag:
                     options = {"if_none_match": known.tag}
                 else:
@@ -125,6 +126,7 @@ class Bucket:
         try:
             self._obstore.put(self._store, key, data, mode=mode, use_multipart=False)
         except (self._obstore.exceptions.GenericError, NotImplementedError) as error:
+            # Only a store without conditional writes is written to without the condition.
             if not isinstance(error, NotImplementedError) and NOT_IMPLEMENTED not in str(error):
                 raise
             self._obstore.put(self._store, key, data, use_multipart=False)

@@ -296,6 +296,7 @@ class Store:
 
         Raises StoreAwayError, StoreFullError or StoreReadOnlyError if not.
         """
+        # Do not rely on an earlier check.
         self._checked_until = -1.0
         self.check_reachable()
         try:
@@ -432,8 +433,8 @@ class Store:
             trouble = store_error(action, self.url, error)
             if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
                 raise trouble from error
-            # Check the store at once: if it is gone, this raises, and later calls need not fail one
-            # by one.
+            # Check the store immediately: if it is gone, this raises, and later calls need not
+            # fail one by one.
             self._checked_until = -1.0
             if self.url.remote:
                 self._away = self._away or trouble
@@ -463,6 +464,7 @@ METADATA_KEY = "zarr.json"
 
 def description(**array: Any) -> bytes:
     """Return the ``zarr.json`` of an array made with these arguments of ``zarr.create_array``."""
+    # Let Zarr write the metadata to memory, so that it is Zarr's in all details.
     store = MemoryStore()
     zarr.create_array(store, zarr_format=3, **array)
     return store._store_dict[METADATA_KEY].to_bytes()
@@ -507,6 +509,7 @@ def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
 
     The bodies are decoded as one stream, so that Zstandard is set up once.
     """
+    # Zstandard decodes frames in a row to their contents in a row.
     bodies = b"".join(map(body_of, stored))
     try:
         records = np.frombuffer(Zstd().decode(bodies) if stored else b"", np.uint8)
@@ -581,6 +584,7 @@ class Documents:
         key = self._key(name)
         content = json.dumps(document, indent=1, allow_nan=False).encode()
         for _ in range(MAX_TRIES):
+            # Replace the document that is there; if another process was faster, replace that one.
             with suppress(ChangedError):
                 return self.store.put(key, content, self.store.get(key))
         raise StoreError(f"Others keep writing {self.path_of(name)}; it is tried again later.")
