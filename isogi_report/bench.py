@@ -105,12 +105,10 @@ class Bake:
         """
         levels = self.levels[a:b]
         for level in np.unique(levels).tolist():
-            shown = None if math.isnan(level) else level
-            if shown is None:
-                own = np.isnan(levels)
+            if math.isnan(level):
+                yield replace(self.spec, shown=None), a + np.flatnonzero(np.isnan(levels))
             else:
-                own = levels == level
-            yield replace(self.spec, shown=shown), a + np.flatnonzero(own)
+                yield replace(self.spec, shown=level), a + np.flatnonzero(levels == level)
 
     @property
     def samples(self) -> float:
@@ -149,6 +147,7 @@ class ViewBake(Bake):
         light = light or self.light
         own = len(self.shown.places)
         self.show(light, np.arange(own))
+        # Projected texels are kept apart, in the cache of their isovalue.
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
             caches.projected(self.shown.gbuffer.isovalue).pool.insert(projected, self.shown.chunks)
@@ -312,6 +311,7 @@ class Bench:
         grown once until its ``noise`` is this small, or as far as time allows.
         """
         found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
+        # The reference is noisier than it should be: another run may do better.
         if not goal_of(noise).met(found):
             self.hurry.set()
         return found
@@ -322,10 +322,9 @@ class Bench:
         """
         found = self.reference(MIN_REFERENCE_PATHS)
         scene = self.whole
-        goal = replace(
-            goal_of(noise),
-            seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None,
-        )
+        goal = goal_of(noise)
+        if math.isfinite(self.left):
+            goal = replace(goal, seconds=REFERENCE_SHARE * self.left)
         for grown in grow_reference(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found

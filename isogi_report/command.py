@@ -196,11 +196,12 @@ def headline(sections: Iterable[Section]) -> dict[str, Any]:
 
 def sentence(facts: Mapping[str, Any]) -> str:
     """Return the summary of a report as text for a person."""
-    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
-    if facts["found"]:
-        before = f", {facts['found']} of them measured before"
-    else:
-        before = ""
     count = len(facts["sections"])
-    said = f"{facts['page']}: {count} section{'' if count == 1 else 's'}{before}."
-    return " ".join([said, *([f"The frame's {score}."] if score else []), *facts["notes"]])
+    said = f"{facts['page']}: {count} section{'' if count == 1 else 's'}"
+    if facts["found"]:
+        said = f"{said}, {facts['found']} of them measured before"
+    sentences = [f"{said}."]
+    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
+    if score:
+        sentences.append(f"The frame's {score}.")
+    return " ".join([*sentences, *facts["notes"]])

@@ -117,9 +117,8 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
     # The two halves are independent: half their difference estimates the standard error of their
     # mean.
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
-    return Lit(
-        np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS + straight_light(bench), half**2
-    )
+    light = np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS
+    return Lit(light + straight_light(bench), half**2)
 
 
 def straight_light(bench: Bench) -> np.ndarray:
@@ -132,9 +131,9 @@ def straight_light(bench: Bench) -> np.ndarray:
     gbuffer = renderer.gbuffer(view)
     light = RotatedLight(spec, view)
     lit = renderer.lobes(light, gbuffer).lit[:, :3]
-    return spec.unit * luminance_of(
-        lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit
-    )
+    if light.coloured:
+        lit = lit * light.tints(gbuffer, bench.tiles)
+    return spec.unit * luminance_of(lit)
 
 
 def bake_place(
@@ -158,6 +157,7 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
     for layer, (sums, _) in zip(
         layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True
     ):
+        # Radiance is the dot product of transfer and light, over the orders that both have.
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
         colours = turned.colours_of(layer, sums)
@@ -210,25 +210,20 @@ def converge(bench: Bench) -> Converged:
     layers = bench.scene.plan.layers
     # Bake all layers twice in one go, once as the plan rounds them and once in single floats.
     twins = tuple(map(unrounded, layers))
-    both = ViewBake(
-        bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins)
-    )
+    if twins == layers:
+        twins = ()
+    both = ViewBake(bench.renderer(bench.scene), bench.view, layers + twins)
     # Each texel takes a multiple of the samples that it has in the plan's frame.
     taken = np.max([part.samples for part in bench.planned.light.parts], axis=0)
     for samples in np.unique(taken).tolist():
-        grow_some(
-            both,
-            np.flatnonzero(taken == samples),
-            rung_below(CONVERGED_SAMPLE_FACTOR * samples),
-            bench,
-        )
-    kept, exact = (
-        both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers))
-    )
+        rows = np.flatnonzero(taken == samples)
+        grow_some(both, rows, rung_below(CONVERGED_SAMPLE_FACTOR * samples))
+    kept = both.frame(Light(both.light.parts[: len(layers)]))
+    exact = both.frame(Light(both.light.parts[-len(layers) :]))
     return Converged(kept, exact, both.samples)
 
 
-def grow_some(whole: Bake, rows: np.ndarray, samples: int, bench: Bench) -> None:
+def grow_some(whole: Bake, rows: np.ndarray, samples: int) -> None:
     """Bring some texels of a bake to ``samples`` samples."""
     some = Bake(whole.tiles, whole.spec, whole.layers, whole.texels[rows], whole.levels[rows])
     some.grow(samples)

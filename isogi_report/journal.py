@@ -135,9 +135,7 @@ def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
     if folder.exists() and (
         not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))
     ):
-        raise ReportError(
-            f"{folder} is there and holds no report: choose a new or an empty folder."
-        )
+        raise ReportError(f"{folder} exists and holds no report: choose a new or an empty folder.")
     journal.mkdir(parents=True, exist_ok=True)
     with (journal / LOCK_FILE).open("w") as file:
         # The lock is released when the process ends, however that happens.

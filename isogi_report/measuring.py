@@ -1,6 +1,7 @@
 """Runs the studies of a report one after another, and keeps each result as soon as it is there."""
 
 import logging
+import math
 import signal
 import threading
 import time
@@ -83,15 +84,18 @@ def measure(
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found = len(done)
     stop = threading.Event()
-    bar = progress_of(wanted, done, bench.left)
+    bar = progress_bar_of(wanted, done, bench.left)
     failed = []
     hurried = []
     with interruptible(bench, stop), limited(bench), bar.ticking():
-        for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
+        for study, result in run_each(
+            [each for each in wanted if each.key not in done], bench, bar
+        ):
             if isinstance(result, str):
                 failed.append((study, result))
                 continue
             done[study.key] = result
+            # Keep only sections that another run could not improve.
             if bench.hurried or bench.left <= 0.0:
                 hurried.append(study)
             else:
@@ -125,14 +129,10 @@ class Pieces:
         at most those to the limit; infinite if unknown.
         """
         now = time.monotonic()
-        if self.done:
-            pace = self.taken / self.done
-        else:
-            pace = float("inf")
-        if self.rest:
-            rest = max(self.rest * pace - (now - self.begun), 0.0)
-        else:
-            rest = 0.0
+        if not self.rest:
+            return 0.0
+        pace = self.taken / self.done if self.done else math.inf
+        rest = max(self.rest * pace - (now - self.begun), 0.0)
         return min(rest, max(self.end - now, 0.0))
 
     def begin(self, name: str) -> None:
@@ -152,9 +152,10 @@ class Pieces:
     def show(self) -> None:
         """Draw the bar with the time that is left now."""
         left = self.left
-        self._bar.set_postfix_str(
-            f"{tqdm.format_interval(left)} left" if left < float("inf") else ""
-        )
+        if left < math.inf:
+            self._bar.set_postfix_str(f"{tqdm.format_interval(left)} left")
+        else:
+            self._bar.set_postfix_str("")
 
     @contextmanager
     def ticking(self) -> Iterator[Self]:
@@ -167,7 +168,7 @@ class Pieces:
             self._bar.close()
 
 
-def worked(
+def run_each(
     studies: Iterable[Study], bench: Bench, bar: Pieces
 ) -> Iterator[tuple[Study, Entry | str]]:
     """Run the studies in turn; yield each with its entry or the text of its error,
@@ -183,7 +184,7 @@ def worked(
             yield study, result
 
 
-def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
+def progress_bar_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
     """Return the progress bar of the ``wanted`` studies, which have ``limit`` seconds."""
     total = sum(study.weight for study in wanted)
     before = sum(study.weight for study in wanted if study.key in done)
@@ -220,6 +221,7 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
         stop.set()
         bench.cancelled.set()
 
+    # Only the main thread may set handlers of signals.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -235,7 +237,7 @@ def limited(bench: Bench) -> Iterator[None]:
     """Cancel the work if it exceeds its deadline by DEADLINE_GRACE_SHARE.
     Studies look at the deadline themselves before.
     """
-    if bench.left == float("inf"):
+    if bench.left == math.inf:
         yield
         return
     timer = threading.Timer(

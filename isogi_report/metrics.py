@@ -68,6 +68,7 @@ def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
     light = luminance_of(best.mean[best.on])
     wrong = luminance_of(radiance[best.on]) - light
     mean = mean_of(light)
+    # The reference's own noise is in the differences: ``spread_of`` takes it off.
     noise = best.variance[best.on].astype(np.float64)
     spread = spread_of(wrong, noise, mean)
     return Score(

@@ -132,14 +132,11 @@ def picture_part(section: Section, i: int, scale: float | None, files: Mapping[s
     height, width = picture.pixels.shape[:2]
     # Put the file into the page itself.
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
-    if scale is None:
-        ends = None
-    else:
+    ends = None
+    caption = picture.caption
+    if scale is not None:
         ends = f"{100 * scale:g}{NO_BREAK_SPACE}%"
-    if ends is None:
-        caption = picture.caption
-    else:
-        caption = f"{picture.caption} (±{ends})"
+        caption = f"{caption} (±{ends})"
     return {
         "source": source,
         "caption": caption,
@@ -165,7 +162,7 @@ def write_report(folder: Path, report: Report) -> Path:
     for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         write_whole(folder / name, data)
-    forget(folder, set(files))
+    remove_others(folder, set(files))
     write_whole(
         folder / DATA_FILE, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode()
     )
@@ -191,7 +188,7 @@ def array_bytes(picture: Picture) -> bytes:
     return file.getvalue()
 
 
-def forget(folder: Path, names: set[str]) -> None:
+def remove_others(folder: Path, names: set[str]) -> None:
     """Remove pictures and plots that the report no longer has."""
     for path in (*folder.glob("pictures/*-*.*"), *folder.glob("plots/*-*.svg")):
         if path.relative_to(folder).as_posix() not in names:
@@ -214,14 +211,11 @@ def section_data(entry: Entry) -> dict[str, Any]:
     section = entry.section
     document = document_of(entry.section)
     scales = scales_of(section.pictures)
-    pictures = [
-        {
-            **picture,
-            "png": picture_name(section, i),
-            "npy": picture_name(section, i, "npy"),
-            **({} if scales[i] is None else {"scale": scales[i]}),
-        }
-        for i, picture in enumerate(document["pictures"])
-    ]
+    pictures = []
+    for i, picture in enumerate(document["pictures"]):
+        facts: Part = {"png": picture_name(section, i), "npy": picture_name(section, i, "npy")}
+        if scales[i] is not None:
+            facts["scale"] = scales[i]
+        pictures.append({**picture, **facts})
     plots = [{**plot, "svg": plot_name(section, i)} for i, plot in enumerate(document["plots"])]
     return {**document, "plots": plots, "pictures": pictures, "seconds": entry.seconds}

@@ -94,7 +94,9 @@ def standalone(plot: Plot) -> str:
     """Return the plot as a file with its own colours,
     light and dark, and its legend below the axes.
     """
-    entries = keys(plot) if len(keys(plot)) > 1 else ()
+    entries = keys(plot)
+    if len(entries) == 1:
+        entries = ()
     width, height = 72 * PLOT_WIDTH, 72 * PLOT_HEIGHT
     size = f'viewBox="0 0 {width:g} {height:g}"'
     below = "".join(
@@ -214,13 +216,14 @@ def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
     pixels stay below it. A map whose errors stay below MIN_SCALE_SHARE of it has a scale of its
     own.
     """
-    maps = [
-        each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures
-    ]
-    common = round_up(
-        most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)]))
-    )
-    return tuple(None if errors is None else own_scale(most_of(errors), common) for errors in maps)
+    maps = {
+        i: picture.pixels[np.isfinite(picture.pixels)]
+        for i, picture in enumerate(pictures)
+        if picture.kind == "error"
+    }
+    common = round_up(most_of(np.concatenate([np.empty(0), *maps.values()])))
+    scales = {i: own_scale(most_of(errors), common) for i, errors in maps.items()}
+    return tuple(scales.get(i) for i in range(len(pictures)))
 
 
 def own_scale(most: float, common: float) -> float:

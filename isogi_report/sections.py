@@ -232,12 +232,12 @@ def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
     below 1, the decimals that give the largest of them three.
     """
     if unit == "share":
-        return partial(
-            decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1
-        )
+        small = any(0.0 < abs(number) < 1.0 for number in numbers)
+        return partial(decimal, decimals=2 if small else 1)
     largest = max(map(abs, numbers), default=0.0)
     if unit == "count" or all(number == round(number) for number in numbers):
         return partial(decimal, decimals=0)
+    # The decimals that give the largest number three digits.
     if 1e-4 < largest < 1.0:
         return partial(decimal, decimals=2 - math.floor(math.log10(largest)))
     return digits
@@ -245,6 +245,7 @@ def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
 
 def decimal(number: float, decimals: int) -> str:
     """Return a number with this many decimals; "< 0.01" if none of them would show it."""
+    # A small number must not look like zero.
     least = 10.0**-decimals
     if decimals and 0.0 < abs(number) < least / 2:
         if number > 0.0:
@@ -260,7 +261,9 @@ def digits(number: float) -> str:
     size = abs(number)
     if size >= 1e9 or 0.0 < size < 1e-4:
         return signed(f"{number:.2e}")
-    return signed(f"{number:,.0f}" if size >= 99.95 or not size else f"{number:#.3g}")
+    if size >= 99.95 or not size:
+        return signed(f"{number:,.0f}")
+    return signed(f"{number:#.3g}")
 
 
 def signed(text: str) -> str:

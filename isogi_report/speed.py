@@ -286,6 +286,7 @@ def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -
     """
 
     def render(_: int) -> float:
+        """Forget what is kept of former views, and time the frame."""
         renderer.forget_views()
         return seconds(lambda: renderer.render(view, target))
 
@@ -301,6 +302,7 @@ def relight(renderer: Renderer, view: View) -> Candidate:
     """Return a candidate whose frame differs from the one before only by the light's rotation."""
 
     def render(turn: int) -> float:
+        """Render the view under another rotation first, and time the change."""
         renderer.render(turned(view, turn - 0.5), LOOSEST_TARGET)
         return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
 
@@ -409,6 +411,7 @@ class StepTimes:
         """Return ``isovalue_ms``: the time from a new isovalue to its picture,
         shaded by Lambert's law, with its map of active cells.
         """
+        # Each round takes another isovalue, so that no map of active cells is there yet.
         levels = isovalues_near(self.scene, self.repeats + 1)
 
         def show(turn: int) -> float:
@@ -481,6 +484,7 @@ def milliseconds(candidates: dict[str, Candidate], repeats: int) -> dict[str, fl
 def memory() -> Figures:
     """Return ``peak_mb``: the largest amount of memory that this process has had, in megabytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, Linux units of 1024 bytes.
     return {"peak_mb": peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)}
 
 
@@ -493,6 +497,5 @@ def table(figures: Figures) -> str:
         else:
             rows |= {name: value}
     width = max(map(len, rows))
-    return "\n".join(
-        f"{name:<{width}}  {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in rows.items()
-    )
+    texts = {name: f"{v:.4g}" if isinstance(v, float) else str(v) for name, v in rows.items()}
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())

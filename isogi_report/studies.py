@@ -62,10 +62,10 @@ def study_summary(bench: Bench) -> Section:
     planned = bench.planned
     best = bench.best
     frame = planned.frame()
-    own = score_cells(bench.score(frame.leaving))
+    scores = score_cells(bench.score(frame.leaving))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
     # The scores of the frame, its reference, and the facts of the scene, as tables.
-    headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
+    headline = Table("The frame", columns, ((*scores, frame.noise, planned.seconds),))
     measured = (
         Column("reference's noise", "share"),
         Column("paths per pixel", "count"),
@@ -202,9 +202,8 @@ def study_split(bench: Bench) -> Section:
         Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown
     )
     table = Table("Error of the plan's frame and its parts", SPLIT_COLUMNS, rows)
-    return Section(
-        SPLIT_KEY, SPLIT_TITLE, f"{SPLIT_TEXT} {missing(bench)}".strip(), (table,), (), pictures
-    )
+    about = f"{SPLIT_TEXT} {notes_on_missing_parts(bench)}".strip()
+    return Section(SPLIT_KEY, SPLIT_TITLE, about, (table,), (), pictures)
 
 
 def split_error(bench: Bench) -> Split:
@@ -257,7 +256,7 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     )
     # From harmonics to the lights themselves.
     if cuts_harmonics(bench.scene):
-        what = f"{harmonics(plan)}, and the lights themselves"
+        what = f"{harmonics_in_words(plan)}, and the lights themselves"
         lights = lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
     # From the plan's bounces to all that matter.
@@ -267,13 +266,13 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
         yield Part("bounces cut off", what, cut.light, cut.noise)
 
 
-def harmonics(plan: ScenePlan) -> str:
+def harmonics_in_words(plan: ScenePlan) -> str:
     """Return a description of the harmonics of the plan, and of its lobes."""
     lobes = {0: "", 1: ", a lobe beside"}.get(plan.lobes, f", {plan.lobes} lobes beside")
     return f"harmonics of order {plan.order}{lobes}"
 
 
-def missing(bench: Bench) -> str:
+def notes_on_missing_parts(bench: Bench) -> str:
     """Return sentences on the parts that this plan does not have."""
     plan = bench.scene.plan
     reasons = []
@@ -364,10 +363,10 @@ def study_convergence(bench: Bench) -> Section:
     found = points_of(small)
     rows = tuple(
         (name, p.samples, p.seconds, *score_cells(p.score))
-        for name, own in found.items()
-        for p in own
+        for name, points in found.items()
+        for p in points
     )
-    curves = tuple(curve(name, own) for name, own in found.items())
+    curves = tuple(curve_of(name, points) for name, points in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
     plot = Plot(
         f"Error against run time, {size}",
@@ -376,11 +375,11 @@ def study_convergence(bench: Bench) -> Section:
         curves,
     )
     table = Table(f"Points of the curves, {size}", CURVE_COLUMNS, rows)
-    tables = evens(curves[:-1], curves[-1], size), table
+    tables = break_even_table(curves[:-1], curves[-1], size), table
     return Section(
         CONVERGENCE_KEY,
         CONVERGENCE_TITLE,
-        " ".join([CONVERGENCE_TEXT, *ends(found)]),
+        " ".join([CONVERGENCE_TEXT, *notes_on_early_ends(found)]),
         tables,
         (plot,),
     )
@@ -389,11 +388,14 @@ def study_convergence(bench: Bench) -> Section:
 def points_of(bench: Bench) -> dict[str, list[Point]]:
     """Return the points of all curves by name, that of path tracing last."""
     best = bench.grown(0.0)
-    found = {name: baked(bench, scene, best) for name, scene in ways(bench.scene).items()}
-    return {**found, PATH_TRACING_CURVE: traced(bench, best)}
+    found = {
+        name: points_of_bake(bench, scene, best)
+        for name, scene in ways_to_keep_light(bench.scene).items()
+    }
+    return {**found, PATH_TRACING_CURVE: points_of_paths(bench, best)}
 
 
-def ways(scene: Scene) -> dict[str, Scene]:
+def ways_to_keep_light(scene: Scene) -> dict[str, Scene]:
     """Return scenes that keep the light in several ways, by name:
     by the plan, as S1 does, and as irradiance.
     """
@@ -442,23 +444,23 @@ def of_glow(scene: Scene) -> tuple[Layer, ...]:
     return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW_KIND)
 
 
-def curve(name: str, own: list[Point]) -> Curve:
+def curve_of(name: str, points: list[Point]) -> Curve:
     """Return the points of a way as a curve of the plot."""
-    return Curve(name, tuple(p.seconds for p in own), tuple(p.score.rmse for p in own))
+    return Curve(name, tuple(p.seconds for p in points), tuple(p.score.rmse for p in points))
 
 
-def ends(found: dict[str, list[Point]]) -> list[str]:
+def notes_on_early_ends(found: dict[str, list[Point]]) -> list[str]:
     """Return a sentence on each curve that ends before the last of CURVE_SAMPLES."""
     return [
-        f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next "
-        "point would have taken too "
-        f"long, about {own[-1].foresee(CURVE_SAMPLES[len(own)]):.0f} seconds."
-        for name, own in found.items()
-        if len(own) < len(CURVE_SAMPLES)
+        f"The curve of {name.split(':')[0]} ends at {points[-1].samples:,} samples: the next point "
+        "would have taken too long, about "
+        f"{points[-1].foresee(CURVE_SAMPLES[len(points)]):.0f} seconds."
+        for name, points in found.items()
+        if len(points) < len(CURVE_SAMPLES)
     ]
 
 
-def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
+def points_of_bake(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
     """Return the points of light that is baked by a scene's plan. Raises Cancelled."""
     bake = ViewBake(bench.renderer(scene), bench.view)
 
@@ -466,10 +468,10 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
         bake.grow(samples)
         return bake.frame(), bake.seconds
 
-    return points(bench, best, frame)
+    return measure_points(bench, best, frame)
 
 
-def traced(bench: Bench, best: Reference) -> list[Point]:
+def points_of_paths(bench: Bench, best: Reference) -> list[Point]:
     """Return the points of paths from each pixel,
     each picture traced from the start, with as many bounces as may matter.
     """
@@ -482,10 +484,10 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
         frame = renderer.render(replace(view, samples=samples))
         return frame, time.process_time() - begun
 
-    return points(bench, best, frame)
+    return measure_points(bench, best, frame)
 
 
-def points(
+def measure_points(
     bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]
 ) -> list[Point]:
     """Return the points of ``frame``, a function that returns a frame and its seconds, over
@@ -495,14 +497,14 @@ def points(
     """
     found: list[Point] = []
     for samples in CURVE_SAMPLES:
-        if found and not fits(bench, found[-1].foresee(samples)):
+        if found and not is_affordable(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
         found.append(Point(samples, seconds, bench.score(picture.leaving, best)))
     return found
 
 
-def fits(bench: Bench, seconds: float) -> bool:
+def is_affordable(bench: Bench, seconds: float) -> bool:
     """Return True if a point may take this many seconds.
 
     If the time left forbids it, the bench notes that.
@@ -512,15 +514,15 @@ def fits(bench: Bench, seconds: float) -> bool:
     return seconds <= min(MAX_POINT_SECONDS, POINT_SHARE * bench.left)
 
 
-def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
+def break_even_table(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
     """Return the table of break-evens of each ``baked`` curve against the ``traced`` one;
     ``size`` is in words.
     """
-    rows = tuple(even(curve, traced) for curve in baked)
+    rows = tuple(break_even_row(curve, traced) for curve in baked)
     return Table(f"When baked light pays, {size}", EQUAL_ERROR_COLUMNS, rows)
 
 
-def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
+def break_even_row(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """Return a way's row of the table,
     by its cheapest point that is nearly as good as its last one.
     """
@@ -528,10 +530,7 @@ def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )
     picture = seconds_at(traced, error)
-    if picture is None:
-        pictures = None
-    else:
-        pictures = math.ceil(seconds / picture)
+    pictures = None if picture is None else math.ceil(seconds / picture)
     return baked.name, error, seconds, picture, pictures
 
 
