@@ -179,6 +179,7 @@ class Facts:
     def of_headers(cls, headers: Mapping[str, str]) -> Self:
         """Read the facts in a frame's headers."""
         left = numbers(headers.get("isogi-time-left", ""))
+        surface = headers.get("isogi-surface")
         return cls(
             provisional=headers["isogi-provisional"] == "?1",
             coverage=numbers(headers["isogi-coverage"]),
@@ -187,7 +188,7 @@ class Facts:
             time_left=TimeLeft(**left) if left else None,
             etag=headers.get("etag"),
             timing=numbers(headers.get("server-timing", "").replace(";dur", "")),
-            surface=int(headers["isogi-surface"]) if "isogi-surface" in headers else None,
+            surface=None if surface is None else int(surface),
             overdue=headers.get("isogi-overdue") == "?1",
         )
 
@@ -195,7 +196,7 @@ class Facts:
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """Read the facts in the server's document of a view's coverage."""
         known = {"surface": document.get("pixels", {}).get("surface")}
-        return cls(**known | known_in(document, cls))
+        return cls(**known | fields_in(document, cls))
 
     def __str__(self) -> str:
         """Return a text such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
@@ -205,31 +206,27 @@ class Facts:
             error = f"{100 * self.error:.2g}"
         else:
             error = f"{100 * self.error:.0f}"
+        # An error without control pixels is predicted, not measured.
         about = "" if self.controls else "about "
-        count = (
-            f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error "
-            f"{about}{error} %"
-        )
-        if self.provisional:
-            left = self.time_left
-        else:
-            left = None
-        if left is None:
-            return count
-        return f"{count}, about {left.likely:.0f} s"
+        text = f"{self.chunks['final']} of {self.chunks['needed']} chunks final"
+        text = f"{text}, error {about}{error} %"
+        if self.provisional and self.time_left is not None:
+            text = f"{text}, about {self.time_left.likely:.0f} s"
+        return text
 
 
-def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
+def fields_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
     """Return the fields of the class ``kind`` that are in a document of the server.
 
     Lists become tuples.
     """
     known = {each.name: document[each.name] for each in fields(kind) if each.name in document}
-    known = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
-    }
-    left = known.get("time_left")
-    return known | ({"time_left": TimeLeft(**left)} if left else {})
+    for name, value in known.items():
+        if isinstance(value, list):
+            known[name] = tuple(value)
+    if known.get("time_left"):
+        known["time_left"] = TimeLeft(**known["time_left"])
+    return known
 
 
 def error_of_header(header: str) -> dict[str, Any]:
@@ -238,15 +235,12 @@ def error_of_header(header: str) -> dict[str, Any]:
     """
     error, *parts = header.split(";")
     known = numbers(",".join(part for part in parts if "=" in part))
+    facts: dict[str, Any] = {"error": float(error), "noise": known.get("noise")}
     if "low" in known:
-        measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])}
-    else:
-        measured = {}
+        facts |= {"interval": (known["low"], known["high"]), "controls": int(known["controls"])}
     if "p99" in known:
-        tail = {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])}
-    else:
-        tail = {}
-    return {"error": float(error), "noise": known.get("noise"), **measured, **tail}
+        facts |= {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])}
+    return facts
 
 
 def numbers(header: str) -> dict[str, float]:
@@ -337,11 +331,11 @@ class Frame:
         as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8 %)``.
         """
         if self.f == "npy":
-            wide = self.array.shape[1]
-            high = self.array.shape[0]
+            high, wide, planes = self.array.shape
+            size = f"{wide} × {high} × {planes}"
         else:
             wide, high = self.image.size
-        size = f"{wide} × {high}" + (f" × {self.array.shape[2]}" if self.f == "npy" else "")
+            size = f"{wide} × {high}"
         return f"Frame({self.f}, {size}, {self.facts})"
 
     def _repr_png_(self) -> bytes:
@@ -385,7 +379,7 @@ class Point:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """Read a point from the server's document."""
-        return cls(**known_in(document, cls))
+        return cls(**fields_in(document, cls))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """Return ``position``, for NumPy."""
@@ -413,6 +407,7 @@ def angle(
     u, v = np.subtract(a, b), np.subtract(c, b)
     if not (u.any() and v.any()):
         return float("nan")
+    # The arc tangent of sine and cosine is accurate for small angles, too.
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v)))
 
 
@@ -474,10 +469,13 @@ def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, 
         name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2
     }
     way = {name: last - first for name, (first, last) in moving.items()}
+    # Full turns of angles, and nothing else, end where they begin.
     around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(
         value % 360.0 == 0.0 for value in way.values()
     )
+    # A loop leaves out its last frame, which would be the first one again.
     t = np.arange(frames) / (frames if around else max(frames - 1, 1))
+    # Without a loop, ease in and out by a cubic whose slope is 0 at both ends.
     share = t if around else t * t * (3.0 - 2.0 * t)
     return [
         {**knobs, **{name: moving[name][0] + way[name] * at for name in way}}
@@ -495,14 +493,16 @@ class Bar:
     def __init__(self) -> None:
         self._line = ""
 
-    def __call__(self, news: Facts | Progress | int, total: int = 0) -> None:
+    def __call__(self, update: Facts | Progress | int, total: int = 0) -> None:
         """Draw the progress of a frame, a job or a film."""
-        if isinstance(news, Facts):
-            self._draw(news.chunks["final"], news.chunks["needed"], str(news), not news.provisional)
-        elif isinstance(news, Progress):
-            self._draw(news.progress, 100, news.message, news.over)
+        if isinstance(update, Facts):
+            self._draw(
+                update.chunks["final"], update.chunks["needed"], str(update), not update.provisional
+            )
+        elif isinstance(update, Progress):
+            self._draw(update.progress, 100, update.message, update.over)
         else:
-            self._draw(news, total, f"{news} of {total} frames", news == total)
+            self._draw(update, total, f"{update} of {total} frames", update == total)
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
         """Draw the bar over the one before; erase it if the work is ``over``."""
@@ -557,7 +557,7 @@ class Progress:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """Read the progress from the server's document of a job."""
-        return cls(**known_in(document, cls))
+        return cls(**fields_in(document, cls))
 
     @property
     def over(self) -> bool:
@@ -642,7 +642,7 @@ class Isogi:
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
         # Repeat requests that the server is too busy for; once it has answered, also those that get
-        # no connection (see ``_meet``).
+        # no connection (see ``_note_answer``).
         self._retry = Retry(
             total=1000,
             allowed_methods=("GET", "POST", "DELETE"),
@@ -660,7 +660,7 @@ class Isogi:
             transport=RetryTransport(),
             event_hooks={
                 "request": [self._check_server, self._ask_again],
-                "response": [self._meet],
+                "response": [self._note_answer],
             },
         )
 
@@ -713,7 +713,7 @@ class Isogi:
                 if httpx.get(self._client.base_url.join("/readyz")).is_success:
                     return
             time.sleep(FIRST_RETRY_PAUSE)
-        raise UnreachableError("The server ended at once: it has said above why.")
+        raise UnreachableError("The server ended immediately: see its message above.")
 
     def scenes(self) -> list[dict[str, Any]]:
         """Return all scenes, each with its ``id``, ``name`` and ``href``.
@@ -807,13 +807,15 @@ class Isogi:
         >>> isogi.frame("casting", azimuth=40, width=1024, height=768, wait=5).save("casting.png")
         """
         if "wait_ms" in view:
-            raise TypeError("Say how long to wait by wait=, in seconds.")
+            raise TypeError("Use wait=, in seconds, in place of wait_ms.")
         asked = {**query(view), "f": f}
         path = scene_path(scene)
         if wait == "final":
-            frame = self._final(path, asked, progress)
+            frame = self._wait_until_final(path, asked, progress)
         else:
-            frame = self._waited(path, asked, 0.0 if wait == "now" else float(wait), progress)
+            frame = self._wait_for_frame(
+                path, asked, 0.0 if wait == "now" else float(wait), progress
+            )
         tell_target(frame.facts, asked.get("max_error"))
         return frame
 
@@ -914,8 +916,9 @@ class Isogi:
         >>> isogi.upload(np.hypot(*np.mgrid[:64, :64, :64][:2]), spacing=(1, 1, 2))
         >>> isogi.frame(volume["id"]).save("engine.png")
         """
-        sent = nrrd_of(volume, spacing) if isinstance(volume, np.ndarray) else Path(volume)
-        return self._send("/v1/volumes", sent, name)
+        if isinstance(volume, np.ndarray):
+            return self._send("/v1/volumes", nrrd_of(volume, spacing), name)
+        return self._send("/v1/volumes", Path(volume), name)
 
     def upload_environment(self, probe: str | Path, name: str | None = None) -> dict[str, Any]:
         """Send a light probe (.hdr, latitude-longitude) to a server that takes uploads; return its
@@ -936,15 +939,19 @@ class Isogi:
 
     def _send(self, path: str, sent: bytes | Path, name: str | None) -> dict[str, Any]:
         """Send bytes or a file under a ``name``; return the server's document."""
-        (size, content) = (
-            (len(sent), sent) if isinstance(sent, bytes) else (sent.stat().st_size, Blocks(sent))
-        )
+        content: bytes | Blocks
+        if isinstance(sent, bytes):
+            size = len(sent)
+            content = sent
+        else:
+            size = sent.stat().st_size
+            content = Blocks(sent)
         headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
         return self._json(
             "POST", path, params={"name": name} if name else {}, content=content, headers=headers
         )
 
-    def _waited(
+    def _wait_for_frame(
         self,
         path: str,
         asked: dict[str, str],
@@ -958,6 +965,7 @@ class Isogi:
         """
         deadline = time.monotonic() + seconds
         while True:
+            # One request waits for a limited time; repeat it until the deadline.
             left = min(max(deadline - time.monotonic(), 0.0), self._wait)
             frame = self._frame(path, {**asked, "wait_ms": f"{1000 * left:.0f}"})
             if progress is not None:
@@ -967,7 +975,7 @@ class Isogi:
             if complete or time.monotonic() >= deadline:
                 return frame
 
-    def _final(
+    def _wait_until_final(
         self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None
     ) -> Frame:
         """Return the frame once it is final."""
@@ -1001,17 +1009,20 @@ class Isogi:
                 yield event
                 if event.kind in ("final", "failed"):
                     return
+            # Give up if no event came for longer than a busy server is asked again.
             if time.monotonic() - heard > self._patience:
-                raise UnreachableError("The server ends its events too early, again and again.")
+                raise UnreachableError("The server repeatedly ends its events too early.")
             time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
         """Yield the events of one connection until it ends or breaks,
         only those after the event ``last`` if that is given.
         """
-        headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
+        headers = {"Accept": "text/event-stream"}
+        if last:
+            headers["Last-Event-ID"] = last
         with (
-            translated(),
+            translated_errors(),
             self._client.stream("GET", path, params=asked, headers=headers) as answer,
         ):
             if answer.status_code != httpx.codes.OK:
@@ -1040,7 +1051,7 @@ class Isogi:
 
     def _ask(self, method: str, path: str, **more: Any) -> httpx.Response:
         """Return the server's answer. Raises IsogiError if it is not one of success."""
-        with translated():
+        with translated_errors():
             answer = self._client.request(method, path, **more)
         if not answer.is_success:
             raise error_of(answer)
@@ -1051,7 +1062,7 @@ class Isogi:
         base = self._client.base_url
         if origin_of(request.url) != origin_of(base):
             raise RefusedError(
-                f"{request.url} is no address of the server at {base}: make an Isogi of that "
+                f"{request.url} is no address of the server at {base}: use an Isogi for that "
                 "server."
             )
 
@@ -1059,7 +1070,7 @@ class Isogi:
         """Set the rules by which the request is repeated."""
         request.extensions["retry"] = self._retry
 
-    def _meet(self, _: httpx.Response) -> None:
+    def _note_answer(self, _: httpx.Response) -> None:
         """Note that the server has answered: from now on, requests are repeated if it does not."""
         self._retry = self._retry.copy_with(retry_on_exceptions=CONNECTION_ERRORS)
 
@@ -1152,8 +1163,7 @@ def tell_target(facts: Facts, target: str | None) -> None:
     if target is not None and not facts.provisional and facts.error > float(target):
         warnings.warn(
             f"The frame is final, but its total error is {facts.error:.3g} and not {target}: "
-            "pixels have taken"
-            " the most paths that they may.",
+            "pixels have taken the most paths that they may.",
             TargetWarning,
             stacklevel=3,
         )
@@ -1202,11 +1212,13 @@ def kind_of(status: int) -> type[IsogiError]:
     """Return the class of error for an HTTP status."""
     known: dict[int, type[IsogiError]] = {401: TokenError, 403: TokenError, 404: NotFoundError}
     known |= {429: BusyError, 503: BusyError}
-    return known.get(status) or (RefusedError if status < 500 else ServerError)
+    if status in known:
+        return known[status]
+    return RefusedError if status < 500 else ServerError
 
 
 @contextmanager
-def translated() -> Iterator[None]:
+def translated_errors() -> Iterator[None]:
     """Raise UnreachableError if a request in the block gets no answer."""
     try:
         yield

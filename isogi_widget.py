@@ -166,11 +166,10 @@ class Viewer(anywidget.AnyWidget):
         """The parameters of the present view,
         such as for ``isogi.frame(scene, wait="final", **viewer.view)``.
         """
-        if self.target is None:
-            target = {}
-        else:
-            target = {"target": self.target}
-        return {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}, **target}
+        view = {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}}
+        if self.target is not None:
+            view["target"] = self.target
+        return view
 
     def close(self) -> None:
         """Show nothing more, once the picture that is under way has come."""
@@ -227,13 +226,8 @@ class Viewer(anywidget.AnyWidget):
         try:
             self.send({"number": number}, [self._isogi.read(place)])
         except (IsogiError, RuntimeError) as error:
-            self.send(
-                {
-                    "number": number,
-                    "status": getattr(error, "status", None) or 503,
-                    "detail": str(error),
-                }
-            )
+            status = getattr(error, "status", None) or 503
+            self.send({"number": number, "status": status, "detail": str(error)})
 
 
 def modules_of(isogi: Isogi) -> dict[str, str]:
