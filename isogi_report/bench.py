@@ -132,6 +132,7 @@ class ViewBake(Bake):
         spec = renderer.caches.spec(view.shading)
         places = self.shown.positions
         self.distant = distant_texels(renderer, view, self.shown)
+        # Distant texels come twice: on their own isosurfaces, and projected onto the view's.
         levels = np.full(len(places) + len(self.distant), np.nan)
         levels[len(places) :] = self.shown.gbuffer.isovalue
         texels = np.concatenate([places, places[self.distant]])
@@ -165,6 +166,7 @@ class ViewBake(Bake):
         as chunks, with their light from row ``first`` on.
         """
         shown = self.shown
+        # Leave out chunks without any of these texels.
         counts = np.diff(np.searchsorted(numbers, self.shown.bounds))
         some = np.flatnonzero(counts)
         offsets = np.concatenate([np.empty(0, np.int32), *shown.offsets])[numbers]
@@ -260,6 +262,7 @@ class Bench:
 
     def renderer(self, scene: Scene) -> Renderer:
         """Return a renderer of ``scene``. Its store in the folder stays without light."""
+        # Light is put into the page pool directly; nothing is written to this store.
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
@@ -345,6 +348,7 @@ class Bench:
         have any.
         """
         scene = whole_paths(scene or self.scene, bounces)
+        # A reference is a sum of paths, so a shorter one in the folder is extended.
         former = self._kept(scene)
         if former is not None and former.samples >= samples:
             return former

@@ -136,6 +136,7 @@ def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study
 def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
     """Yield sentences on studies that are missing or incomplete, with the reason."""
     late = titles(measured.late)
+    # Studies without time are missing because a person stopped, or because of the deadline.
     if measured.stopped:
         yield (
             f"Stopped by hand before the end. Missing: {late}. The same command goes on from here."

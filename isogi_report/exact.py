@@ -112,6 +112,7 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
         halves[a:b] = light_of_halves(turned, place, samples)
 
     bench.tiles.run(piece, len(halves), POINTS_A_PIECE)
+    # Surface colours multiply the light of pixels, as in frames.
     if turned.coloured:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
     # The two halves are independent: half their difference estimates the standard error of their
@@ -176,6 +177,8 @@ def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarra
         if isinstance(layer, GlowLayer):
             ((sums, _),) = sample_glow([layer], place, void, spec, 0, samples)
             lights = np.hstack(layer.lights(spec.prepared.scene.lighting.glowing.radiances))
+            # The light of a single glow is scaled by its radiance in each colour; that of several
+            # is summed up over all channels.
             if layer.glows == 1:
                 arriving = sums[..., 0] * lights[:, 0]
             else:

@@ -67,6 +67,7 @@ def machine() -> dict[str, Any]:
 
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
     """Return the processor's name, from the system's ``listing`` if there is one."""
+    # Linux lists the name in this file; other systems have other ways.
     try:
         lines = listing.read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -128,6 +129,8 @@ def standpoint(camera: Camera) -> str:
     """
     if camera.fov > PARALLEL_VIEW_DEGREES:
         return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
+    # A camera with parallel rays is a distant one with a narrow field of view: give the height of
+    # its picture at the target.
     height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
     return (
         f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, "

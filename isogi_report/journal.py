@@ -104,6 +104,7 @@ class Journal:
             document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             if document["code"] != self.code:
                 return None
+            # An entry counts only if its pixels can be read, too.
             with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
                 pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
             return Entry(section_of(document["section"], pixels), document["seconds"])
@@ -193,6 +194,7 @@ def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any
     """Raise ReportError if the folder's report is of another subject than ``wanted``."""
     other = [name for name in wanted if held.get(name) != wanted[name]]
     if other:
+        # Name the scene as the difference if it differs, else the parameters of the view.
         if {"scene", "digest", "volume"} & set(other):
             what = "scene"
         else:

@@ -240,6 +240,7 @@ def limited(bench: Bench) -> Iterator[None]:
     if bench.left == math.inf:
         yield
         return
+    # Studies look at the deadline between points; the timer ends one that takes too long.
     timer = threading.Timer(
         max((1.0 + DEADLINE_GRACE_SHARE) * bench.left, 0.0), bench.cancelled.set
     )

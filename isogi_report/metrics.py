@@ -153,6 +153,7 @@ def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarra
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
     light = np.ascontiguousarray(radiance, np.float32)
+    # Use the kernel of frames, so that colours are exactly theirs.
     develop_rows(
         light,
         np.ascontiguousarray(on, np.uint8),

@@ -41,6 +41,7 @@ Part = dict[str, Any]
 
 def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) -> str:
     """Return the page of a report; ``files`` are its pictures, by their names."""
+    # Text is escaped in the template; only style, gradient and drawings are markup.
     sheet = Environment(
         loader=FileSystemLoader(REPORT_FOLDER),
         autoescape=True,
@@ -158,6 +159,7 @@ def alt(picture: Picture, ends: str | None) -> str:
 def write_report(folder: Path, report: Report) -> Path:
     """Write all files into ``folder``, the page last; return the page's path. Raises OSError."""
     head = heading(report.scene, report.view)
+    # Write pictures and plots first, remove those of an earlier report, and write the page last.
     files = dict(drawings(report))
     for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)

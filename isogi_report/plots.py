@@ -82,6 +82,7 @@ def draw(plot: Plot) -> str:
 
     Equal plots give equal bytes.
     """
+    # A fixed salt and no date make the bytes of equal plots equal.
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
         figure = Figure(figsize=(PLOT_WIDTH, PLOT_HEIGHT), layout="constrained")
         fill(figure.add_subplot(), plot)
@@ -176,6 +177,7 @@ def mark_ticks(axis: Axis, column: Column) -> None:
     """Set ticks whose labels include the unit."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     low, high = axis.get_view_interval()
+    # The shorter the axis in decades, the more ticks in each.
     axis.set_major_locator(
         LogLocator(10, next(firsts for times, firsts in TICK_STEPS if high >= times * low))
     )
@@ -266,6 +268,7 @@ def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
     with ±``scale`` at the ends and the film's background where they are NaN.
     """
     on = np.isfinite(errors)
+    # Map -scale … scale to 0 … 1, the range of the colour map.
     places = np.where(on, 0.5 + 0.5 * np.clip(np.nan_to_num(errors) / scale, -1.0, 1.0), 0.5)
     shown = mpl.colormaps[ERROR_COLOURS](places, bytes=True)[..., :3]
     top = len(tone_table()) - 1

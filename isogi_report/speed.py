@@ -176,9 +176,11 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
     chunks = [
         loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()
     ]
+    # Bake the texels of all chunks in one call, as waves of paths are then full.
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
     refine(light, texels, loader.chunk_store.spec, until, UNREACHED_TARGET)
+    # Write each chunk, and tell the loader that the store has newer light.
     bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
     for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
         loader.chunk_store.save(replace(chunk, light=light.rows(np.arange(a, b))))
@@ -209,6 +211,7 @@ def bake_pieces(
 def primary_rays(prepared: PreparedScene, size: int) -> Rays:
     """Return the rays of the measured view, in the order of its pixels."""
     volume = prepared.scene.volume
+    # Rays through the middles of the pixels, in index space.
     camera = pinhole(view_of(prepared.scene, size).camera, size, size, volume.spacing)
     y, x = (np.mgrid[:size, :size] + 0.5).reshape(2, -1)
     corner, right, down, eye = (
@@ -267,6 +270,7 @@ def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, l
     All candidates work in each round, so that disturbances hit all of them. Round 0 is not counted.
     """
     times: dict[str, list[float]] = {name: [] for name in candidates}
+    # Round 0 compiles kernels and fills caches.
     for turn in range(repeats + 1):
         for name, candidate in candidates.items():
             times[name].append(candidate(turn))
@@ -399,6 +403,7 @@ class StepTimes:
         and ``relight_ms``, for a new rotation of the light.
         """
         views = {name: replace(self.view, shading=name) for name in TIMED_SHADINGS}
+        # All shadings read the light of one of the specs.
         for spec in SPECS:
             bake_view(self.renderer, views[spec], MIN_SAMPLES)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
@@ -467,6 +472,7 @@ class StepTimes:
         lattice = self.renderer.prepared.lattice
         count = 0
         wanted = sorted(wanted_of(self.frame).items(), key=lambda pair: -len(pair[1]))
+        # Stop once there are enough texels for a steady figure.
         for task in together(dict(wanted)):
             if count < BAKED_TEXELS:
                 texels = np.concatenate(

@@ -88,6 +88,7 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     scene = bench.scene
     view = bench.view
     planned = bench.planned
+    # Put the scene, its picture and its plan into words.
     lights = " + ".join(light.name for light in scene.lighting.lights) or "no light"
     layers = " + ".join(map(layer_in_words, scene.plan.layers))
     size = " × ".join(map(str, scene.volume.size))
@@ -414,6 +415,7 @@ def as_s1(scene: Scene) -> Scene | None:
     """
     if scene.lighting.lamps.any:
         return None
+    # S1 keeps direct and reflected light together, in single floats, and takes no lobes out.
     whole = Layer("whole", MEASURED_BANDS, 3, half=False)
     return with_plan(
         scene,
@@ -477,6 +479,7 @@ def points_of_paths(bench: Bench, best: Reference) -> list[Point]:
     """
     renderer = bench.renderer(bench.whole)
     view = replace(bench.view, shading="path_traced")
+    # Compile the kernels before time is taken.
     renderer.render(replace(view, samples=1))
 
     def frame(samples: int) -> tuple[Frame, float]:
@@ -497,6 +500,7 @@ def measure_points(
     """
     found: list[Point] = []
     for samples in CURVE_SAMPLES:
+        # Time grows in proportion to samples, so the last point foretells the next.
         if found and not is_affordable(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
@@ -526,6 +530,7 @@ def break_even_row(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """Return a way's row of the table,
     by its cheapest point that is nearly as good as its last one.
     """
+    # More samples than these hardly reduce the error, so stop the bake there.
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )
@@ -543,6 +548,7 @@ def seconds_at(curve: Curve, error: float) -> float | None:
     """
     if len(curve.x) < 2 or min(error, *curve.y) <= 0.0:
         return None
+    # Find the two points that bracket the error, or the nearest two.
     i = min(max(bisect_left([-y for y in curve.y], -error), 1), len(curve.x) - 1)
     (x0, x1), (y0, y1) = (
         [math.log(v) for v in values[i - 1 : i + 1]] for values in (curve.x, curve.y)
