@@ -306,7 +306,7 @@ class LayerStore:
             stored = self.encode(index, *whole)
             # A chunk without metadata could not be found again, so the array comes first.
             if former is None:
-                self._keep_array()
+                self.array = self._open() or self._create()
             elif stored == former.data:
                 return True
             with suppress(ChangedError):
@@ -323,10 +323,6 @@ class LayerStore:
             if found is not None:
                 return self.decode(index, found.data)
         return np.empty(0, np.int32), Part.dark(self.layer, 0)
-
-    def _keep_array(self) -> None:
-        """Create the array if it is not there, even if it was before."""
-        self.array = self._open() or self._create()
 
 
 def to_chunk_places(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
@@ -377,6 +373,16 @@ def layer_attributes(
     """
     scene = prepared.scene
     record = record_type(layer, prepared.lattice.texels)
+    # Direct light meets surfaces once, so neither bounces nor albedo change it.
+    bounces = 0
+    albedo = None
+    if layer.reflected:
+        bounces = scene.bounces
+        albedo = list(layer.nodes or scene.surfaces.albedo)
+    # Only irradiance depends on the lights; transfer serves any.
+    lights = None
+    if layer.kind == "irradiance":
+        lights = [light.name for light in scene.lighting.lights]
     return {
         # Whose light it is, and the lattice that it is for.
         "format": BAKE_FORMAT,
@@ -393,11 +399,9 @@ def layer_attributes(
         "shown": shown,
         # The layer, and everything that its light depends on.
         **asdict(layer),
-        "bounces": scene.bounces if layer.reflected else 0,
-        "albedo": list(layer.nodes or scene.surfaces.albedo) if layer.reflected else None,
-        "lights": [light.name for light in scene.lighting.lights]
-        if layer.kind == "irradiance"
-        else None,
+        "bounces": bounces,
+        "albedo": albedo,
+        "lights": lights,
         # The plan, and the form of its records.
         "plan": asdict(scene.plan),
         "codes": RECORD_CODES,

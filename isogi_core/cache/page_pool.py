@@ -402,11 +402,13 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
     """
     term = spec.terms[at]
     weights = white(layer, spec)
+    if term.node is not None:
+        weights = weights[term.node : term.node + 1]
     # Only one of the nodes adds noise and sample level to the sums of a row.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
-        weights=weights if term.node is None else weights[term.node : term.node + 1],
+        weights=weights,
         column=int(spec.firsts[at]),
         width=term.order**2,
         first=number == min(term.layers),
