@@ -614,6 +614,7 @@ class Job:
 
     @property
     def _path(self) -> str:
+        """The job's path on the server."""
         return f"/v1/jobs/{quote(self.id, safe='')}"
 
 

@@ -403,6 +403,6 @@ def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:
 
 
 def with_plan(scene: Scene, **changes: Any) -> Scene:
-    """The scene by a plan that differs from its own in ``changes``."""
+    """Return the scene with a plan that differs from its own in the given ``changes``."""
     plan: ScenePlan = replace(scene.plan, **changes)
     return replace(scene, plan=plan)

@@ -125,6 +125,7 @@ class Sessions:
             thread.join(CLOSING_SECONDS)
 
     def _run(self) -> None:
+        """Make changes in rounds until the thread may end."""
         while not self._round():
             self._pause(CHANGE_SECONDS)
 

@@ -348,12 +348,12 @@ def opened(source: SceneSource) -> PreparedScene:
         if key not in (*VOXEL_INDEPENDENT_SETTINGS, *MATERIAL_NUMBERS)
     }
     key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
-    # Another scene of the same volume is open: take voxels, colours and glow from there, and build
-    # only the rest.
     known = OPEN.get(key)
     if known is None:
         prepared = PreparedScene(build_scene(source), most_maps())
     else:
+        # Another scene of the same volume is open: take voxels, colours and glow from there, and
+        # build only the rest.
         bare = {
             name: value for name, value in source.document.items() if name not in VOXEL_SETTINGS
         }

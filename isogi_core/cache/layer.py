@@ -198,6 +198,7 @@ class LayerStore:
 
     @property
     def _metadata_key(self) -> str:
+        """Key of the object that describes the array."""
         return f"{self.digest}/zarr.json"
 
     def _key(self, index: Index) -> str:

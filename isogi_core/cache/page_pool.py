@@ -264,6 +264,7 @@ class PagePool:
         return [Entry(self._free_slots.take(), taken[a:b]) for a, b in pairwise(bounds)]
 
     def _has_room(self, pages: int, slots: int) -> bool:
+        """Return True if this many pages and slots are free."""
         return len(self._free_pages) >= pages and len(self._free_slots) >= slots
 
     def _make_room(self, pages: int, slots: int, spare: Sequence[Index]) -> None:

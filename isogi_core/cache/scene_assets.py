@@ -110,9 +110,11 @@ class Asset:
 
     @property
     def _where(self) -> str:
+        """The store, in words for messages."""
         return f"the store at {self.store.url}"
 
     def _key(self, index: Shape) -> str:
+        """Return the key of a chunk's object, as Zarr names it."""
         return "/".join((self.name, "c", *map(str, index)))
 
     def _put(self, key: str, data: bytes) -> None:

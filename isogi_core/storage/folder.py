@@ -301,6 +301,7 @@ class Copies:
             log.info("A copy of light cannot be written to %s: %s", self._folder, error)
 
     def _path(self, key: str) -> Path:
+        """Return the file of a copy, named by a digest of the store's URL and the key."""
         return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()
 
     def _make_room(self, size: int) -> None:

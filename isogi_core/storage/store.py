@@ -595,4 +595,5 @@ class Documents:
         return sorted(name.removesuffix(".json") for name in found if name.endswith(".json"))
 
     def _key(self, name: str) -> str:
+        """Return the key of a document's object."""
         return f"{self.folder}/{name}.json"
