@@ -48,13 +48,14 @@ SUMMARY_KEY = "summary"
 SUMMARY_TITLE = "Summary"
 
 SUMMARY_TEXT = """\
-One view of a scene, each of its texels baked to the target error by the scene's plan, against a \
-reference: paths from each pixel to the lights themselves, with the scene's own normals and \
-offset. Errors are of the luminance, over the surface pixels, relative to the reference's mean: \
-the root mean square (less the reference's own noise), what 99 % of pixels stay below, the signed \
-mean (bias); FLIP is of the pictures as a screen shows them. Random numbers belong to texels and \
-pixels, so that light of as many samples has the same bits again; how many the reference has may \
-hang on the time that there was. Seconds are of the processor, all threads together."""
+One view of a scene, with light baked to the target error by the scene's plan, is compared with a \
+reference: paths from each pixel to the lights themselves, with the scene's normals and offset. \
+Errors are those of the luminance over the surface pixels, relative to the reference's mean: the \
+root mean square (without the reference's own noise), the error that 99 % of the pixels stay \
+below, and the signed mean (bias). FLIP compares the pictures as a screen shows them. Random \
+numbers belong to texels and pixels, so light of the same number of samples always has the same \
+bits; the number of paths of the reference may depend on the time available. Seconds are of the \
+processor, all threads together."""
 
 
 def study_summary(bench: Bench) -> Section:
@@ -132,11 +133,11 @@ SPLIT_COLUMNS = (
 )
 
 SPLIT_TEXT = """\
-Each part is the difference that remains when one ingredient of the frame gives way to its exact \
-counterpart, one after the other, so that biases add up to the total's. Noise that is known of \
-either side is taken off. The parts' root sum of squares equals the total where they are \
-independent. Normals and offset are the scene's own choice, and so the reference's too: what they \
-change is listed apart."""
+Each part is the change when one ingredient of the frame is replaced by its exact counterpart. \
+They are replaced one after the other, so that biases add up to the total's. Known noise of \
+either side is subtracted. If the parts are independent, their root sum of squares equals the \
+total. Normals and offset are chosen by the scene, and so the same in the reference: their effect \
+is listed separately."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +270,7 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
 
 def harmonics_in_words(plan: ScenePlan) -> str:
     """Return a description of the harmonics of the plan, and of its lobes."""
-    lobes = {0: "", 1: ", a lobe beside"}.get(plan.lobes, f", {plan.lobes} lobes beside")
+    lobes = {0: "", 1: " and a lobe"}.get(plan.lobes, f" and {plan.lobes} lobes")
     return f"harmonics of order {plan.order}{lobes}"
 
 
@@ -282,7 +283,7 @@ def notes_on_missing_parts(bench: Bench) -> str:
     if not cuts_harmonics(bench.scene):
         reasons.append("Texels keep no harmonics that could be cut off.")
     if not bench.scene.bounces:
-        reasons.append("The scene has direct light alone: no bounces are missing.")
+        reasons.append("The scene has only direct light: no bounces are missing.")
     return " ".join(reasons)
 
 
@@ -311,14 +312,14 @@ PATH_TRACING_CURVE = "path tracing from each pixel"
 """Name of the curve without light of texels."""
 
 CONVERGENCE_TEXT = """\
-Errors against the reference, of one view, as more samples are taken. Light of texels is baked \
-once and serves all cameras and, where it turns, all lights; paths from each pixel serve one \
-picture. Where a curve levels off, more samples do not help: interpolation, harmonics and bounces \
-that are cut off. Each point of baked light grows from the one before; seconds are of the \
-processor, all threads together, without compiling. The bake pays for itself after so many \
-pictures that read the texels of this one, from cameras that see the same surface or under turned \
-lights, as paths from each pixel could trace to its own error in its time; frames of baked light \
-take milliseconds, and count as nothing here."""
+Errors of one view against the reference, as more samples are taken. Light of texels is baked \
+once and serves all cameras and, if the light rotates, all rotations; paths from each pixel serve \
+one picture. Where a curve becomes flat, more samples do not help: the rest of the error is that \
+of interpolation, and of harmonics and bounces that are cut off. Each point of baked light \
+continues the one before. Seconds are of the processor, all threads together, without compiling. \
+Baking pays once as many pictures read the same texels, from other cameras or under rotated \
+light, as the table says: it has then taken less time than tracing each of them to the same \
+error. The time for frames of baked light, some milliseconds, is not counted."""
 
 CURVE_COLUMNS = (
     Column("way"),
