@@ -1,5 +1,4 @@
-"""isogi from Python: a view in, a picture or numbers out. One file that needs no other part of
-isogi.
+"""isogi from Python: send a view, get a picture or numbers. This file needs no other part of isogi.
 
 >>> from isogi_client import Isogi
 >>> with Isogi("http://127.0.0.1:8000") as isogi:
@@ -36,17 +35,17 @@ from httpx_retries import Retry, RetryTransport
 from PIL import Image
 
 LONGEST_WAIT = 10.0
-"""Seconds that the server waits for baking in one request, at most."""
+"""Most seconds that the server waits for baking in one request."""
 
 DEFAULT_PATIENCE_SECONDS = 60.0
-"""Seconds for which a server that is busy, starting or away is asked again, by default."""
+"""Seconds for which a server that is busy, starting or away is asked again by default."""
 
 FIRST_RETRY_PAUSE = 0.1
 LONGEST_PAUSE = 5.0
-"""Seconds between two tries, at first and at most."""
+"""Seconds between two tries: at first, and at most."""
 
 CONNECTION_ERRORS = (httpx.NetworkError, httpx.RemoteProtocolError)
-"""What a server that is gone makes of a request."""
+"""Errors of a request to a server that has gone."""
 
 JOB_CHECK_SECONDS = 1.0
 """Seconds between two requests for a job's state."""
@@ -58,7 +57,7 @@ PROGRESS_BAR_WIDTH = 20
 """Characters of a progress bar."""
 
 PICTURE_PARAMETERS = ("f", "overlay", "exposure", "background", "antialias", "strip", "version")
-"""Parameters of a picture, which say nothing of its light."""
+"""Parameters of a picture that its light does not depend on."""
 
 FORMAT_SUFFIXES = {
     "png": (".png",),
@@ -74,15 +73,15 @@ FORMAT_OF_MEDIA_TYPE = {
 }
 
 Wait = float | Literal["now", "final"]
-"""How long to wait for light: not at all, until all of it is final, or so many seconds."""
+"""How long to wait for light: not at all, until all of it is final, or for a number of seconds."""
 
 Vector = tuple[float, float, float]
 Values = float | str | Sequence[float] | None
 
 
 class IsogiError(Exception):
-    """What went wrong, in a sentence, with the HTTP ``status`` and the ``problem`` document (RFC
-    9457), if any.
+    """An error in one sentence, with the HTTP ``status``
+    and the ``problem`` document (RFC 9457), if there are any.
     """
 
     def __init__(
@@ -95,8 +94,9 @@ class IsogiError(Exception):
 
 
 class RefusedError(IsogiError):
-    """The server does not take this request as it is: see ``detail``, and ``problem["parameter"]``
-    where it is one.
+    """The server does not accept this request as it is: see ``detail``.
+
+    If a parameter is wrong, ``problem["parameter"]`` names it.
     """
 
 
@@ -105,13 +105,13 @@ class NotFoundError(RefusedError):
 
 
 class TokenError(RefusedError):
-    """The server wants its token (``token=`` or ISOGI_TOKEN), or does not serve this client at
-    all.
+    """The server requires its token (``token=`` or ISOGI_TOKEN),
+    or does not serve this client at all.
     """
 
 
 class BusyError(IsogiError):
-    """The server is busy, starting or stopping, and stayed so for as long as it was asked again."""
+    """The server is busy, starting or stopping, and was so for as long as it was asked again."""
 
 
 class ServerError(IsogiError):
@@ -123,7 +123,7 @@ class UnreachableError(IsogiError):
 
 
 class NotFinalError(IsogiError):
-    """A view does not become final: some of its light cannot be baked."""
+    """A view does not become final, as some of its light cannot be baked."""
 
 
 class JobError(IsogiError):
@@ -131,13 +131,13 @@ class JobError(IsogiError):
 
 
 class TargetWarning(UserWarning):
-    """A frame is final, and yet its estimated error is above the ``max_error`` that was asked
-    for.
-    """
+    """A frame is final, but its estimated error is above the requested ``max_error``."""
 
 
 class TimeLeft(NamedTuple):
-    """Seconds until a view is final: most likely, and the range that they are likely in."""
+    """Seconds until a view is final: the most ``likely`` value,
+    and the range that probably holds the true one.
+    """
 
     low: float
     likely: float
@@ -146,14 +146,18 @@ class TimeLeft(NamedTuple):
 
 @dataclass(frozen=True)
 class Facts:
-    """What the server knows of a frame's quality.
+    """The quality of a frame, as the server measured it.
 
-    ``coverage`` are the shares of the surface's pixels that are final, converging and provisional,
-    ``error`` is the estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the
-    pixels have an error below ``p99``, None where that is not measured. ``time_left`` is None where
-    it is unknown or over, ``etag`` names the very picture, and ``timing`` has the milliseconds of
-    the stages of the work on it. So many pixels show a ``surface``, None where the server does not
-    say; the work is ``overdue`` once it takes longer than was said before.
+    - ``coverage``: shares of the surface's pixels that are final, converging and provisional.
+    - ``error``: estimated relative root mean square error; ``noise`` is its part that more samples
+      reduce, ``interval`` its 95 % interval, by ``controls`` control pixels.
+    - ``p99``: error that 99 % of the pixels stay below, None if it was not measured.
+    - ``chunks``: numbers of chunks that are needed and final.
+    - ``time_left``: None if unknown or over. The work is ``overdue`` once it takes longer than was
+      reported before.
+    - ``etag``: name of this very picture.
+    - ``timing``: milliseconds of the stages of the server's work.
+    - ``surface``: pixels that show a surface, None if the server does not report it.
     """
 
     provisional: bool
@@ -173,8 +177,9 @@ class Facts:
 
     @classmethod
     def of_headers(cls, headers: Mapping[str, str]) -> Self:
-        """The facts in a frame's headers."""
+        """Read the facts in a frame's headers."""
         left = numbers(headers.get("isogi-time-left", ""))
+        surface = headers.get("isogi-surface")
         return cls(
             provisional=headers["isogi-provisional"] == "?1",
             coverage=numbers(headers["isogi-coverage"]),
@@ -183,78 +188,76 @@ class Facts:
             time_left=TimeLeft(**left) if left else None,
             etag=headers.get("etag"),
             timing=numbers(headers.get("server-timing", "").replace(";dur", "")),
-            surface=int(headers["isogi-surface"]) if "isogi-surface" in headers else None,
+            surface=None if surface is None else int(surface),
             overdue=headers.get("isogi-overdue") == "?1",
         )
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
-        """The facts in the server's document of a view's coverage."""
+        """Read the facts in the server's document of a view's coverage."""
         known = {"surface": document.get("pixels", {}).get("surface")}
-        return cls(**known | known_in(document, cls))
+        return cls(**known | fields_in(document, cls))
 
     def __str__(self) -> str:
-        """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
+        """Return a text such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
         if self.surface == 0:
             return "no surface in view"
         if self.error < 0.1:
             error = f"{100 * self.error:.2g}"
         else:
             error = f"{100 * self.error:.0f}"
+        # An error without control pixels is predicted, not measured.
         about = "" if self.controls else "about "
-        count = (
-            f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error "
-            f"{about}{error} %"
-        )
-        if self.provisional:
-            left = self.time_left
-        else:
-            left = None
-        if left is None:
-            return count
-        return f"{count}, about {left.likely:.0f} s"
+        text = f"{self.chunks['final']} of {self.chunks['needed']} chunks final"
+        text = f"{text}, error {about}{error} %"
+        if self.provisional and self.time_left is not None:
+            text = f"{text}, about {self.time_left.likely:.0f} s"
+        return text
 
 
-def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
-    """The fields of a ``kind`` of facts in a document of the server, whose rows become tuples."""
+def fields_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
+    """Return the fields of the class ``kind`` that are in a document of the server.
+
+    Lists become tuples.
+    """
     known = {each.name: document[each.name] for each in fields(kind) if each.name in document}
-    known = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
-    }
-    left = known.get("time_left")
-    return known | ({"time_left": TimeLeft(**left)} if left else {})
+    for name, value in known.items():
+        if isinstance(value, list):
+            known[name] = tuple(value)
+    if known.get("time_left"):
+        known["time_left"] = TimeLeft(**known["time_left"])
+    return known
 
 
 def error_of_header(header: str) -> dict[str, Any]:
-    """What a header such as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256`` says of a
-    frame's error.
+    """Read a frame's error from a header such
+    as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256``.
     """
     error, *parts = header.split(";")
     known = numbers(",".join(part for part in parts if "=" in part))
+    facts: dict[str, Any] = {"error": float(error), "noise": known.get("noise")}
     if "low" in known:
-        measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])}
-    else:
-        measured = {}
+        facts |= {"interval": (known["low"], known["high"]), "controls": int(known["controls"])}
     if "p99" in known:
-        tail = {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])}
-    else:
-        tail = {}
-    return {"error": float(error), "noise": known.get("noise"), **measured, **tail}
+        facts |= {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])}
+    return facts
 
 
 def numbers(header: str) -> dict[str, float]:
-    """The numbers in a header such as ``final=0.81, provisional=0.19``."""
+    """Read the numbers in a header such as ``final=0.81, provisional=0.19``."""
     pairs = (part.partition("=") for part in header.split(",") if part.strip())
     return {name.strip(): float(number) for name, _, number in pairs}
 
 
 class Planes(NamedTuple):
-    """A frame as numbers, for each pixel; row 0 is the top.
+    """A frame as arrays over pixels (h, w); row 0 is the top.
 
-    ``rgb`` (h, w, 3) is linear radiance, ``mask`` (h, w) where the surface is, ``state`` (h, w) is
-    0 none, 1 provisional, 2 converging, 3 final, 4 final by a texel that cannot be projected,
-    ``error`` (h, w) the relative standard error, ``position`` (h, w, 3) the surface's in world
-    coordinates.
+    - ``rgb`` (h, w, 3): linear radiance.
+    - ``mask``: True on the surface.
+    - ``state``: 0 none, 1 provisional, 2 converging, 3 final, 4 final by a texel that cannot be
+      projected.
+    - ``error``: relative standard error.
+    - ``position`` (h, w, 3): point of the surface in world coordinates.
     """
 
     rgb: np.ndarray
@@ -266,7 +269,7 @@ class Planes(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Frame:
-    """A picture: its bytes (``content``) in a format ``f``, and the ``facts`` of its quality."""
+    """A picture: its bytes, ``content``, in a format ``f``, and the ``facts`` of its quality."""
 
     content: bytes
     f: str
@@ -274,7 +277,7 @@ class Frame:
 
     @cached_property
     def image(self) -> Image.Image:
-        """The picture. ValueError where it was asked for as npy."""
+        """The picture. Raises ValueError if the format is npy."""
         if self.f == "npy":
             raise ValueError(
                 "npy holds radiance and no picture: ask for f='png', or see .array and .planes."
@@ -283,8 +286,8 @@ class Frame:
 
     @cached_property
     def array(self) -> np.ndarray:
-        """The picture's bytes (h, w, 3), or of an npy the numbers as they came (h, w, 9); see
-        ``planes``.
+        """The picture's bytes (h, w, 3);
+        of an npy the numbers as they came (h, w, 9), see ``planes``.
         """
         if self.f == "npy":
             return np.load(io.BytesIO(self.content), allow_pickle=False)
@@ -292,7 +295,7 @@ class Frame:
 
     @cached_property
     def planes(self) -> Planes:
-        """The numbers by their names. ValueError where it was not asked for as npy."""
+        """The numbers by name. Raises ValueError if the format is not npy."""
         if self.f != "npy":
             raise ValueError(
                 f"{self.f} holds a picture and no radiance: ask for f='npy', or see .image."
@@ -304,7 +307,10 @@ class Frame:
         return Planes(planes[..., :3], mask, state, error, planes[..., 6:9])
 
     def save(self, path: str | Path) -> Path:
-        """Write the bytes to a file. ValueError where its name is one of another format."""
+        """Write the picture's bytes to a file; return its path.
+
+        Raises ValueError if its suffix is that of another format.
+        """
         path = Path(path)
         if path.suffix.lower() not in FORMAT_SUFFIXES[self.f]:
             fitting = " or ".join(FORMAT_SUFFIXES[self.f])
@@ -315,25 +321,25 @@ class Frame:
         return path
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """``array``, for NumPy."""
+        """Return ``array``, for NumPy."""
         if dtype is None:
             return self.array
         return self.array.astype(dtype)
 
     def __repr__(self) -> str:
-        """One line, such as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8
-        %)``.
+        """Return one line such
+        as ``Frame(npy, 640 × 480 × 9, 182 of 240 chunks final, error about 1.8 %)``.
         """
         if self.f == "npy":
-            wide = self.array.shape[1]
-            high = self.array.shape[0]
+            high, wide, planes = self.array.shape
+            size = f"{wide} × {high} × {planes}"
         else:
             wide, high = self.image.size
-        size = f"{wide} × {high}" + (f" × {self.array.shape[2]}" if self.f == "npy" else "")
+            size = f"{wide} × {high}"
         return f"Frame({self.f}, {size}, {self.facts})"
 
     def _repr_png_(self) -> bytes:
-        """The picture, as notebooks show it; of numbers that of their radiance."""
+        """Return the picture as PNG, for notebooks; of an npy that of its radiance."""
         if self.f == "png":
             return self.content
         buffer = io.BytesIO()
@@ -347,14 +353,15 @@ class Frame:
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the surface that a view shows; lengths have the volume's ``unit``, "" where
+    """A point of the surface that a view shows. Lengths are in the volume's ``unit``, "" if
     unknown.
 
-    ``position`` and the outward unit ``normal`` are in the world, ``voxel`` are voxel indices, x
-    first, and ``sides`` those of a patient on which the coordinates lie, "" elsewhere. ``value`` is
-    the isovalue, None on the ``wall`` with that number. ``light`` is linear RGB, ``displayed`` the
-    same in sRGB, ``state`` final, converging or provisional, and ``error`` the relative error of
-    that pixel.
+    - ``position``, ``normal``: in world coordinates; the normal has length 1 and points outwards.
+    - ``sides``: sides of a patient on which the point lies, such as LAS, "" if unknown.
+    - ``voxel``: voxel indices, x first.
+    - ``value``: the isovalue; None on a wall, whose number is ``wall``.
+    - ``light``, ``displayed``: linear RGB, and the same in sRGB.
+    - ``state``, ``error``: final, converging or provisional, and the relative error of the pixel.
     """
 
     unit: str
@@ -371,16 +378,16 @@ class Point:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
-        """The point in the server's document of one."""
-        return cls(**known_in(document, cls))
+        """Read a point from the server's document."""
+        return cls(**fields_in(document, cls))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """``position``, for NumPy."""
+        """Return ``position``, for NumPy."""
         return np.asarray(self.position, dtype or np.float64)
 
 
 def distance(a: Point | Sequence[float], b: Point | Sequence[float]) -> float:
-    """How far two points of the world are from each other, in its unit.
+    """Return the distance of two points of the world, in its unit.
 
     >>> distance((0, 0, 0), (3, 0, 4))
     5.0
@@ -391,8 +398,8 @@ def distance(a: Point | Sequence[float], b: Point | Sequence[float]) -> float:
 def angle(
     a: Point | Sequence[float], b: Point | Sequence[float], c: Point | Sequence[float]
 ) -> float:
-    """The angle at ``b`` between the ways to ``a`` and to ``c``, in degrees from 0 to 180; NaN
-    where one has no length.
+    """Return the angle at ``b`` between the directions to ``a`` and to ``c``, in degrees from 0 to
+    180; NaN if ``b`` is one of them.
 
     >>> angle((1, 0, 0), (0, 0, 0), (0, 2, 0))
     90.0
@@ -400,19 +407,21 @@ def angle(
     u, v = np.subtract(a, b), np.subtract(c, b)
     if not (u.any() and v.any()):
         return float("nan")
+    # The arc tangent of sine and cosine is accurate for small angles, too.
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v)))
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Frames that follow each other, so many a second; a notebook shows them as an animation."""
+    """Frames in a sequence, ``fps`` a second. Notebooks show them as an animation."""
 
     frames: Sequence[Frame]
     fps: float = 24.0
 
     def save(self, path: str | Path) -> Path:
-        """Write them to a GIF or WebP that loops, or as numbered pictures into a folder. ValueError
-        for other files.
+        """Write the frames to a GIF or WebP file that loops, or as numbered pictures into a folder.
+
+        Raises ValueError for other files.
         """
         path = Path(path)
         if not path.suffix:
@@ -428,11 +437,12 @@ class Film:
         return path
 
     def _repr_html_(self) -> str:
-        """The animation, as notebooks show it."""
+        """Return the animation as HTML, for notebooks."""
         data = base64.b64encode(self._animation("webp")).decode()
         return f'<img src="data:image/webp;base64,{data}" alt="{len(self.frames)} frames">'
 
     def _animation(self, form: str) -> bytes:
+        """Return the frames as an animated picture of the given format."""
         buffer = io.BytesIO()
         (first, *others) = (frame.image for frame in self.frames)
         first.save(
@@ -447,10 +457,11 @@ class Film:
 
 
 def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, Values]]:
-    """The views of so many frames, where numbers go from one to another and the rest stays.
+    """Return views for ``frames`` frames. Each knob given as a pair goes from one number to the
+    other, the rest stays.
 
-    An azimuth that comes around to where it began, alone, goes evenly; all else begins and ends at
-    rest.
+    If only angles move, and all by full turns, they move evenly, so that the film loops. All other
+    movements begin and end at rest.
 
     >>> sweep(48, azimuth=(0, 360), elevation=20)
     """
@@ -458,10 +469,13 @@ def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, 
         name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2
     }
     way = {name: last - first for name, (first, last) in moving.items()}
+    # Full turns of angles, and nothing else, end where they begin.
     around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(
         value % 360.0 == 0.0 for value in way.values()
     )
+    # A loop leaves out its last frame, which would be the first one again.
     t = np.arange(frames) / (frames if around else max(frames - 1, 1))
+    # Without a loop, ease in and out by a cubic whose slope is 0 at both ends.
     share = t if around else t * t * (3.0 - 2.0 * t)
     return [
         {**knobs, **{name: moving[name][0] + way[name] * at for name in way}}
@@ -470,8 +484,8 @@ def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, 
 
 
 class Bar:
-    """A progress bar, in a notebook or a terminal, for whatever takes ``progress=``. It is gone at
-    the end, and nothing is drawn of what is done at once.
+    """A progress bar in a notebook or a terminal, for methods that take ``progress=``. It vanishes
+    at the end.
 
     >>> isogi.frame("casting", wait="final", progress=Bar())
     """
@@ -479,23 +493,27 @@ class Bar:
     def __init__(self) -> None:
         self._line = ""
 
-    def __call__(self, news: Facts | Progress | int, total: int = 0) -> None:
-        """Draw how far a frame, a job or a film is."""
-        if isinstance(news, Facts):
-            self._draw(news.chunks["final"], news.chunks["needed"], str(news), not news.provisional)
-        elif isinstance(news, Progress):
-            self._draw(news.progress, 100, news.message, news.over)
+    def __call__(self, update: Facts | Progress | int, total: int = 0) -> None:
+        """Draw the progress of a frame, a job or a film."""
+        if isinstance(update, Facts):
+            self._draw(
+                update.chunks["final"], update.chunks["needed"], str(update), not update.provisional
+            )
+        elif isinstance(update, Progress):
+            self._draw(update.progress, 100, update.message, update.over)
         else:
-            self._draw(news, total, f"{news} of {total} frames", news == total)
+            self._draw(update, total, f"{update} of {total} frames", update == total)
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
+        """Draw the bar over the one before; erase it if the work is ``over``."""
         filled = PROGRESS_BAR_WIDTH * done // max(total, 1)
         if over:
             line = ""
         else:
             line = f"{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note}"
+        # Draw only changes: notebooks keep all output.
         if line != self._line:
-            # a notebook shows stderr as if it were an error
+            # A notebook shows stderr as if it were an error.
             stream = sys.stdout if "ipykernel" in sys.modules else sys.stderr
             stream.write(f"\r{' ' * len(self._line)}\r{line}")
             stream.flush()
@@ -504,10 +522,8 @@ class Bar:
 
 @dataclass(frozen=True)
 class Event:
-    """An event of a view: its ``kind`` is refined, progress, final or failed, and ``data`` its
-    document.
-
-    ``id`` names the light of the frame.
+    """An event of a view: its ``kind`` (refined, progress, final or failed),
+    its document ``data``, and an ``id`` that names the frame's light.
     """
 
     kind: str
@@ -516,8 +532,9 @@ class Event:
 
     @property
     def facts(self) -> Facts | None:
-        """How good the view is now; None for progress, which has the chunks ``waiting`` and the
-        ``time_left``.
+        """The quality of the view now.
+
+        None for progress, whose data hold the chunks ``waiting`` and the ``time_left``.
         """
         if self.kind == "progress":
             return None
@@ -526,10 +543,10 @@ class Event:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a job is: its ``status`` (accepted, running, successful, failed, dismissed) and what
-    it says of itself.
+    """The progress of a job: its ``status`` (accepted, running, successful, failed or dismissed),
+    and a ``message``.
 
-    ``progress`` is in percent; ``time_left`` is None where it is unknown or over.
+    ``progress`` is in percent; ``time_left`` is None if unknown or over.
     """
 
     status: str
@@ -539,18 +556,19 @@ class Progress:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
-        """The server's document of a job."""
-        return cls(**known_in(document, cls))
+        """Read the progress from the server's document of a job."""
+        return cls(**fields_in(document, cls))
 
     @property
     def over(self) -> bool:
-        """Whether nothing more is done for it."""
+        """True if the job has ended."""
         return self.status not in ("accepted", "running")
 
 
 class Job:
-    """Work that a server goes on with by itself, also when it is started again; its ``id`` finds it
-    again.
+    """Work that a server does in the background and continues after a restart.
+
+    Its ``id`` finds it again.
     """
 
     def __init__(self, isogi: Isogi, key: str) -> None:
@@ -559,23 +577,24 @@ class Job:
 
     @property
     def address(self) -> str:
-        """The address of the job."""
+        """The URL of the job."""
         return str(self._isogi._client.base_url.join(self._path))
 
     def progress(self) -> Progress:
-        """How far it is."""
+        """Ask for the job's progress."""
         return Progress.of_document(self._isogi._json("GET", self._path))
 
     def wait(self, progress: Callable[[Progress], object] | None = None) -> dict[str, Any]:
-        """The summary, once it has ended; ``progress`` is called now and then.
+        """Wait until the job has ended, and return its summary; ``progress`` is called from time to
+        time.
 
-        Raises JobError where it failed or was dismissed.
+        Raises JobError if the job failed or was dismissed.
         """
         self.end(progress)
         return self.summary()
 
     def end(self, progress: Callable[[Progress], object] | None = None) -> None:
-        """Returns once it has ended; as ``wait`` does, of a job without a summary."""
+        """Wait as ``wait`` does, but return nothing: for jobs without a summary."""
         while not (now := self.progress()).over:
             if progress is not None:
                 progress(now)
@@ -586,25 +605,30 @@ class Job:
             raise JobError(f"The job is {now.status}: {now.message}")
 
     def summary(self) -> dict[str, Any]:
-        """What it came to. NotFoundError where there is nothing yet."""
+        """Return the summary of the job. Raises NotFoundError if there is none yet."""
         return self._isogi._json("GET", f"{self._path}/results")
 
     def dismiss(self) -> None:
-        """End it: nothing more is baked for it, and what was baked stays."""
+        """End the job. Light that it has baked stays."""
         self._isogi._ask("DELETE", self._path)
 
     @property
     def _path(self) -> str:
+        """The job's path on the server."""
         return f"/v1/jobs/{quote(self.id, safe='')}"
 
 
 class Isogi:
-    """A server at ``base_url``, which is shown the ``token``, by default that in $ISOGI_TOKEN.
+    """A connection to a server at ``base_url``, with an access ``token``, by default that in
+    $ISOGI_TOKEN.
 
-    An answer may be silent for ``timeout`` seconds. A server that is busy or starting, or that is
-    away once it has answered, is asked again, when it says or ever more rarely, for about
-    ``patience`` seconds. The token is shown to this server alone. Methods raise IsogiError. Usable
-    as a context manager, which closes the connections, and from several threads.
+    A request fails if the server sends nothing for ``timeout`` seconds. If the server is busy or
+    starting, or does not answer although it did before, the request is repeated for about
+    ``patience`` seconds, at the times that the server names or at growing intervals. The token is
+    sent to this server only.
+
+    Methods raise IsogiError. An object can be used from several threads, and as a context manager,
+    which closes the connections.
     """
 
     def __init__(
@@ -618,6 +642,8 @@ class Isogi:
         self._server: subprocess.Popen[bytes] | None = None
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
+        # Repeat requests that the server is too busy for; once it has answered, also those that get
+        # no connection (see ``_note_answer``).
         self._retry = Retry(
             total=1000,
             allowed_methods=("GET", "POST", "DELETE"),
@@ -635,7 +661,7 @@ class Isogi:
             transport=RetryTransport(),
             event_hooks={
                 "request": [self._check_server, self._ask_again],
-                "response": [self._meet],
+                "response": [self._note_answer],
             },
         )
 
@@ -646,7 +672,7 @@ class Isogi:
         self.close()
 
     def close(self) -> None:
-        """Close the connections, and end a server of one's own."""
+        """Close the connections, and end the server if ``serving`` has started one."""
         self._client.close()
         if self._server is not None:
             self._server.terminate()
@@ -655,14 +681,15 @@ class Isogi:
 
     @classmethod
     def serving(cls, target: str | Path, **settings: Any) -> Self:
-        """A server of one's own for a scene or a volume, which ends with ``close``; isogi must be
-        installed.
+        """Start a server on this machine for a scene or a volume, and connect to it; ``close`` ends
+        it. isogi must be installed.
 
-        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError
-        where it ends at once.
+        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError if
+        the server ends immediately.
 
         >>> isogi = Isogi.serving("engine.toml")
         """
+        # Let the system choose a free port.
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
         options = [
@@ -681,18 +708,16 @@ class Isogi:
         return isogi
 
     def _await_server(self) -> None:
-        """Return when the server that was started answers. Raises UnreachableError where it has
-        ended.
-        """
+        """Return when the started server answers. Raises UnreachableError if it has ended."""
         while self._server is not None and self._server.poll() is None:
             with suppress(httpx.TransportError):
                 if httpx.get(self._client.base_url.join("/readyz")).is_success:
                     return
             time.sleep(FIRST_RETRY_PAUSE)
-        raise UnreachableError("The server ended at once: it has said above why.")
+        raise UnreachableError("The server ended immediately: see its message above.")
 
     def scenes(self) -> list[dict[str, Any]]:
-        """All scenes, each with its ``id``, ``name`` and ``href``.
+        """Return all scenes, each with its ``id``, ``name`` and ``href``.
 
         >>> [scene["id"] for scene in isogi.scenes()]
         ['casting']
@@ -700,7 +725,7 @@ class Isogi:
         return self._json("GET", "/v1/scenes")["scenes"]
 
     def scene(self, scene: str) -> dict[str, Any]:
-        """The facts of a scene: volume, histogram, defaults and ranges of every knob, plan.
+        """Return the facts of a scene: volume, histogram, default and range of every knob, plan.
 
         >>> isogi.scene("casting")["ranges"]["isovalue"]
         {'min': 0.0, 'max': 1.0}
@@ -708,15 +733,17 @@ class Isogi:
         return self._json("GET", scene_path(scene))
 
     def read(self, path: str) -> bytes:
-        """The bytes at an address of the server, such as what a graphics card draws from. Raises
-        IsogiError, also for an address of another server.
+        """Return the bytes at an address of the server, such as the data that a graphics card draws
+        from.
+
+        Raises IsogiError, also for an address of another server.
 
         >>> isogi.read("v1/scenes/casting/card")
         """
         return self._ask("GET", path).content
 
     def fit(self, scene: str, **view: Values) -> dict[str, Any]:
-        """The camera that shows a surface whole and large: parameters of ``frame``.
+        """Return the camera that shows a surface as large as possible, as parameters of ``frame``.
 
         ``view`` may hold isovalue, azimuth, elevation, fov, width and height.
 
@@ -725,16 +752,16 @@ class Isogi:
         return self._json("GET", f"{scene_path(scene)}/fit", params=query(view))
 
     def coverage(self, scene: str, **view: Values) -> Facts:
-        """How far a view is baked, without its picture."""
+        """Return how far a view is baked, without its picture."""
         return Facts.of_document(
             self._json("GET", f"{scene_path(scene)}/coverage", params=query(view))
         )
 
     def point(self, scene: str, x: float, y: float, **view: Values) -> Point | None:
-        """The surface at the place ``x``, ``y`` of a view's picture, in pixels from its top left;
-        None off the surface.
+        """Return the point of the surface at ``x``, ``y`` of a view's picture, in pixels from its
+        top left; None off the surface.
 
-        ``view`` are the parameters of ``frame`` that say what the picture shows, and wait_ms for
+        ``view`` are the parameters of ``frame`` that decide what the picture shows, and wait_ms for
         its light.
 
         >>> isogi.point("casting", 256, 256, azimuth=40).position
@@ -747,11 +774,11 @@ class Isogi:
         return None
 
     def size(self, scene: str, **surface: Values) -> dict[str, Any]:
-        """Area of an isosurface and volume of what it encloses, each with its error; ``unit`` is
-        that of lengths.
+        """Return the area of an isosurface and the volume that it encloses, each with its error;
+        ``unit`` is that of lengths.
 
-        ``surface`` may hold isovalue, cut, time and hide. ``is_open``: whether the solid reaches a
-        side of the volume.
+        ``surface`` may hold isovalue, cut, time and hide. ``is_open`` is true if the solid reaches
+        a side of the volume.
 
         >>> isogi.size("casting", isovalue=0.4)["area"]
         """
@@ -766,28 +793,30 @@ class Isogi:
         progress: Callable[[Facts], object] | None = None,
         **view: Values,
     ) -> Frame:
-        """The frame of a view in a format ``f``: png, jpeg, webp, or npy for numbers.
+        """Return the frame of a view in a format ``f``: png, jpeg, webp, or npy for numbers.
 
-        ``wait`` says for how long its light may be baked: "now" takes what there is, a number waits
-        so many seconds at most, "final" until it is final, through restarts of the server.
-        ``progress`` is called with the facts each time that more is known. ``view`` are the
-        parameters of the HTTP interface: isovalue, azimuth, elevation, distance, fov, yaw, pitch,
-        roll, albedo, material, width, height, shading, max_error, exposure, …
+        ``wait`` is the time that its light may be baked: "now" takes the light that is there, a
+        number waits at most that many seconds, and "final" waits until the view is final, through
+        restarts of the server. ``progress`` is called with the facts each time that these change.
+        ``view`` are the parameters of the HTTP interface: isovalue, azimuth, elevation, distance,
+        fov, yaw, pitch, roll, albedo, material, width, height, shading, max_error, exposure, …
 
-        Raises RefusedError, NotFoundError, BusyError, UnreachableError; NotFinalError with the
-        server's reason where waiting for "final" is in vain. Warns with TargetWarning where
-        max_error is not reached.
+        Raises RefusedError, NotFoundError, BusyError, UnreachableError, and NotFinalError with the
+        server's reason if the view cannot become final. Warns with TargetWarning if max_error is
+        not reached.
 
         >>> isogi.frame("casting", azimuth=40, width=1024, height=768, wait=5).save("casting.png")
         """
         if "wait_ms" in view:
-            raise TypeError("Say how long to wait by wait=, in seconds.")
+            raise TypeError("Use wait=, in seconds, in place of wait_ms.")
         asked = {**query(view), "f": f}
         path = scene_path(scene)
         if wait == "final":
-            frame = self._final(path, asked, progress)
+            frame = self._wait_until_final(path, asked, progress)
         else:
-            frame = self._waited(path, asked, 0.0 if wait == "now" else float(wait), progress)
+            frame = self._wait_for_frame(
+                path, asked, 0.0 if wait == "now" else float(wait), progress
+            )
         tell_target(frame.facts, asked.get("max_error"))
         return frame
 
@@ -800,10 +829,10 @@ class Isogi:
         progress: Callable[[int, int], object] | None = None,
         **more: Any,
     ) -> Film:
-        """The frames of ``views``, such as those of ``sweep``, each as ``frame`` has it with what
-        ``more`` says.
+        """Return the frames of ``views``, such as those of ``sweep``. ``more`` are arguments of
+        ``frame`` for all of them.
 
-        ``progress`` is called with how many frames are there, and how many there will be.
+        ``progress`` is called with the number of frames that are done, and that of all frames.
 
         >>> views = sweep(48, azimuth=(0, 360))
         >>> isogi.film("casting", views, width=320, height=240, wait="final").save("turn.gif")
@@ -816,10 +845,11 @@ class Isogi:
         return Film(frames, fps)
 
     def watch(self, scene: str, **view: Values) -> Iterator[Event]:
-        """How a view becomes final, event by event; its light is baked while a client listens.
+        """Yield the events of a view while it becomes final. Its light is baked as long as a client
+        listens.
 
-        Ends with the event ``final`` or ``failed``, and goes on where it was when the connection
-        breaks.
+        The last event is ``final`` or ``failed``. If the connection breaks, the events continue
+        over a new one.
 
         >>> for event in isogi.watch("casting", azimuth=40):
         ...     print(event.kind, event.facts)
@@ -827,12 +857,12 @@ class Isogi:
         return self._events(scene_path(scene), query(view))
 
     def prewarm(self, scene: str, *, dry_run: bool = False, **order: Any) -> Job:
-        """Bake light ahead; the job that does it. ``dry_run``: forecast how much that is, and how
-        long it takes.
+        """Start a job that bakes light ahead, and return it. With ``dry_run``, it forecasts the
+        amount of light and the time instead.
 
         ``order`` are the fields of the HTTP interface: isovalues, views, directions, orbits,
-        all_directions, target_error, deadline, width, height, … The same order once more is the
-        same job until that has ended.
+        all_directions, target_error, deadline, width, height, … Until a job has ended, the same
+        order gives the same job.
 
         >>> job = isogi.prewarm("casting", isovalues=["0.4:0.6:0.05"], views=12)
         >>> job.wait(print)["error"]
@@ -848,11 +878,11 @@ class Isogi:
         progress: Callable[[Progress], object] | None = None,
         **view: Values,
     ) -> Path:
-        """Write an isosurface, or the volume, with its light to a file, whose suffix says the kind;
-        its path.
+        """Write an isosurface or the volume, with its light, to a file, and return its path. The
+        suffix decides the format.
 
         ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline,
-        … What it bakes is dropped where this is interrupted.
+        … The server's job is dismissed if this call is interrupted.
 
         >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
         """
@@ -866,7 +896,7 @@ class Isogi:
         return Path(path)
 
     def job(self, key: str) -> Job:
-        """The job with this id. Raises NotFoundError."""
+        """Return the job with this id. Raises NotFoundError if there is none."""
         job = Job(self, key)
         job.progress()
         return job
@@ -877,21 +907,23 @@ class Isogi:
         name: str | None = None,
         spacing: Sequence[float] = (1.0, 1.0, 1.0),
     ) -> dict[str, Any]:
-        """Send a volume where the server takes uploads: a file of a kind that isogi reads, or an
-        array; its facts.
+        """Send a volume, a file of a kind that isogi reads or an array, to a server that takes
+        uploads; return its facts.
 
-        An array is (z, y, x), and its voxels are ``spacing`` apart along x, y and z. ValueError
-        where it is no volume.
+        An array is (z, y, x), and its voxels are ``spacing`` apart along x, y and z. Raises
+        ValueError if it is not a volume.
 
         >>> volume = isogi.upload("engine.nrrd", name="The engine")
         >>> isogi.upload(np.hypot(*np.mgrid[:64, :64, :64][:2]), spacing=(1, 1, 2))
         >>> isogi.frame(volume["id"]).save("engine.png")
         """
-        sent = nrrd_of(volume, spacing) if isinstance(volume, np.ndarray) else Path(volume)
-        return self._send("/v1/volumes", sent, name)
+        if isinstance(volume, np.ndarray):
+            return self._send("/v1/volumes", nrrd_of(volume, spacing), name)
+        return self._send("/v1/volumes", Path(volume), name)
 
     def upload_environment(self, probe: str | Path, name: str | None = None) -> dict[str, Any]:
-        """Send a light probe (.hdr, latitude-longitude) where the server takes uploads; its facts.
+        """Send a light probe (.hdr, latitude-longitude) to a server that takes uploads; return its
+        facts.
 
         >>> light = isogi.upload_environment("grace.hdr")
         >>> isogi.frame("casting", environment=light["id"])
@@ -907,29 +939,34 @@ class Isogi:
         self._ask("DELETE", f"/v1/environments/{quote(environment, safe='')}")
 
     def _send(self, path: str, sent: bytes | Path, name: str | None) -> dict[str, Any]:
-        """What the server says of bytes, or of a file, that it is sent under a ``name``."""
-        (size, content) = (
-            (len(sent), sent) if isinstance(sent, bytes) else (sent.stat().st_size, Blocks(sent))
-        )
+        """Send bytes or a file under a ``name``; return the server's document."""
+        content: bytes | Blocks
+        if isinstance(sent, bytes):
+            size = len(sent)
+            content = sent
+        else:
+            size = sent.stat().st_size
+            content = Blocks(sent)
         headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
         return self._json(
             "POST", path, params={"name": name} if name else {}, content=content, headers=headers
         )
 
-    def _waited(
+    def _wait_for_frame(
         self,
         path: str,
         asked: dict[str, str],
         seconds: float,
         progress: Callable[[Facts], object] | None,
     ) -> Frame:
-        """The frame once it is final, or after so many seconds of waiting for that.
+        """Return the frame once it is final, or after ``seconds`` of waiting for that.
 
-        A frame whose chunks are all final is not waited for: a path-traced one is as good as its
-        samples.
+        If all chunks of a frame are final, it is returned even if the frame is not: a path-traced
+        one becomes no better by baking.
         """
         deadline = time.monotonic() + seconds
         while True:
+            # One request waits for a limited time; repeat it until the deadline.
             left = min(max(deadline - time.monotonic(), 0.0), self._wait)
             frame = self._frame(path, {**asked, "wait_ms": f"{1000 * left:.0f}"})
             if progress is not None:
@@ -939,12 +976,12 @@ class Isogi:
             if complete or time.monotonic() >= deadline:
                 return frame
 
-    def _final(
+    def _wait_until_final(
         self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None
     ) -> Frame:
-        """The frame once it is final; what was final and is no more, such as after damage, is
-        waited for again.
-        """
+        """Return the frame once it is final."""
+        # A view that was final may need light again, after damage in the store: ask until the frame
+        # itself is final.
         while (frame := self._frame(path, asked)).facts.provisional:
             self._listen(path, asked, progress or (lambda _: None))
         if progress is not None:
@@ -954,7 +991,7 @@ class Isogi:
     def _listen(
         self, path: str, asked: Mapping[str, str], progress: Callable[[Facts], object]
     ) -> None:
-        """Returns when the view is final. Raises NotFinalError where it does not become so."""
+        """Return when the view is final. Raises NotFinalError if it cannot become so."""
         seen = {name: text for name, text in asked.items() if name not in PICTURE_PARAMETERS}
         for event in self._events(path, seen):
             if event.kind == "failed":
@@ -963,7 +1000,7 @@ class Isogi:
                 progress(event.facts)
 
     def _events(self, path: str, asked: Mapping[str, str]) -> Iterator[Event]:
-        """The events of a view to the last one, over as many connections as that takes."""
+        """Yield the events of a view up to the last one, over several connections if need be."""
         last = ""
         heard = time.monotonic()
         while True:
@@ -973,17 +1010,20 @@ class Isogi:
                 yield event
                 if event.kind in ("final", "failed"):
                     return
+            # Give up if no event came for longer than a busy server is asked again.
             if time.monotonic() - heard > self._patience:
-                raise UnreachableError("The server ends its events too early, again and again.")
+                raise UnreachableError("The server repeatedly ends its events too early.")
             time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
-        """The events of one connection, to its end or until it breaks; those after the ``last``
-        alone, if any.
+        """Yield the events of one connection until it ends or breaks,
+        only those after the event ``last`` if that is given.
         """
-        headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
+        headers = {"Accept": "text/event-stream"}
+        if last:
+            headers["Last-Event-ID"] = last
         with (
-            translated(),
+            translated_errors(),
             self._client.stream("GET", path, params=asked, headers=headers) as answer,
         ):
             if answer.status_code != httpx.codes.OK:
@@ -994,9 +1034,11 @@ class Isogi:
                     if event.data:
                         yield Event(event.event, read_json(event.data), event.id)
             except (*CONNECTION_ERRORS, httpx.ReadTimeout):
+                # The caller opens another connection, and goes on after the last event.
                 return
 
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
+        """Ask for a frame, and return it as it is now."""
         answer = self._ask("GET", f"{path}/frame", params=asked)
         return Frame(
             answer.content,
@@ -1005,30 +1047,32 @@ class Isogi:
         )
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
+        """Return the JSON document of the server's answer."""
         return document_of(self._ask(method, path, **more))
 
     def _ask(self, method: str, path: str, **more: Any) -> httpx.Response:
-        """The server's answer. Raises IsogiError for one that is none of success."""
-        with translated():
+        """Return the server's answer. Raises IsogiError if it is not one of success."""
+        with translated_errors():
             answer = self._client.request(method, path, **more)
         if not answer.is_success:
             raise error_of(answer)
         return answer
 
     def _check_server(self, request: httpx.Request) -> None:
-        """Raise RefusedError for a request to another server, which would be shown the token."""
+        """Raise RefusedError for a request to another server, which would get the token."""
         base = self._client.base_url
         if origin_of(request.url) != origin_of(base):
             raise RefusedError(
-                f"{request.url} is no address of the server at {base}: make an Isogi of that "
+                f"{request.url} is no address of the server at {base}: use an Isogi for that "
                 "server."
             )
 
     def _ask_again(self, request: httpx.Request) -> None:
+        """Set the rules by which the request is repeated."""
         request.extensions["retry"] = self._retry
 
-    def _meet(self, _: httpx.Response) -> None:
-        """The server has answered: from now on it is away for a while where it does not."""
+    def _note_answer(self, _: httpx.Response) -> None:
+        """Note that the server has answered: from now on, requests are repeated if it does not."""
         self._retry = self._retry.copy_with(retry_on_exceptions=CONNECTION_ERRORS)
 
 
@@ -1045,8 +1089,9 @@ NRRD_TYPES = {
 
 
 def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
-    """An array (z, y, x) as an NRRD file. ValueError where it is no volume, or the ``spacing`` is
-    none.
+    """Return an array (z, y, x) as an NRRD file.
+
+    Raises ValueError if it is not a volume, or if the ``spacing`` is wrong.
     """
     if array.ndim != 3 or array.dtype.kind not in "biuf":
         raise ValueError(
@@ -1054,6 +1099,7 @@ def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
         )
     if len(spacing) != 3 or not all(np.isfinite(step) and step > 0 for step in spacing):
         raise ValueError(f"spacing is three distances above 0, along x, y and z, not {spacing!r}.")
+    # Write types that NRRD has as they are, logical values as bytes, and all others as double.
     if array.dtype.str[1:] in NRRD_TYPES:
         code = array.dtype.str[1:]
     elif array.dtype.kind == "b":
@@ -1073,8 +1119,9 @@ def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The bytes of a file, block by block, as often as they are asked for: a request may be sent
-    again.
+    """The bytes of a file, block by block.
+
+    They can be read several times, as a request may be sent again.
     """
 
     path: Path
@@ -1086,17 +1133,19 @@ class Blocks:
 
 
 def scene_path(scene: str) -> str:
-    """Where a scene is asked for."""
+    """Return the path of a scene on the server."""
     return f"/v1/scenes/{quote(scene, safe='')}"
 
 
 def query(view: Mapping[str, Values]) -> dict[str, str]:
-    """The parameters of a view as text; rows such as eye=(1, 2, 3) with commas, None left out."""
+    """Return the parameters of a view as texts:
+    sequences such as eye=(1, 2, 3) with commas, without those that are None.
+    """
     return {name: text_of(value) for name, value in view.items() if value is not None}
 
 
 def text_of(value: float | str | Sequence[float]) -> str:
-    """A value as the server reads it."""
+    """Return a value as the server reads it."""
     if isinstance(value, str):
         return value
     row = np.atleast_1d(value).tolist()
@@ -1104,37 +1153,40 @@ def text_of(value: float | str | Sequence[float]) -> str:
 
 
 def srgb_of(linear: np.ndarray) -> np.ndarray:
-    """Linear radiance as sRGB bytes (IEC 61966-2-1)."""
+    """Return linear radiance as sRGB bytes (IEC 61966-2-1)."""
     share = np.clip(linear, 0.0, 1.0)
     curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
     return np.asarray(255.0 * curve + 0.5, np.uint8)
 
 
 def tell_target(facts: Facts, target: str | None) -> None:
-    """Warn of a final frame whose error is above what was asked for."""
+    """Warn of a final frame whose error is above the requested one."""
     if target is not None and not facts.provisional and facts.error > float(target):
         warnings.warn(
             f"The frame is final, but its total error is {facts.error:.3g} and not {target}: "
-            "pixels have taken"
-            " the most paths that they may.",
+            "pixels have taken the most paths that they may.",
             TargetWarning,
             stacklevel=3,
         )
 
 
 def origin_of(url: httpx.URL) -> tuple[str, str, int | None]:
-    """Scheme, host and port of a server's address; the port is None for the scheme's."""
+    """Return scheme, host and port of a server's address.
+
+    The port is None if it is the scheme's default.
+    """
     return url.scheme, url.host, url.port
 
 
 def document_of(answer: httpx.Response) -> Any:
-    """The JSON document in an answer. Raises ServerError if there is none."""
+    """Return the JSON document in an answer. Raises ServerError if there is none."""
     return read_json(answer.text)
 
 
 def read_json(text: str) -> Any:
-    """The JSON document in a text from the server. Raises ServerError if there is none, or one so
-    deep that Python cannot read it.
+    """Return the JSON document in a text from the server.
+
+    Raises ServerError if there is none, or if it is nested too deep for Python.
     """
     try:
         return json.loads(text)
@@ -1145,7 +1197,7 @@ def read_json(text: str) -> Any:
 
 
 def error_of(answer: httpx.Response) -> IsogiError:
-    """What an answer that is none of success says."""
+    """Return the error for an answer that is not one of success."""
     try:
         problem = document_of(answer)
     except ServerError:
@@ -1158,15 +1210,17 @@ def error_of(answer: httpx.Response) -> IsogiError:
 
 
 def kind_of(status: int) -> type[IsogiError]:
-    """The class of error that a status is."""
+    """Return the class of error for an HTTP status."""
     known: dict[int, type[IsogiError]] = {401: TokenError, 403: TokenError, 404: NotFoundError}
     known |= {429: BusyError, 503: BusyError}
-    return known.get(status) or (RefusedError if status < 500 else ServerError)
+    if status in known:
+        return known[status]
+    return RefusedError if status < 500 else ServerError
 
 
 @contextmanager
-def translated() -> Iterator[None]:
-    """Around a request: no answer is an IsogiError too."""
+def translated_errors() -> Iterator[None]:
+    """Raise UnreachableError if a request in the block gets no answer."""
     try:
         yield
     except httpx.HTTPError as error:

@@ -1,4 +1,4 @@
-"""isogi in a notebook: a view that is dragged about, in JupyterLab, VS Code and Colab.
+"""isogi in a notebook: a view that the mouse moves, in JupyterLab, VS Code and Colab.
 
 >>> from isogi_client import Isogi
 >>> from isogi_widget import Viewer
@@ -6,12 +6,13 @@
 >>> viewer
 
 It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. The visitor's graphics card
-draws what moves, by the modules of the server's page; without one, the server does. Modules,
-voxels, light and pictures go by way of the kernel, so that the browser needs no way to the server.
+draws while the view moves, by the modules of the server's page; if there is no card, the server
+draws. Modules, voxels, light and pictures go through the kernel, so the browser needs no way to the
+server.
 
-The modules are programs that run in the notebook's page, with all that this page may do. Connect to
-a server that you trust, and to one on another machine by https:// or a tunnel: whoever is on the
-way of plain http:// can put programs of theirs in their place.
+The modules are programs that run in the notebook's page, with all rights of this page. So connect
+only to a server that you trust, and to one on another machine by https:// or a tunnel: over plain
+http://, anyone on the way can replace the programs.
 """
 
 from __future__ import annotations
@@ -34,18 +35,18 @@ REFINE_SECONDS = 1.0
 """Seconds of baking between two pictures of a view at rest."""
 
 REST_SECONDS = 1.0
-"""Seconds without a change after which a view rests, where the page does not say so: it may have
-been closed.
+"""Seconds without a change after which a view is taken to be at rest,
+even if the page has not reported it: it may have been closed.
 """
 
 NOTEBOOK_MODULE = "notebook/notebook.js"
 """The page's module that shows a view in a notebook."""
 
 IMPORT_STATEMENT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
-"""What a module of the page imports."""
+"""An import of another module in a module of the page."""
 
 DEFAULT_SIDE_PIXELS = 512
-"""Pixels of a picture's sides where they are not given."""
+"""Pixels of a picture's sides if they are not given."""
 
 ESM = r"""
 const made = new Map(); // addresses of modules, by their text: widgets of a page share them
@@ -85,15 +86,16 @@ CSS = """
 
 
 class Viewer(anywidget.AnyWidget):
-    """A view of a scene on a server, which is dragged (with Shift the light), zoomed by the wheel,
-    and slid.
+    """A view of a scene on a server. Dragging turns the camera, with Shift the light; the wheel
+    zooms, and a slider sets the isovalue.
 
     Its knobs can be read, set and observed: ``isovalue``, ``azimuth``, ``elevation``, ``distance``,
     ``yaw``, ``pitch``, ``roll``, and the ``target`` that the camera turns about, None for the
-    volume's centre. The other parameters of the HTTP interface are given once. The visitor's
-    graphics card draws while the view moves, and the server's picture becomes better while it
-    rests. ``draw="server"`` leaves all to the server, and ``draw="card"`` draws by the processor
-    where the browser has no card.
+    volume's centre. Other parameters of the HTTP interface are given once, to the constructor.
+
+    The visitor's graphics card draws while the view moves, and the server's picture is refined
+    while it rests. ``draw="server"`` leaves all drawing to the server; ``draw="card"`` draws by the
+    processor if the browser has no card.
     """
 
     _esm = ESM
@@ -120,11 +122,14 @@ class Viewer(anywidget.AnyWidget):
     start = traitlets.Unicode(NOTEBOOK_MODULE).tag(sync=True)
 
     def __init__(self, isogi: Isogi, scene: str, **view: Any) -> None:
-        """Show the view, which takes what is not given from the scene's defaults. Raises
-        IsogiError.
+        """Show a view; parameters that are not given are the scene's defaults.
+
+        Raises IsogiError.
         """
         facts = isogi.scene(scene)
         modules = modules_of(isogi)
+        # Split the parameters: knobs that move, the target, those that the page sends itself, and
+        # the rest.
         knobs = {
             name: float(view.pop(name, facts["defaults"].get(name, 0.0)))
             for name in MOVED_PARAMETERS
@@ -148,6 +153,8 @@ class Viewer(anywidget.AnyWidget):
             size=[int(view.get(name) or DEFAULT_SIDE_PIXELS) for name in ("width", "height")],
             modules=modules,
         )
+        # Requests of the page are answered by threads; a change of a knob wakes the thread that
+        # draws.
         self.on_msg(lambda _, asked, __: self._answers.submit(self._answer, asked))
         self.observe(lambda _: self._moved.set(), (*MOVED_PARAMETERS, "target", "moving"))
         self._moved.set()
@@ -156,14 +163,13 @@ class Viewer(anywidget.AnyWidget):
 
     @property
     def view(self) -> dict[str, Any]:
-        """The parameters of what is shown, such as for ``isogi.frame(scene, wait="final",
-        **viewer.view)``.
+        """The parameters of the present view,
+        such as for ``isogi.frame(scene, wait="final", **viewer.view)``.
         """
-        if self.target is None:
-            target = {}
-        else:
-            target = {"target": self.target}
-        return {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}, **target}
+        view = {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}}
+        if self.target is not None:
+            view["target"] = self.target
+        return view
 
     def close(self) -> None:
         """Show nothing more, once the picture that is under way has come."""
@@ -175,25 +181,27 @@ class Viewer(anywidget.AnyWidget):
         super().close()
 
     def _follow(self) -> None:
-        """Show the newest view as it is, and then ever better, until it moves on."""
+        """Show the newest view as it is, and then refine it until it moves on. Runs in a thread."""
         while True:
             self._moved.wait()
             self._moved.clear()
             if self._closed:
                 return
+            # While the view moves, the card draws it: wait for rest.
             if self.moving and self._moved.wait(REST_SECONDS):
                 continue
             try:
+                # Show the light that is there, then better pictures until the view is final or
+                # moves.
                 frame = self._show("now")
                 while frame.facts.provisional and not self._moved.is_set():
                     frame = self._show(REFINE_SECONDS)
-            except (
-                IsogiError,
-                RuntimeError,
-            ) as error:  # a RuntimeError where the connections were closed
+            except (IsogiError, RuntimeError) as error:
+                # A closed client raises RuntimeError.
                 self.told = str(error)
 
     def _show(self, wait: Any) -> Frame:
+        """Ask for a frame, show it, and return it."""
         view = self.view
         seen = [*(view[name] for name in MOVED_PARAMETERS), view.get("target")]
         self.frame = frame = self._isogi.frame(self._scene, wait=wait, f="jpeg", **view)
@@ -207,9 +215,10 @@ class Viewer(anywidget.AnyWidget):
         return frame
 
     def _answer(self, asked: dict[str, Any]) -> None:
-        """Hand the page what it asks the server for."""
+        """Answer a request of the page with the server's bytes, or with its error."""
         number = asked["number"]
         path = asked["path"]
+        # Modules of the page lie at the top, all else belongs to the scene.
         if path.startswith("web/"):
             place = path
         else:
@@ -217,18 +226,14 @@ class Viewer(anywidget.AnyWidget):
         try:
             self.send({"number": number}, [self._isogi.read(place)])
         except (IsogiError, RuntimeError) as error:
-            self.send(
-                {
-                    "number": number,
-                    "status": getattr(error, "status", None) or 503,
-                    "detail": str(error),
-                }
-            )
+            status = getattr(error, "status", None) or 503
+            self.send({"number": number, "status": status, "detail": str(error)})
 
 
 def modules_of(isogi: Isogi) -> dict[str, str]:
-    """The modules of a server's page that show a view in a notebook, by their places. Raises
-    IsogiError.
+    """Return the modules of a server's page that show a view in a notebook, by their paths.
+
+    Raises IsogiError.
     """
     found = {}
     waiting = [NOTEBOOK_MODULE]

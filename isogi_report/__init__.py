@@ -1,6 +1,5 @@
-"""The report of a view, and the speed of this machine: what isogi's light costs and how wrong it
-is, measured.
+"""The report of a view, which measures the cost and the error of its light, and the speed of this
+machine.
 
-It works with the extra ``report``: ``pip install 'isogi[report]'``. Suites of benchmarks measure
-with it, too.
+It needs the extra ``report``: ``pip install 'isogi[report]'``. Suites of benchmarks use it, too.
 """

@@ -1,7 +1,7 @@
 """The bench of a report: one view of a scene, its references and its light, made once for all
 studies.
 
-Light is baked in memory: that of a few texels, or of all that one view reads, for frames with it.
+Light is baked in memory: of a few texels, or of all texels that one view reads.
 """
 
 import math
@@ -43,17 +43,20 @@ from isogi_core.reference import (
 from isogi_report.metrics import Score, score
 
 UNREACHED_TARGET = 1e-9
-"""A target error that no texel reaches: all take as many samples as they are asked for."""
+"""A target error that no texel reaches,
+so that all texels take as many samples as they are asked for.
+"""
 
 TEXELS_A_PIECE = 256
-"""Texels that one thread bakes in one go."""
+"""Texels that one thread bakes in one call."""
 
 
 class Bake:
-    """The ``light`` of ``texels`` (m, 3; z, y, x) of a look; ``seconds`` of the processor were
+    """The ``light`` of ``texels`` (m, 3; z, y, x) by a bake spec, and the processor ``seconds``
     spent on it.
 
-    Those with a ``level`` (m,) that is not NaN lie on the isosurface of that normalised isovalue.
+    Texels whose ``level`` (m,) is not NaN are projected onto the isosurface of that normalised
+    isovalue.
     """
 
     def __init__(
@@ -64,8 +67,8 @@ class Bake:
         texels: np.ndarray,
         levels: np.ndarray | None = None,
     ) -> None:
-        """Begin with ``layers`` of darkness, to be baked on the threads of ``tiles``; by default
-        without levels.
+        """Begin with dark ``layers``, to be baked by the threads of ``tiles``;
+        by default no texel is projected.
         """
         self.tiles = tiles
         self.spec = spec
@@ -79,11 +82,10 @@ class Bake:
         self.seconds = 0.0
 
     def grow(self, until: int, target: float = UNREACHED_TARGET) -> None:
-        """Bring all texels to ``until`` samples each, or to what is final for a ``target`` error.
-        Raises Cancelled.
-
-        What it calls is compiled before, on a texel of which nothing is kept.
+        """Bring all texels to ``until`` samples each, or to the samples
+        that suffice for a ``target`` error. Raises Cancelled.
         """
+        # Compile the kernels on one texel before the time is taken; drop its light.
         first = self.texels[:1]
         refine(dark(self.layers, len(first)), first, self.spec, FIRST_LEVEL, UNREACHED_TARGET)
         begun = time.process_time()
@@ -98,15 +100,15 @@ class Bake:
         self.seconds += time.process_time() - begun
 
     def _specs(self, a: int, b: int) -> Iterator[tuple[BakeSpec, np.ndarray]]:
-        """The bake specs of texels ``a`` … ``b``, and the rows of each."""
+        """Yield the bake specs of texels ``a`` … ``b``,
+        one for each isosurface that they lie on, with their rows.
+        """
         levels = self.levels[a:b]
         for level in np.unique(levels).tolist():
-            shown = None if math.isnan(level) else level
-            if shown is None:
-                own = np.isnan(levels)
+            if math.isnan(level):
+                yield replace(self.spec, shown=None), a + np.flatnonzero(np.isnan(levels))
             else:
-                own = levels == level
-            yield replace(self.spec, shown=shown), a + np.flatnonzero(own)
+                yield replace(self.spec, shown=level), a + np.flatnonzero(levels == level)
 
     @property
     def samples(self) -> float:
@@ -115,49 +117,56 @@ class Bake:
 
 
 class ViewBake(Bake):
-    """The light of the texels that a ``view`` reads: layers of its scene's plan, or those given.
+    """The light of the texels that a ``view`` reads, in the layers of its scene's plan or in given
+    ones.
 
-    Where projection pays, those that are far from the view's isosurface are lit there too, after
-    all others.
+    If projection pays for the scene, texels far from the view's isosurface are also lit there;
+    these come after all others.
     """
 
     def __init__(self, renderer: Renderer, view: View, layers: tuple[Layer, ...] = ()) -> None:
-        """Find the texels; they are in the order of the view's own numbers."""
+        """Find the texels, in the order of the view's own numbers."""
         self.renderer = renderer
         self.view = view
         self.shown = renderer.texels(view, renderer.gbuffer(view))
         spec = renderer.caches.spec(view.shading)
         places = self.shown.positions
         self.distant = distant_texels(renderer, view, self.shown)
+        # Distant texels come twice: on their own isosurfaces, and projected onto the view's.
         levels = np.full(len(places) + len(self.distant), np.nan)
         levels[len(places) :] = self.shown.gbuffer.isovalue
         texels = np.concatenate([places, places[self.distant]])
         super().__init__(renderer.tiles, spec, layers or spec.plan.layers, texels, levels)
 
     def frame(self, light: Light | None = None) -> Frame:
-        """The view's frame with the bake's light, or with some ``light`` of the same texels.
+        """Return the view's frame with the bake's light, or with another ``light`` of the same
+        texels.
 
-        Raises StoreError where the memory for light cannot hold all of it.
+        Raises StoreError if the memory for light cannot hold all of it.
         """
         caches = self.renderer.caches
         light = light or self.light
         own = len(self.shown.places)
         self.show(light, np.arange(own))
+        # Projected texels are kept apart, in the cache of their isovalue.
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
             caches.projected(self.shown.gbuffer.isovalue).pool.insert(projected, self.shown.chunks)
         return self.renderer.render(self.view, UNREACHED_TARGET)
 
     def show(self, light: Light, numbers: np.ndarray) -> None:
-        """Have frames read this ``light`` of the view's texels with these ``numbers``, and none of
-        others.
+        """Put this ``light`` of the view's texels with the given ``numbers``
+        where frames read it, and none of others.
         """
         pool = self.renderer.caches.of(self.view.shading).pool
         pool.insert(self._chunks(light, numbers, 0), self.shown.chunks)
 
     def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
-        """The texels with these ``numbers`` in the view, and their light from row ``first`` on."""
+        """Return the texels with these ``numbers`` in the view
+        as chunks, with their light from row ``first`` on.
+        """
         shown = self.shown
+        # Leave out chunks without any of these texels.
         counts = np.diff(np.searchsorted(numbers, self.shown.bounds))
         some = np.flatnonzero(counts)
         offsets = np.concatenate([np.empty(0, np.int32), *shown.offsets])[numbers]
@@ -171,7 +180,9 @@ class ViewBake(Bake):
 
 
 def distant_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndarray:
-    """Numbers of a view's texels that are to be projected as well: none where that does not pay."""
+    """Return the numbers of a view's texels that must be projected as well;
+    none if projection does not pay.
+    """
     scene = renderer.prepared.scene
     if spec_name(view.shading) != "gi" or not scene.projection.projects(shown.gbuffer.isovalue):
         return np.empty(0, np.int64)
@@ -181,7 +192,7 @@ def distant_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndar
 
 
 def dark(layers: tuple[Layer, ...], texels: int) -> Light:
-    """Light of the ``layers`` that no path was sent for yet."""
+    """Return light of the ``layers`` without any samples."""
     return Light(tuple(Part.dark(layer, texels) for layer in layers))
 
 
@@ -190,25 +201,28 @@ BENCH_CACHE_BYTES = 1 << 30
 
 MIN_REFERENCE_PATHS = 64
 MAX_REFERENCE_PATHS = 16384
-"""Paths from each pixel of the shortest reference, and of the longest."""
+"""Paths from each pixel of the shortest and of the longest reference."""
 
 REFERENCE_NOISE_SHARE = 0.1
-"""What a reference's noise may be of the error that it is to tell."""
+"""Noise that a reference may have, as a share of the error to be measured:
+it then changes that by 0.5 %.
+"""
 
 REFERENCE_SHARE = 0.1
-"""What growing a reference may take of the time that is left; two more of as many paths are made
-for the split.
+"""Share of the time left that growing a reference may take.
+Two more references of as many paths are made for the split.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its references.
+    """The things that studies work with: a ``scene``, a ``view`` of it, and a ``folder`` for its
+    references.
 
-    ``cancelled`` stops all work on the ``threads``; ``deadline``, a time of ``time.monotonic``, is
-    when studies should have ended. ``hurry`` is set where one had to make do with less for it.
-    Light is kept in memory alone, and baked again by the next bench: what that costs is among what
-    is measured. Pictures are judged at an ``exposure``, by default the scene's own.
+    ``cancelled`` stops all work on the ``threads``. ``deadline``, a time of ``time.monotonic``, is
+    when studies should end; ``hurry`` is set if a study had to measure less because of it. Light is
+    kept in memory only, and baked again by the next bench, as its cost is to be measured. Pictures
+    are compared at an ``exposure``, by default the scene's.
     """
 
     scene: Scene
@@ -236,8 +250,8 @@ class Bench:
 
     @property
     def hurried(self) -> bool:
-        """Whether something gave way to time in the study that was begun last: a later one may find
-        more.
+        """True if the last study measured less for lack of time,
+        so that another run may measure more.
         """
         return self.hurry.is_set()
 
@@ -247,9 +261,8 @@ class Bench:
         return whole_paths(self.scene)
 
     def renderer(self, scene: Scene) -> Renderer:
-        """A renderer of the scene, or of one like it; its store in the folder stays without
-        light.
-        """
+        """Return a renderer of ``scene``. Its store in the folder stays without light."""
+        # Light is put into the page pool directly; nothing is written to this store.
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
@@ -261,7 +274,7 @@ class Bench:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """Where the view shows the surface, (h, w) bool; ViewError where it does nowhere."""
+        """Mask of the surface in the view, (h, w) bool. Raises ViewError if there is none."""
         gbuffer = self.renderer(self.scene).gbuffer(self.view)
         if not len(gbuffer.pixels):
             raise ViewError(
@@ -273,8 +286,9 @@ class Bench:
 
     @cached_property
     def planned(self) -> ViewBake:
-        """The view's light as the scene's plan has it, baked to the target error. ViewError where
-        nothing is seen.
+        """The view's light by the scene's plan, baked to the target error.
+
+        Raises ViewError if nothing is seen.
         """
         self.surface  # noqa: B018
         renderer = self.renderer(self.scene)
@@ -285,8 +299,8 @@ class Bench:
 
     @property
     def best(self) -> Reference:
-        """The view's reference, grown until its noise is a tenth of the plan's error, or time is
-        short.
+        """The view's reference, grown until its noise is a tenth
+        of the plan's error, or time is short.
         """
         return self.grown(REFERENCE_NOISE_SHARE * self._first_error)
 
@@ -296,27 +310,30 @@ class Bench:
         return self.score(self.planned.frame().leaving, self.reference(MIN_REFERENCE_PATHS)).rmse
 
     def grown(self, noise: float) -> Reference:
-        """The view's reference, grown once until its own ``noise`` is so small, or as far as the
-        time left allows.
+        """Return the view's reference,
+        grown once until its ``noise`` is this small, or as far as time allows.
         """
         found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
+        # The reference is noisier than it should be: another run may do better.
         if not goal_of(noise).met(found):
             self.hurry.set()
         return found
 
     def _grow(self, noise: float) -> Reference:
+        """Grow the view's reference until its ``noise`` is this small,
+        or the time for it is over; keep each state.
+        """
         found = self.reference(MIN_REFERENCE_PATHS)
         scene = self.whole
-        goal = replace(
-            goal_of(noise),
-            seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None,
-        )
+        goal = goal_of(noise)
+        if math.isfinite(self.left):
+            goal = replace(goal, seconds=REFERENCE_SHARE * self.left)
         for grown in grow_reference(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found
 
     def sized(self, size: int) -> "Bench":
-        """The bench of the same view in a picture whose longer side has ``size`` pixels."""
+        """Return a bench of the same view in a picture whose longer side has ``size`` pixels."""
         scale = size / max(self.view.width, self.view.height)
         width, height = (max(round(scale * n), 1) for n in (self.view.width, self.view.height))
         return replace(self, view=replace(self.view, width=width, height=height), _made={})
@@ -324,20 +341,21 @@ class Bench:
     def reference(
         self, samples: int, scene: Scene | None = None, bounces: int | None = None
     ) -> Reference:
-        """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown
-        from there.
+        """Return a reference of at least ``samples`` paths from each of the view's pixels. It is
+        kept in the folder, and grown from there.
 
-        Of the ``scene`` given, with ``bounces``: by default, where its paths have any, as many as
-        may matter.
+        It is of the given ``scene`` with ``bounces``, by default as many as may matter if its paths
+        have any.
         """
         scene = whole_paths(scene or self.scene, bounces)
+        # A reference is a sum of paths, so a shorter one in the folder is extended.
         former = self._kept(scene)
         if former is not None and former.samples >= samples:
             return former
         return self._keep(trace_reference(self.renderer(scene), self.view, samples, former), scene)
 
     def _kept(self, scene: Scene) -> Reference | None:
-        """The reference of a scene that is on the bench, or in the folder."""
+        """Return the reference of a scene from the bench or the folder; None if there is none."""
         path = self._path(scene)
         if path not in self._made and path.exists():
             self._made[path] = load_reference(path, scene, self.view)
@@ -352,12 +370,15 @@ class Bench:
         return reference
 
     def _path(self, scene: Scene) -> Path:
+        """Return the file of a scene's reference."""
         return (
             self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
         )
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
-        """The score of a picture of the view, against its own reference unless another is given."""
+        """Return the score of a picture of the view against
+        the ``best`` reference, by default the view's.
+        """
         if self.exposure is None:
             exposure = self.scene.default_exposure
         else:
@@ -365,25 +386,23 @@ class Bench:
         return score(radiance, best or self.best, exposure)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What was made under this key, or is made now."""
+        """Return the value under this key; make it on first use."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
 
 
 def goal_of(noise: float) -> Goal:
-    """Where a reference is good enough whose own noise is to be so small."""
+    """Return the goal of a reference with at most this relative ``noise``."""
     return Goal(samples=MAX_REFERENCE_PATHS, noise=noise)
 
 
 def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:
-    """The scene with so many ``bounces``; by default with as many as may matter, where it has
-    any.
-    """
+    """Return the scene with ``bounces``, by default as many as may matter if it has any."""
     return with_bounces(scene, bounces if scene.bounces else 0)
 
 
 def with_plan(scene: Scene, **changes: Any) -> Scene:
-    """The scene by a plan that differs from its own in ``changes``."""
+    """Return the scene with a plan that differs from its own in the given ``changes``."""
     plan: ScenePlan = replace(scene.plan, **changes)
     return replace(scene, plan=plan)

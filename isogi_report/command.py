@@ -1,4 +1,6 @@
-"""``isogi report``: measure a view, draw what was measured, and say what is missing."""
+"""``isogi report``: measure a view, draw a page of the results,
+and list studies that are missing.
+"""
 
 from __future__ import annotations
 
@@ -26,18 +28,16 @@ if TYPE_CHECKING:
     from isogi_report.sections import Section
 
 DEFAULT_VIEWPOINT = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
-"""Where a report looks from by default: nearer than pages do, so that few of its pixels are
-empty.
-"""
+"""Default viewpoint of a report: nearer than on pages, so that few of its pixels are empty."""
 
 PAGE_LIBRARIES = ("matplotlib", "jinja2")
-"""What pages are drawn with; they are not needed by anything else."""
+"""Libraries that draw pages; nothing else needs them."""
 
 
 @dataclass(frozen=True)
 class ReportRequest:
-    """What a person asks of a report: where it goes, seconds that it may take, keys of the only
-    studies to run.
+    """A request for a report: its ``folder``, the seconds that it may take,
+    and the keys of the ``only`` studies to run.
     """
 
     folder: Path
@@ -48,11 +48,12 @@ class ReportRequest:
 def report(
     target: str, knobs: Mapping[str, str], settings: Settings, request: ReportRequest
 ) -> dict[str, Any]:
-    """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is
-    and what it says.
+    """Measure the view of ``target`` given by ``knobs``, write its page, and return a summary with
+    its path.
 
-    Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something
-    else, or is in use) and LibraryError before anything is measured; StoreError and OSError later.
+    Before anything is measured it raises SceneError, VolumeError, LightError, ViewError,
+    ReportError if the folder holds something else or is in use, and LibraryError; later StoreError
+    and OSError.
     """
     begun = time.monotonic()
     require_libraries()
@@ -66,14 +67,16 @@ def report(
 
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
-    """The knobs of a view, with DEFAULT_VIEWPOINT for those of its orbit that are left out."""
+    """Return the knobs of a view,
+    with DEFAULT_VIEWPOINT for those of its orbit that are left out.
+    """
     if "eye" in knobs:
         return dict(knobs)
     return {**DEFAULT_VIEWPOINT, **knobs}
 
 
 def require_libraries() -> None:
-    """LibraryError where a library is missing that pages are drawn with."""
+    """Raise LibraryError if a library is missing that draws pages."""
     missing = [name for name in PAGE_LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
         raise LibraryError(
@@ -84,9 +87,10 @@ def require_libraries() -> None:
 def report_of(
     scene: Scene, view: View, exposure: float, request: ReportRequest, begun: float
 ) -> dict[str, Any]:
-    """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began.
+    """Measure a view and write its page; return the summary.
 
-    Raises ViewError where the view shows nothing, and what ``report`` does.
+    ``begun``, a time of ``time.monotonic``, is when the time of the report began. Raises the errors
+    of ``report``, and ViewError if the view shows nothing.
     """
     from isogi_report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
     from isogi_report.journal import (  # noqa: PLC0415
@@ -98,13 +102,15 @@ def report_of(
     from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
     from isogi_report.page import write_report  # noqa: PLC0415
 
+    # Refuse unknown studies before anything is measured.
     wanted = chosen_studies(STUDIES, request.only)
     if request.deadline is None:
         deadline = math.inf
     else:
         deadline = begun + request.deadline
     bench = Bench(scene, view, workshop(request.folder), deadline=deadline, exposure=exposure)
-    on = bench.surface  # before the folder is touched
+    # Find the surface first: an empty view must not touch the folder.
+    on = bench.surface
     with open_journal(request.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
         drawn = Report(
@@ -114,8 +120,9 @@ def report_of(
 
 
 def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
-    """The studies of these keys, all of them where none is given; ParameterError on a key that
-    there is not.
+    """Return the studies with these keys, all of them if none is given.
+
+    Raises ParameterError for an unknown key.
     """
     known = {study.key for study in studies}
     for key in only:
@@ -127,8 +134,9 @@ def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study
 
 
 def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
-    """What is missing or wanting, and why, in sentences."""
+    """Yield sentences on studies that are missing or incomplete, with the reason."""
     late = titles(measured.late)
+    # Studies without time are missing because a person stopped, or because of the deadline.
     if measured.stopped:
         yield (
             f"Stopped by hand before the end. Missing: {late}. The same command goes on from here."
@@ -150,12 +158,12 @@ def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
 
 
 def titles(studies: Iterable[Study]) -> str:
-    """What studies are called, for a sentence."""
+    """Return the titles of studies, for a sentence."""
     return ", ".join(study.title for study in studies)
 
 
 def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
-    """The command's summary of a report, as a document; seconds of the processor, by section."""
+    """Return the summary of a report as a document; seconds are of the processor, by section."""
     return {
         "page": str(page),
         "data": str(page.with_name("report.json")),
@@ -173,8 +181,8 @@ def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
 
 
 def headline(sections: Iterable[Section]) -> dict[str, Any]:
-    """The score of the scene's frame, by its columns' names: what the summary's first table
-    says.
+    """Return the score of the scene's frame by the names of its columns,
+    from the first table of the summary.
     """
     tables = [
         table for section in sections if section.key == "summary" for table in section.tables[:1]
@@ -188,12 +196,13 @@ def headline(sections: Iterable[Section]) -> dict[str, Any]:
 
 
 def sentence(facts: Mapping[str, Any]) -> str:
-    """The command's summary of a report, for a person."""
-    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
-    if facts["found"]:
-        before = f", {facts['found']} of them measured before"
-    else:
-        before = ""
+    """Return the summary of a report as text for a person."""
     count = len(facts["sections"])
-    said = f"{facts['page']}: {count} section{'' if count == 1 else 's'}{before}."
-    return " ".join([said, *([f"The frame's {score}."] if score else []), *facts["notes"]])
+    said = f"{facts['page']}: {count} section{'' if count == 1 else 's'}"
+    if facts["found"]:
+        said = f"{said}, {facts['found']} of them measured before"
+    sentences = [f"{said}."]
+    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
+    if score:
+        sentences.append(f"The frame's {score}.")
+    return " ".join([*sentences, *facts["notes"]])

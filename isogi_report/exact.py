@@ -1,5 +1,5 @@
-"""Exact counterparts of what a frame reads: texels with hardly any noise, and light at the pixels'
-own points.
+"""Exact counterparts of the light that a frame reads:
+texels with hardly any noise, and light at the pixels' points.
 """
 
 from dataclasses import dataclass, replace
@@ -20,17 +20,17 @@ from isogi_report.bench import Bake, Bench, ViewBake
 from isogi_report.metrics import luminance_of
 
 OUTSIDE_LATTICE = -1
-"""Where points stand in the lattice, for their random numbers' sake: outside it."""
+"""Lattice index of points that are not texels: it only selects their random numbers."""
 
 POINTS_A_PIECE = 64
-"""Points that one thread lights in one go."""
+"""Points that one thread lights in one call."""
 
 TRANSFER_PATHS = 1024
-"""Paths from each pixel that transfer of its own is made of."""
+"""Paths from each pixel for its transfer."""
 
 
 CONVERGED_SAMPLE_FACTOR = 4
-"""How many times the samples that a texel of the frame has make converged light of it, at most."""
+"""Samples of converged light, at most, relative to those that a texel has in the frame."""
 
 MIN_EXACT_SAMPLES = 256
 MAX_EXACT_SAMPLES = 16384
@@ -39,8 +39,8 @@ MAX_EXACT_SAMPLES = 16384
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """``light`` (m,) float64, the luminance of surface pixels, and the ``noise`` (m,), its
-    variance.
+    """Light of surface pixels: their luminance,
+    ``light`` (m,) float64, and its variance, ``noise`` (m,).
     """
 
     light: np.ndarray
@@ -48,21 +48,21 @@ class Lit:
 
 
 def lit_by_frame(frame: Frame) -> Lit:
-    """A frame's surface pixels, with the noise that their texels tell."""
+    """Return the light of a frame's surface pixels, with the noise that their texels report."""
     on = frame.state > 0
     light = luminance_of(frame.leaving[on])
     return Lit(light, (frame.error[on] * light) ** 2)
 
 
 def lit_by_paths(best: Reference) -> Lit:
-    """The surface pixels of a reference."""
+    """Return the light of the surface pixels of a reference."""
     return Lit(luminance_of(best.mean[best.on]), best.variance[best.on].astype(np.float64))
 
 
 def reference_difference(one: Reference, other: Reference) -> Lit:
-    """What one reference's surface pixels have more of than the other's, and the variance of that.
+    """Return the light of one reference minus that of another, and the variance of the difference.
 
-    Both are of the same random numbers, so that most of their noise may cancel: it is estimated
+    Both use the same random numbers, so most of their noise cancels. So the variance is estimated
     from the differences of their replicas.
     """
     differences = replicas(one) - replicas(other)
@@ -70,18 +70,18 @@ def reference_difference(one: Reference, other: Reference) -> Lit:
 
 
 def replicas(best: Reference) -> np.ndarray:
-    """The mean of each replica of a reference, (m, replicas, 3)."""
+    """Return the mean of each replica of a reference, (m, replicas, 3)."""
     return best.sums * (best.sums.shape[1] / best.samples)
 
 
 def short_paths(bench: Bench) -> Reference:
-    """The reference under the lights themselves, with the plan's bounces."""
+    """Return the reference under the lights themselves, with the plan's bounces."""
     return bench.reference(bench.best.samples, bounces=bench.scene.bounces)
 
 
 def own_light(bench: Bench) -> Lit:
-    """The surface pixels lit as texels of their own would be: the light that interpolation is to
-    come to.
+    """Return the light that surface pixels would have if each were a texel:
+    interpolation is exact if it gives this light.
     """
     if not cuts_harmonics(bench.scene):
         return lit_by_paths(short_paths(bench))
@@ -89,15 +89,15 @@ def own_light(bench: Bench) -> Lit:
 
 
 def cuts_harmonics(scene: Scene) -> bool:
-    """Whether the plan's texels keep harmonics that are fewer than the light's."""
+    """Return True if the plan's texels keep fewer harmonics than the light has."""
     return scene.plan.representation != "irradiance" and not scene.inputs.constant
 
 
 def lit_by_transfer(bench: Bench, samples: int) -> Lit:
-    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths
-    each, unrounded.
+    """Return the light of surface pixels by transfer at each pixel, of the plan's orders, from
+    ``samples`` paths each.
 
-    What comes straight from lobes is the frame's. Raises Cancelled.
+    It is not rounded. Direct light of lobes is that of the frame. Raises Cancelled.
     """
     renderer = bench.renderer(bench.scene)
     view = bench.view
@@ -112,17 +112,19 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
         halves[a:b] = light_of_halves(turned, place, samples)
 
     bench.tiles.run(piece, len(halves), POINTS_A_PIECE)
+    # Surface colours multiply the light of pixels, as in frames.
     if turned.coloured:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
+    # The two halves are independent: half their difference estimates the standard error of their
+    # mean.
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
-    return Lit(
-        np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS + straight_light(bench), half**2
-    )
+    light = np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS
+    return Lit(light + straight_light(bench), half**2)
 
 
 def straight_light(bench: Bench) -> np.ndarray:
-    """Luminance that comes straight from lobes, which no texel keeps, to the surface pixels; (m,)
-    float64.
+    """Return the luminance that lobes send directly to the surface pixels,
+    which no texel keeps; (m,) float64.
     """
     renderer = bench.renderer(bench.scene)
     view = bench.view
@@ -130,15 +132,17 @@ def straight_light(bench: Bench) -> np.ndarray:
     gbuffer = renderer.gbuffer(view)
     light = RotatedLight(spec, view)
     lit = renderer.lobes(light, gbuffer).lit[:, :3]
-    return spec.unit * luminance_of(
-        lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit
-    )
+    if light.coloured:
+        lit = lit * light.tints(gbuffer, bench.tiles)
+    return spec.unit * luminance_of(lit)
 
 
 def bake_place(
     pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
 ) -> Place:
-    """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
+    """Return the points (m, 3) of a picture's ``pixels``
+    in the form in which a bake takes texels.
+    """
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
     here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
@@ -146,7 +150,7 @@ def bake_place(
 
 
 def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under ``turned`` lights."""
+    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths, under rotated lights."""
     spec = turned.spec
     void = np.zeros(len(place[3]), np.bool_)
     halves = light_of_glow(turned, place, samples)
@@ -154,6 +158,7 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
     for layer, (sums, _) in zip(
         layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True
     ):
+        # Radiance is the dot product of transfer and light, over the orders that both have.
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
         colours = turned.colours_of(layer, sums)
@@ -162,8 +167,8 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, of what glows; zero where nothing
-    does.
+    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths
+    that glowing parts send; 0 if nothing glows.
     """
     spec = turned.spec
     void = np.zeros(len(place[3]), np.bool_)
@@ -172,6 +177,8 @@ def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarra
         if isinstance(layer, GlowLayer):
             ((sums, _),) = sample_glow([layer], place, void, spec, 0, samples)
             lights = np.hstack(layer.lights(spec.prepared.scene.lighting.glowing.radiances))
+            # The light of a single glow is scaled by its radiance in each colour; that of several
+            # is summed up over all channels.
             if layer.glows == 1:
                 arriving = sums[..., 0] * lights[:, 0]
             else:
@@ -182,9 +189,10 @@ def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class Converged:
-    """The frames of a view's converged light, rounded as the plan keeps it, and in single floats.
+    """Two frames of a view's converged light: ``kept`` is rounded as the plan keeps it, ``exact``
+    is in single floats.
 
-    ``samples`` is the mean of what its texels have.
+    ``samples`` is the mean over the texels.
     """
 
     kept: Frame
@@ -193,46 +201,46 @@ class Converged:
 
 
 def converged(bench: Bench) -> Converged:
-    """The view's converged light by the scene's plan; rounded and not, it is of the same paths."""
+    """Return the view's converged light by the scene's plan.
+
+    Rounded and exact light are of the same paths.
+    """
     return bench.once("converged", lambda: converge(bench))
 
 
 def converge(bench: Bench) -> Converged:
-    """Bake it. Raises Cancelled."""
+    """Bake the converged light, and render both frames. Raises Cancelled."""
     layers = bench.scene.plan.layers
+    # Bake all layers twice in one go, once as the plan rounds them and once in single floats.
     twins = tuple(map(unrounded, layers))
-    both = ViewBake(
-        bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins)
-    )
+    if twins == layers:
+        twins = ()
+    both = ViewBake(bench.renderer(bench.scene), bench.view, layers + twins)
+    # Each texel takes a multiple of the samples that it has in the plan's frame.
     taken = np.max([part.samples for part in bench.planned.light.parts], axis=0)
     for samples in np.unique(taken).tolist():
-        grow_some(
-            both,
-            np.flatnonzero(taken == samples),
-            rung_below(CONVERGED_SAMPLE_FACTOR * samples),
-            bench,
-        )
-    kept, exact = (
-        both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers))
-    )
+        rows = np.flatnonzero(taken == samples)
+        grow_some(both, rows, rung_below(CONVERGED_SAMPLE_FACTOR * samples))
+    kept = both.frame(Light(both.light.parts[: len(layers)]))
+    exact = both.frame(Light(both.light.parts[-len(layers) :]))
     return Converged(kept, exact, both.samples)
 
 
-def grow_some(whole: Bake, rows: np.ndarray, samples: int, bench: Bench) -> None:
-    """Bring some texels of a bake to so many samples."""
+def grow_some(whole: Bake, rows: np.ndarray, samples: int) -> None:
+    """Bring some texels of a bake to ``samples`` samples."""
     some = Bake(whole.tiles, whole.spec, whole.layers, whole.texels[rows], whole.levels[rows])
     some.grow(samples)
     whole.light.put(rows, some.light)
 
 
 def unrounded(layer: Layer) -> Layer:
-    """The layer in single floats."""
+    """Return the layer in single floats."""
     return replace(layer, half=False, coarse=None)
 
 
 def rung_below(samples: float) -> int:
-    """The last rung of the ladder of samples, of those that count as converged, that is not above
-    ``samples``.
+    """Return the highest level of samples up to ``samples``,
+    within the bounds of converged light.
     """
     rung = MIN_EXACT_SAMPLES
     while 2 * rung <= min(samples, MAX_EXACT_SAMPLES):

@@ -1,4 +1,4 @@
-"""The head of a report: what was measured, on which machine, and by which versions."""
+"""The head of a report: the subject, the machine, and versions of software."""
 
 import math
 import os
@@ -15,8 +15,8 @@ from server.inspect.text import amount, by, plan_rows, summary
 from server.schemas import SceneSchema
 
 PARALLEL_VIEW_DEGREES = 1e-3
-"""Degrees of a field of view below which rays count as parallel: those of an orthographic camera
-are narrower.
+"""Field of view, in degrees, below which rays count as parallel:
+orthographic cameras are narrower.
 """
 
 REPORTED_PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
@@ -25,11 +25,13 @@ Rows = tuple[tuple[str, str], ...]
 
 
 OMITTED_SETTINGS = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
-"""What of a scene's document is for those that choose a view, not for a report of one."""
+"""Parts of a scene's document that serve to choose a view,
+and that a report of one view leaves out.
+"""
 
 
 def heading(scene: Scene, view: View) -> dict[str, Any]:
-    """The head as a document."""
+    """Return the head as a document."""
     return {
         "title": f"{scene.name} at {view.isovalue:g}",
         "scene": scene_schema(scene).model_dump(mode="json", exclude=OMITTED_SETTINGS),
@@ -40,7 +42,7 @@ def heading(scene: Scene, view: View) -> dict[str, Any]:
 
 
 def view_facts(view: View) -> dict[str, Any]:
-    """The view that is measured."""
+    """Return the facts of the measured view."""
     camera = view.camera.in_world(view.orientation)
     return {
         "isovalue": view.isovalue,
@@ -55,7 +57,7 @@ def view_facts(view: View) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """The processor, how many of its cores there are, and the system."""
+    """Return the processor, the number of its cores, and the system."""
     return {
         "processor": processor(),
         "cores": os.cpu_count() or 1,
@@ -64,7 +66,8 @@ def machine() -> dict[str, Any]:
 
 
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's name as the system has it."""
+    """Return the processor's name, from the system's ``listing`` if there is one."""
+    # Linux lists the name in this file; other systems have other ways.
     try:
         lines = listing.read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -74,7 +77,9 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of Python and of what measures and draws; None where it is missing."""
+    """Return the versions of Python and of packages
+    that measure and draw; None for a missing one.
+    """
     return {
         "python": platform.python_version(),
         **{name: installed(name) for name in REPORTED_PACKAGES},
@@ -82,7 +87,7 @@ def versions() -> dict[str, str | None]:
 
 
 def installed(name: str) -> str | None:
-    """The version of a package; None where it is missing."""
+    """Return the version of a package; None if it is missing."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -90,7 +95,7 @@ def installed(name: str) -> str | None:
 
 
 def scene_rows(scene: Scene, view: View) -> Rows:
-    """Name and text of each fact of the scene and its view, for a person."""
+    """Return name and text of each fact of the scene and its view, for a person."""
     facts = scene_schema(scene)
     return (
         *inspected_facts(facts, "scene", "volume", "solid", "albedo", "lights", "target error"),
@@ -99,13 +104,13 @@ def scene_rows(scene: Scene, view: View) -> Rows:
 
 
 def inspected_facts(facts: SceneSchema, *names: str) -> Rows:
-    """Some of the facts that ``isogi inspect`` prints."""
+    """Return some of the facts that ``isogi inspect`` prints, by their names."""
     rows = dict(summary(facts))
     return tuple((name, rows[name]) for name in names)
 
 
 def view_rows(view: View) -> Rows:
-    """Name and text of each fact of a view."""
+    """Return name and text of each fact of a view."""
     return (
         ("isovalue", f"{view.isovalue:.10g}"),
         (
@@ -119,11 +124,13 @@ def view_rows(view: View) -> Rows:
 
 
 def standpoint(camera: Camera) -> str:
-    """Where a camera of the world stands, and what it sees; of one with parallel rays, where it
-    looks.
+    """Return a text with the position and field of view of a camera in world coordinates,
+    or the direction and height of an orthographic one.
     """
     if camera.fov > PARALLEL_VIEW_DEGREES:
         return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
+    # A camera with parallel rays is a distant one with a narrow field of view: give the height of
+    # its picture at the target.
     height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
     return (
         f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, "
@@ -132,23 +139,23 @@ def standpoint(camera: Camera) -> str:
 
 
 def listed(numbers: Iterable[float]) -> str:
-    """Numbers to four digits."""
+    """Return numbers as text, with four digits."""
     return ", ".join(f"{number:.4g}" for number in numbers)
 
 
 def plan_facts_rows(scene: Scene) -> Rows:
-    """Name and text of each fact of the scene's plan, for a person."""
+    """Return name and text of each fact of the scene's plan, for a person."""
     return tuple(plan_rows(scene_schema(scene).plan))
 
 
 def left_out_rows(scene: Scene) -> tuple[tuple[str, str, str], ...]:
-    """What the plan leaves out, why, and what that saves."""
+    """Return everything that the plan leaves out, with the reason and the saving."""
     omissions = scene_schema(scene).plan.left_out
     return tuple((each.what, each.why, ", ".join(map(amount, each.saves))) for each in omissions)
 
 
 def machine_rows(head: Mapping[str, Any]) -> Rows:
-    """Name and text of machine and versions, for a person."""
+    """Return name and text of machine and versions, for a person."""
     box = head["machine"]
     known = head["versions"]
     texts = ", ".join(f"{name} {text}" for name, text in known.items() if text is not None)

@@ -1,9 +1,9 @@
-"""A report and its journal: each section kept as soon as it is measured, so that an interrupted
-report goes on.
+"""A report and its journal, which keeps each section as soon as it is measured, so that an
+interrupted report continues.
 
-A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON
-file and the pixels of its pictures beside it. What other code has measured does not count as done,
-nor does what is damaged.
+A folder holds one journal. Its ``report.json`` names the subject of the report; each section is a
+JSON file, with the pixels of its pictures next to it. A section that other code has measured, or
+that is damaged, is measured again.
 """
 
 import fcntl
@@ -35,16 +35,16 @@ SUBJECT_FILE = "report.json"
 LOCK_FILE = "lock"
 
 WORK_FOLDER = "work"
-"""Beside the journal: references that studies share."""
+"""Folder next to the journal, for references that studies share."""
 
 
 ENTRY_DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
-"""What reading an entry raises where it is missing, cut or changed."""
+"""Errors of reading an entry that is missing, cut or changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A section that was measured, and the ``seconds`` of the processor that this took."""
+    """A measured section, and the processor ``seconds`` spent on it."""
 
     section: Section
     seconds: float
@@ -52,10 +52,10 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """The sections of a view, in the order of the page, and ``notes`` on what is missing.
+    """The sections of a view in the order of the page, and ``notes`` on missing ones.
 
-    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background
-    beside it.
+    Pictures show radiance times ``exposure`` where the mask ``on`` (h, w) is True, and the film's
+    background elsewhere.
     """
 
     scene: Scene
@@ -67,25 +67,28 @@ class Report:
 
 
 def picture_name(section: Section, i: int, suffix: str = "png") -> str:
-    """Where picture ``i`` of a section is, from the report's folder."""
+    """Return the path of picture ``i`` of a section within the report's folder."""
     return f"pictures/{section.key}-{i + 1}.{suffix}"
 
 
 def plot_name(section: Section, i: int) -> str:
-    """Where plot ``i`` of a section is, from the report's folder."""
+    """Return the path of plot ``i`` of a section within the report's folder."""
     return f"plots/{section.key}-{i + 1}.svg"
 
 
 class Journal:
-    """The sections that are done of a report in ``folder`` about ``subject``."""
+    """The finished sections of a report in ``folder`` about ``subject``."""
 
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
-        """Go on with the journal, or begin it where it has no section; ReportError where it is of
-        something else.
+        """Continue the journal, or begin it if it has no section.
+
+        Raises ReportError if it is of another subject.
         """
         self.folder = folder / JOURNAL_FOLDER
         self.code = code_digest()
         path = self.folder / SUBJECT_FILE
+        # A journal without sections may be given another subject; references of the old one are of
+        # no use then.
         if sections_in(self.folder):
             refuse_other(folder, read(path), subject)
         elif read(path) != subject:
@@ -94,11 +97,14 @@ class Journal:
         forget_others(workshop(folder))
 
     def find(self, key: str) -> Entry | None:
-        """The section of this key, if this code has measured it and it is whole."""
+        """Return the section of this key
+        if this code has measured it and it is whole, else None.
+        """
         try:
             document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             if document["code"] != self.code:
                 return None
+            # An entry counts only if its pixels can be read, too.
             with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
                 pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
             return Entry(section_of(document["section"], pixels), document["seconds"])
@@ -106,9 +112,10 @@ class Journal:
             return None
 
     def keep(self, key: str, entry: Entry) -> None:
-        """Keep a section; its pixels first, so that what is found is whole."""
+        """Write a section to the journal."""
         pixels = io.BytesIO()
         np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
+        # Write the pixels first: a section counts as found once its JSON file is there.
         write_whole(self.folder / f"{key}.npz", pixels.getvalue())
         document = {
             "code": self.code,
@@ -120,18 +127,19 @@ class Journal:
 
 @contextmanager
 def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
-    """The journal of ``folder``, for this process alone; ReportError where the folder is another's,
-    or in use.
+    """Open the journal of ``folder`` for this process alone.
+
+    Raises ReportError if the folder holds something else, or is in use.
     """
     journal = folder / JOURNAL_FOLDER
+    # Never write into a folder with other files.
     if folder.exists() and (
         not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))
     ):
-        raise ReportError(
-            f"{folder} is there and holds no report: choose a new or an empty folder."
-        )
+        raise ReportError(f"{folder} exists and holds no report: choose a new or an empty folder.")
     journal.mkdir(parents=True, exist_ok=True)
     with (journal / LOCK_FILE).open("w") as file:
+        # The lock is released when the process ends, however that happens.
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -142,24 +150,24 @@ def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
 
 
 def workshop(folder: Path) -> Path:
-    """Where the references of a report in ``folder`` are, those of this code."""
+    """Return the folder of the references of a report in ``folder``, those made by this code."""
     return folder / WORK_FOLDER / code_digest()
 
 
 def forget_others(work: Path) -> None:
-    """Remove what other code has made beside the folder ``work``."""
+    """Remove the folders of other code next to the folder ``work``."""
     for other in work.parent.glob("*"):
         if other.name != work.name:
             shutil.rmtree(other)
 
 
 def sections_in(journal: Path) -> bool:
-    """Whether any section was kept in the folder of a ``journal``, whole or not."""
+    """Return True if the folder of a ``journal`` has any section, whole or not."""
     return any(path.name != SUBJECT_FILE for path in journal.glob("*.json"))
 
 
 def read(path: Path) -> Mapping[str, Any]:
-    """What a JSON file says; nothing where it is missing or damaged."""
+    """Return the document in a JSON file; an empty one if the file is missing or damaged."""
     try:
         found: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -168,7 +176,7 @@ def read(path: Path) -> Mapping[str, Any]:
 
 
 def subject_of(scene: Scene, view: View, exposure: float) -> dict[str, Any]:
-    """What a report is of, as a document: two reports of the same one measure the same."""
+    """Return the subject of a report as a document. Reports of equal subjects measure the same."""
     camera = view.camera
     return {
         "scene": scene.name,
@@ -183,9 +191,10 @@ def subject_of(scene: Scene, view: View, exposure: float) -> dict[str, Any]:
 
 
 def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """ReportError where the folder's report is of something else than what is ``wanted``."""
+    """Raise ReportError if the folder's report is of another subject than ``wanted``."""
     other = [name for name in wanted if held.get(name) != wanted[name]]
     if other:
+        # Name the scene as the difference if it differs, else the parameters of the view.
         if {"scene", "digest", "volume"} & set(other):
             what = "scene"
         else:
@@ -197,7 +206,7 @@ def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any
 
 
 def code_digest() -> str:
-    """Hex name of all code that a measured figure depends on."""
+    """Return the digest, in hexadecimal, of all code that a measured figure depends on."""
     digest = hashlib.blake2b(digest_size=10)
     for root in (Path(isogi_core.__file__).parent, Path(__file__).parent):
         for path in sorted(root.rglob("*.py")):

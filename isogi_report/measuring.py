@@ -1,6 +1,7 @@
-"""The studies of a report, measured one after another, each kept as soon as it is done."""
+"""Runs the studies of a report one after another, and keeps each result as soon as it is there."""
 
 import logging
+import math
 import signal
 import threading
 import time
@@ -22,15 +23,16 @@ from server.progress import WEIGHTED_BAR_FORMAT
 log = logging.getLogger("isogi.report")
 
 DEADLINE_GRACE_SHARE = 0.1
-"""What a study may take beyond its deadline, of the time that all of them had, before it is
-cancelled.
+"""Time beyond the deadline after which a study is cancelled,
+as a share of the time of all studies.
 """
 
 
 @dataclass(frozen=True)
 class Study:
-    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the
-    ``key`` is stable.
+    """One question, which ``run`` answers.
+
+    ``weight`` is its rough share of all work; its ``key`` never changes.
     """
 
     key: str
@@ -44,19 +46,21 @@ STUDIES = (
     Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
     Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
 )
-"""All of them, the most important first. What one makes, such as the reference, the next ones find
-on the bench.
+"""All studies, the most important first. Things that one study makes,
+such as the reference, are on the bench for the next.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What became of the studies: entries that are ``done``, in order, and studies that are not.
+    """The outcome of all studies.
 
-    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now,
-    ``failed`` those that raised an error, with what it says; ``hurried`` of those that are done had
-    too little time for all that is in them, and ``found`` of them were in the journal; ``stopped``
-    is whether a person stopped the work.
+    - ``done``: entries, in the order of the studies; ``found`` of them were in the journal.
+    - ``late``: studies for which there was no time.
+    - ``unasked``: studies that were not requested.
+    - ``failed``: studies that raised an error, with its text.
+    - ``hurried``: studies that are done, but measured less for lack of time.
+    - ``stopped``: True if a person stopped the work.
     """
 
     done: tuple[Entry, ...]
@@ -71,28 +75,32 @@ class Measured:
 def measure(
     studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal
 ) -> Measured:
-    """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench``
-    or a Ctrl-C.
+    """Run those of the ``wanted`` studies that the journal lacks, until the deadline of ``bench``
+    or Ctrl-C.
 
-    A study that gave way to time is shown, but not kept; one that fails is reported, and the next
-    ones are run.
+    A study that measured less for lack of time is shown but not kept. A study that fails is
+    reported, and the next ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found = len(done)
     stop = threading.Event()
-    bar = progress_of(wanted, done, bench.left)
+    bar = progress_bar_of(wanted, done, bench.left)
     failed = []
     hurried = []
     with interruptible(bench, stop), limited(bench), bar.ticking():
-        for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
+        for study, result in run_each(
+            [each for each in wanted if each.key not in done], bench, bar
+        ):
             if isinstance(result, str):
                 failed.append((study, result))
                 continue
             done[study.key] = result
+            # Keep only sections that another run could not improve.
             if bench.hurried or bench.left <= 0.0:
                 hurried.append(study)
             else:
                 journal.keep(study.key, result)
+    # Sort the studies that have no result.
     known = {*done, *(study.key for study, _ in failed)}
     missing = [study for study in studies if study.key not in known]
     late = tuple(study for study in missing if study in wanted)
@@ -102,8 +110,8 @@ def measure(
 
 
 class Pieces:
-    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within
-    ``limit`` seconds.
+    """The progress bar of work in pieces of known weight:
+    ``total``, of which some was done ``before``, within ``limit`` seconds.
     """
 
     def __init__(self, what: str, total: float, before: float, limit: float) -> None:
@@ -117,18 +125,14 @@ class Pieces:
 
     @property
     def left(self) -> float:
-        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite
-        where unknown.
+        """Seconds that the rest takes at the pace so far,
+        at most those to the limit; infinite if unknown.
         """
         now = time.monotonic()
-        if self.done:
-            pace = self.taken / self.done
-        else:
-            pace = float("inf")
-        if self.rest:
-            rest = max(self.rest * pace - (now - self.begun), 0.0)
-        else:
-            rest = 0.0
+        if not self.rest:
+            return 0.0
+        pace = self.taken / self.done if self.done else math.inf
+        rest = max(self.rest * pace - (now - self.begun), 0.0)
         return min(rest, max(self.end - now, 0.0))
 
     def begin(self, name: str) -> None:
@@ -137,7 +141,7 @@ class Pieces:
         self._bar.set_description_str(name)
 
     def finish(self, weight: float) -> None:
-        """End the piece, which was so much of the ``weight``."""
+        """End the piece, which had this ``weight``."""
         now = time.monotonic()
         self.rest -= weight
         self.done += weight
@@ -148,13 +152,14 @@ class Pieces:
     def show(self) -> None:
         """Draw the bar with the time that is left now."""
         left = self.left
-        self._bar.set_postfix_str(
-            f"{tqdm.format_interval(left)} left" if left < float("inf") else ""
-        )
+        if left < math.inf:
+            self._bar.set_postfix_str(f"{tqdm.format_interval(left)} left")
+        else:
+            self._bar.set_postfix_str("")
 
     @contextmanager
     def ticking(self) -> Iterator[Self]:
-        """Draw the bar every REDRAW_SECONDS while work is done, and close it in the end."""
+        """Draw the bar every REDRAW_SECONDS while the block runs, and close it in the end."""
         try:
             with ticking(self.show):
                 yield self
@@ -163,11 +168,11 @@ class Pieces:
             self._bar.close()
 
 
-def worked(
+def run_each(
     studies: Iterable[Study], bench: Bench, bar: Pieces
 ) -> Iterator[tuple[Study, Entry | str]]:
-    """The studies in turn, with what they found or what failed, until the time is over or they are
-    cancelled.
+    """Run the studies in turn; yield each with its entry or the text of its error,
+    until the time is over or the bench is cancelled.
     """
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
@@ -179,22 +184,23 @@ def worked(
             yield study, result
 
 
-def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
-    """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
+def progress_bar_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
+    """Return the progress bar of the ``wanted`` studies, which have ``limit`` seconds."""
     total = sum(study.weight for study in wanted)
     before = sum(study.weight for study in wanted if study.key in done)
     return Pieces("report", total, before, limit)
 
 
 def run(study: Study, bench: Bench) -> Entry | str | None:
-    """The study's section and what it took; what went wrong where it failed, and None where it was
-    cancelled.
+    """Run a study, and return its entry;
+    the text of its error if it fails, None if it is cancelled.
     """
     begun = time.process_time()
     bench.hurry.clear()
     try:
         return Entry(study.run(bench), time.process_time() - begun)
     except Cancelled:
+        # Work may be cancelled from within: begin no other study then.
         bench.cancelled.set()
         return None
     except Exception as error:
@@ -206,8 +212,8 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
 
 @contextmanager
 def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
-    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at
-    once.
+    """Let the first Ctrl-C set ``stop`` and cancel the work,
+    and the second end the process immediately.
     """
 
     def ask(*_: object) -> None:
@@ -215,6 +221,7 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
         stop.set()
         bench.cancelled.set()
 
+    # Only the main thread may set handlers of signals.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -227,12 +234,13 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def limited(bench: Bench) -> Iterator[None]:
-    """Cancel the work when its deadline has passed by DEADLINE_GRACE_SHARE; studies themselves look
-    at the deadline before.
+    """Cancel the work if it exceeds its deadline by DEADLINE_GRACE_SHARE.
+    Studies look at the deadline themselves before.
     """
-    if bench.left == float("inf"):
+    if bench.left == math.inf:
         yield
         return
+    # Studies look at the deadline between points; the timer ends one that takes too long.
     timer = threading.Timer(
         max((1.0 + DEADLINE_GRACE_SHARE) * bench.left, 0.0), bench.cancelled.set
     )

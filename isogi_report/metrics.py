@@ -1,6 +1,4 @@
-"""Scores: how far a picture is from its reference, in figures that say what the reference's own
-noise is.
-"""
+"""Scores: the distance of a picture from its reference, corrected for the reference's noise."""
 
 import importlib
 import math
@@ -15,7 +13,9 @@ from isogi_core.reference import Reference
 from isogi_report.sections import Cell, Column
 
 WORST_PERCENTILE = 99.0
-"""The percentile of errors that stands for the worst pixels, and not of the single worst one."""
+"""Percentile of errors that stands for the worst pixels,
+as the single worst pixel would depend on chance.
+"""
 
 
 SCORE_COLUMNS = (
@@ -29,10 +29,10 @@ SCORE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Spread:
-    """Errors of pixels over the reference's mean: root mean square, without noise that is known,
-    and signed mean.
+    """Errors of pixels relative to the reference's mean: the root mean square without known noise,
+    and the signed mean.
 
-    ``p99`` is what 99 % of them stay below, noise and all.
+    99 % of the errors stay below ``p99``, noise included.
     """
 
     rmse: float
@@ -45,11 +45,13 @@ class Score:
     """Errors of a picture's luminance over surface pixels, relative to the reference's mean
     luminance.
 
-    ``rmse`` root mean square, less the reference's own noise; ``p99`` that 99 % of pixels stay
-    below, and ``bias`` the signed mean, both as they are; ``noise`` the reference's own relative
-    error; ``flip`` the mean of FLIP over surface pixels, 0 … 1, of both pictures as a screen shows
-    them; None where FLIP is not installed. Source of FLIP: Andersson et al., Proceedings of the ACM
-    in Computer Graphics 3(2), 2020.
+    - ``rmse``: root mean square, without the reference's noise.
+    - ``p99``: 99 % of the pixels stay below it; ``bias``: signed mean; both include the noise.
+    - ``noise``: relative error of the reference.
+    - ``flip``: mean of FLIP over surface pixels, 0 … 1, of both pictures as a screen shows them;
+      None if FLIP is not installed.
+
+    Source of FLIP: Andersson et al., Proceedings of the ACM in Computer Graphics 3(2), 2020.
     """
 
     rmse: float
@@ -60,12 +62,13 @@ class Score:
 
 
 def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
-    """The score of a picture, ``radiance`` (h, w, 3) linear RGB, that shows the same surface as the
-    ``best``.
+    """Return the score of a picture, ``radiance`` (h, w, 3) linear RGB,
+    that shows the same surface as the reference ``best``.
     """
     light = luminance_of(best.mean[best.on])
     wrong = luminance_of(radiance[best.on]) - light
     mean = mean_of(light)
+    # The reference's own noise is in the differences: ``spread_of`` takes it off.
     noise = best.variance[best.on].astype(np.float64)
     spread = spread_of(wrong, noise, mean)
     return Score(
@@ -78,11 +81,14 @@ def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
 
 
 def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spread:
-    """The spread of pixels' errors (m,) around 0, over ``mean``; ``noise`` (m,) is the variance
-    that is not theirs.
+    """Return the spread of pixels' errors ``wrong`` (m,) around 0, relative to ``mean``.
+
+    ``noise`` (m,) is the variance in them that is not part of the error; it is subtracted from the
+    mean square.
     """
     if not len(wrong):
         return Spread(0.0, 0.0, 0.0)
+    # Noise and error are independent, so their mean squares add up.
     square = max(float((wrong**2).mean()) - float(np.mean(noise)), 0.0)
     return Spread(
         math.sqrt(square) / mean,
@@ -92,28 +98,30 @@ def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spre
 
 
 def luminance_of(radiance: np.ndarray) -> np.ndarray:
-    """Luminance (…) float64 of linear RGB (…, 3)."""
+    """Return the luminance (…) float64 of linear RGB (…, 3)."""
     return np.asarray(radiance.astype(np.float64) @ LUMINANCE_WEIGHTS)
 
 
 def mean_of(light: np.ndarray) -> float:
-    """The mean luminance that errors are held against; tiny where all is black."""
+    """Return the mean luminance that errors are relative to:
+    tiny if all is black, 1 without pixels.
+    """
     if len(light):
         return max(float(light.mean()), 1e-30)
     return 1.0
 
 
 def error_map(radiance: np.ndarray, best: Reference) -> np.ndarray:
-    """Signed errors of the luminance over the reference's mean; (h, w) float32, NaN off the
-    surface.
+    """Return signed errors of the luminance relative to the reference's mean;
+    (h, w) float32, NaN off the surface.
     """
     light = luminance_of(best.mean[best.on])
     return map_of(luminance_of(radiance[best.on]) - light, best.on, mean_of(light))
 
 
 def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
-    """Errors ``wrong`` (m,) of the pixels ``on`` (h, w) the surface over a ``mean``; (h, w)
-    float32, NaN off it.
+    """Return errors ``wrong`` (m,) of the pixels in the mask ``on`` (h, w),
+    relative to ``mean``, as a picture; (h, w) float32, NaN elsewhere.
     """
     errors = np.full(on.shape, np.nan, np.float32)
     errors[on] = wrong / mean
@@ -121,9 +129,10 @@ def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
 
 
 def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None:
-    """Mean of FLIP over surface pixels, of both pictures through the film's own tone curve; None
-    without FLIP.
+    """Return the mean of FLIP over surface pixels,
+    of both pictures through the film's tone curve; None if FLIP is not installed.
     """
+    # FLIP is not among isogi's requirements.
     try:
         evaluator = importlib.import_module("flip_evaluator")
     except ImportError:
@@ -138,12 +147,13 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
 
 
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
-    """The picture on a screen, by the curve that frames have, ``on`` (h, w) the surface: sRGB (h,
-    w, 3) uint8.
+    """Return the picture as a screen shows it, by the tone curve of frames;
+    ``on`` (h, w) is the mask of the surface; sRGB (h, w, 3) uint8.
     """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
     light = np.ascontiguousarray(radiance, np.float32)
+    # Use the kernel of frames, so that colours are exactly theirs.
     develop_rows(
         light,
         np.ascontiguousarray(on, np.uint8),
@@ -158,5 +168,5 @@ def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarra
 
 
 def score_cells(score: Score) -> tuple[Cell, ...]:
-    """The cells of a score under SCORE_COLUMNS."""
+    """Return the cells of a score under SCORE_COLUMNS."""
     return score.rmse, score.p99, score.bias, score.flip

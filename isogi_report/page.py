@@ -1,7 +1,7 @@
-"""A report as files: ``index.html``, ``report.json``, ``pictures/`` and ``plots/``, each whole or
-not there at all.
+"""A report as files: ``index.html``, ``report.json``, ``pictures/`` and ``plots/``, each written
+whole or not at all.
 
-The page has everything in one file, asks for nothing else and runs no script.
+The page is one file that loads nothing else and runs no script.
 """
 
 import base64
@@ -40,7 +40,8 @@ Part = dict[str, Any]
 
 
 def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) -> str:
-    """The page of a report; ``files`` are its pictures, by their names."""
+    """Return the page of a report; ``files`` are its pictures, by their names."""
+    # Text is escaped in the template; only style, gradient and drawings are markup.
     sheet = Environment(
         loader=FileSystemLoader(REPORT_FOLDER),
         autoescape=True,
@@ -62,7 +63,7 @@ def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) ->
 def settings(
     report: Report, head: Mapping[str, Any]
 ) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
-    """What was measured, and with what, in groups of names and texts."""
+    """Return the subject and the means of the measurement, in groups of names and texts."""
     return (
         ("Scene and view", scene_rows(report.scene, report.view)),
         ("Plan", plan_facts_rows(report.scene)),
@@ -71,11 +72,15 @@ def settings(
 
 
 def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
-    """What the template draws of each section; tables and plots are numbered through the page."""
+    """Yield the data that the template draws of each section.
+
+    Tables and plots are numbered through the page.
+    """
     tables = count(1)
     plots = count(1)
     for entry in report.entries:
         section = entry.section
+        # Error maps of a section share a scale.
         scales = scales_of(entry.section.pictures)
         yield {
             "key": section.key,
@@ -90,14 +95,14 @@ def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
 
 
 def table_part(table: Table, number: int) -> Part:
-    """A table: heads, and rows of text."""
+    """Return a table for the template: columns and rows of text."""
     columns = text_columns(table)
     rows = list(zip(*(column.cells for column in columns), strict=True))
     return {"number": number, "caption": table.caption, "columns": columns, "rows": rows}
 
 
 def plot_part(plot: Plot, number: int) -> Part:
-    """A plot: its drawing, its legend, and its points as a table."""
+    """Return a plot for the template: its drawing, its legend, and its points as a table."""
     points = [
         (curve.name, x, y) for curve in plot.curves for x, y in zip(curve.x, curve.y, strict=True)
     ]
@@ -121,20 +126,18 @@ def plot_part(plot: Plot, number: int) -> Part:
 
 
 def picture_part(section: Section, i: int, scale: float | None, files: Mapping[str, bytes]) -> Part:
-    """A picture, with its file in itself; ``scale`` is the error at the ends of an error map's
-    colours.
+    """Return a picture for the template, with its file inside;
+    ``scale`` is the error at the ends of an error map's colours.
     """
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]
+    # Put the file into the page itself.
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
-    if scale is None:
-        ends = None
-    else:
+    ends = None
+    caption = picture.caption
+    if scale is not None:
         ends = f"{100 * scale:g}{NO_BREAK_SPACE}%"
-    if ends is None:
-        caption = picture.caption
-    else:
-        caption = f"{picture.caption} (±{ends})"
+        caption = f"{caption} (±{ends})"
     return {
         "source": source,
         "caption": caption,
@@ -145,7 +148,7 @@ def picture_part(section: Section, i: int, scale: float | None, files: Mapping[s
 
 
 def alt(picture: Picture, ends: str | None) -> str:
-    """What a picture is, for who does not see it."""
+    """Return the description of a picture, for people who cannot see it."""
     if ends is not None:
         return (
             f"Error map, from blue, {ends} too dark, to red, {ends} too bright: {picture.caption}"
@@ -154,15 +157,14 @@ def alt(picture: Picture, ends: str | None) -> str:
 
 
 def write_report(folder: Path, report: Report) -> Path:
-    """Write everything into ``folder``, the page last; gives the page's path back. Raises
-    OSError.
-    """
+    """Write all files into ``folder``, the page last; return the page's path. Raises OSError."""
     head = heading(report.scene, report.view)
+    # Write pictures and plots first, remove those of an earlier report, and write the page last.
     files = dict(drawings(report))
     for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         write_whole(folder / name, data)
-    forget(folder, set(files))
+    remove_others(folder, set(files))
     write_whole(
         folder / DATA_FILE, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode()
     )
@@ -171,7 +173,7 @@ def write_report(folder: Path, report: Report) -> Path:
 
 
 def drawings(report: Report) -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of every picture and plot."""
+    """Yield name and bytes of every picture and plot."""
     for section in (entry.section for entry in report.entries):
         scales = scales_of(section.pictures)
         for i, picture in enumerate(section.pictures):
@@ -182,21 +184,21 @@ def drawings(report: Report) -> Iterator[tuple[str, bytes]]:
 
 
 def array_bytes(picture: Picture) -> bytes:
-    """A picture's numbers as a ``.npy`` file."""
+    """Return a picture's numbers as a ``.npy`` file."""
     file = io.BytesIO()
     np.save(file, picture.pixels)
     return file.getvalue()
 
 
-def forget(folder: Path, names: set[str]) -> None:
-    """Remove pictures and plots that the report does not have any more."""
+def remove_others(folder: Path, names: set[str]) -> None:
+    """Remove pictures and plots that the report no longer has."""
     for path in (*folder.glob("pictures/*-*.*"), *folder.glob("plots/*-*.svg")):
         if path.relative_to(folder).as_posix() not in names:
             path.unlink()
 
 
 def data_of(report: Report, head: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything that the page says, as a document for JSON."""
+    """Return everything that the page says as a document for JSON."""
     sections = [section_data(entry) for entry in report.entries]
     return {
         **plain(head),
@@ -207,18 +209,15 @@ def data_of(report: Report, head: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def section_data(entry: Entry) -> dict[str, Any]:
-    """A section with where its pictures and plots are, and what it took."""
+    """Return a section as a document, with the paths of its pictures and plots, and its time."""
     section = entry.section
     document = document_of(entry.section)
     scales = scales_of(section.pictures)
-    pictures = [
-        {
-            **picture,
-            "png": picture_name(section, i),
-            "npy": picture_name(section, i, "npy"),
-            **({} if scales[i] is None else {"scale": scales[i]}),
-        }
-        for i, picture in enumerate(document["pictures"])
-    ]
+    pictures = []
+    for i, picture in enumerate(document["pictures"]):
+        facts: Part = {"png": picture_name(section, i), "npy": picture_name(section, i, "npy")}
+        if scales[i] is not None:
+            facts["scale"] = scales[i]
+        pictures.append({**picture, **facts})
     plots = [{**plot, "svg": plot_name(section, i)} for i, plot in enumerate(document["plots"])]
     return {**document, "plots": plots, "pictures": pictures, "seconds": entry.seconds}

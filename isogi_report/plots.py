@@ -1,7 +1,7 @@
 """Plots as SVG, and pictures as PNG.
 
-Text of plots stays text; colours are names that the page, or the file itself, gives a value in
-light and dark.
+Text of plots stays text. Colours are CSS variables, to which the page, or the file itself, gives
+values for light and dark.
 """
 
 import io
@@ -28,16 +28,16 @@ from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAN
 
 PLOT_WIDTH = 4.6
 PLOT_HEIGHT = 3.1
-"""Inches of a plot, 72 units of SVG each."""
+"""Size of a plot in inches; SVG has 72 units an inch."""
 
 TICK_STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
-"""First digits of the ticks of a logarithmic axis, where its ends are so many times apart."""
+"""First digits of the ticks of a logarithmic axis, by the least ratio of the axis' ends."""
 
 LEGEND_ROW_HEIGHT = 14.0
-"""Height of a line of the legend."""
+"""Height of a line of the legend, in units of SVG."""
 
 CURVE_COLOURS = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
-"""Colours that stand for a name while matplotlib draws: see PAGE_COLOURS."""
+"""Stand-ins for CSS variables while matplotlib draws: see PAGE_COLOURS."""
 
 PAGE_COLOURS = {
     INK: "var(--ink)",
@@ -45,11 +45,12 @@ PAGE_COLOURS = {
     LINE_STAND_IN: "var(--line)",
     **{colour: f"var(--curve-{i + 1})" for i, colour in enumerate(CURVE_COLOURS)},
 }
+"""CSS variables by the colours that stand in for them."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One entry of a plot's legend: the curve's name, colour and dashes, as SVG has them."""
+    """One entry of a plot's legend: name, colour and dashes of a curve, as SVG has them."""
 
     name: str
     colour: str
@@ -57,7 +58,7 @@ class Key:
 
 
 def keys(plot: Plot) -> tuple[Key, ...]:
-    """The legend of a plot: the curves that it shows."""
+    """Return the legend of a plot: the curves that it shows."""
     return tuple(
         Key(curve.name, PAGE_COLOURS[colour_of(i)], " ".join(map(str, dashes_of(i))) or "none")
         for i, curve in enumerate(plot.curves)
@@ -66,20 +67,22 @@ def keys(plot: Plot) -> tuple[Key, ...]:
 
 
 def colour_of(i: int) -> str:
-    """What stands for the colour of curve ``i`` while matplotlib draws."""
+    """Return the stand-in for the colour of curve ``i``."""
     return CURVE_COLOURS[i % len(CURVE_COLOURS)]
 
 
 def dashes_of(i: int) -> tuple[float, ...]:
-    """The dashes of curve ``i``."""
+    """Return the dashes of curve ``i``."""
     return DASHES[i % len(DASHES)]
 
 
 @lru_cache(64)
 def draw(plot: Plot) -> str:
-    """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes
-    each time.
+    """Return the plot as an ``svg`` element for a page that sets the CSS variables.
+
+    Equal plots give equal bytes.
     """
+    # A fixed salt and no date make the bytes of equal plots equal.
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
         figure = Figure(figsize=(PLOT_WIDTH, PLOT_HEIGHT), layout="constrained")
         fill(figure.add_subplot(), plot)
@@ -89,15 +92,18 @@ def draw(plot: Plot) -> str:
 
 
 def standalone(plot: Plot) -> str:
-    """The plot as a file that has its own colours, light and dark, and its legend below the
-    axes.
+    """Return the plot as a file with its own colours,
+    light and dark, and its legend below the axes.
     """
-    entries = keys(plot) if len(keys(plot)) > 1 else ()
+    entries = keys(plot)
+    if len(entries) == 1:
+        entries = ()
     width, height = 72 * PLOT_WIDTH, 72 * PLOT_HEIGHT
     size = f'viewBox="0 0 {width:g} {height:g}"'
     below = "".join(
         legend_line(key, height + LEGEND_ROW_HEIGHT * (i + 0.5)) for i, key in enumerate(entries)
     )
+    # Make the drawing higher by the lines of the legend.
     svg = draw(plot).replace(
         size, f'viewBox="0 0 {width:g} {height + LEGEND_ROW_HEIGHT * len(entries):g}"', 1
     )
@@ -107,7 +113,7 @@ def standalone(plot: Plot) -> str:
 
 
 def legend_line(key: Key, y: float) -> str:
-    """An entry of a legend, at height ``y``."""
+    """Return an entry of a legend at height ``y``, as SVG."""
     line = (
         f'<path d="M8 {y:g}h28" style="fill: none; stroke: {key.colour}; stroke-dasharray: '
         f'{key.dashes}"/>'
@@ -120,12 +126,14 @@ def legend_line(key: Key, y: float) -> str:
 
 
 def inline_svg(svg: str) -> str:
-    """matplotlib's file as an element: names for colours and fonts, nothing that a page holds
-    once.
+    """Return matplotlib's file as an element of a page:
+    with CSS variables for colours and fonts, and without ids, metadata and styles.
     """
+    # Remove the XML head, metadata, styles and comments; then ids, which must be unique in a page.
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r'(<g) id="[^"]*"', r"\1", svg)
+    # Fonts and colours are the page's, and so is the size.
     svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--text)", svg)
     svg = re.sub(r'(<svg [^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)
     for colour, name in PAGE_COLOURS.items():
@@ -141,6 +149,7 @@ def fill(axes: Axes, plot: Plot) -> None:
         axes.plot(
             x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2
         )
+    # Errors and times span powers of ten.
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(color=LINE_STAND_IN, linewidth=0.7)
@@ -155,7 +164,7 @@ def fill(axes: Axes, plot: Plot) -> None:
 
 
 def drawable(curve: Curve) -> tuple[list[float], list[float]]:
-    """The points of a curve that logarithmic axes can show."""
+    """Return the points of a curve that logarithmic axes can show."""
     points = [
         (x, y)
         for x, y in zip(curve.x, curve.y, strict=True)
@@ -165,9 +174,10 @@ def drawable(curve: Curve) -> tuple[list[float], list[float]]:
 
 
 def mark_ticks(axis: Axis, column: Column) -> None:
-    """Ticks with the unit in them."""
+    """Set ticks whose labels include the unit."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     low, high = axis.get_view_interval()
+    # The shorter the axis in decades, the more ticks in each.
     axis.set_major_locator(
         LogLocator(10, next(firsts for times, firsts in TICK_STEPS if high >= times * low))
     )
@@ -176,7 +186,7 @@ def mark_ticks(axis: Axis, column: Column) -> None:
 
 
 def tick(value: float, unit: str) -> str:
-    """A tick's label."""
+    """Return a tick's label."""
     if unit == "share":
         return f"{100 * value:.6g} %"
     if unit in PREFIXES:
@@ -188,7 +198,7 @@ def tick(value: float, unit: str) -> str:
 
 
 ERROR_COLOURS = "RdBu_r"
-"""matplotlib's name of the colours of errors: blue too dark, white right, red too bright."""
+"""matplotlib's colour map of errors: blue is too dark, white right, red too bright."""
 
 SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
 """First digits of an error map's scale."""
@@ -197,28 +207,30 @@ SCALE_PERCENTILE = 99.0
 """Percentile of the absolute errors that the scale of their maps reaches."""
 
 MIN_SCALE_SHARE = 0.1
-"""Part of a section's scale that a map on it reaches at least."""
+"""Share of a section's scale that a map must reach to use this scale."""
 
 
 def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
-    """The error at the ends of each map's colours; None for what is no map of errors.
+    """Return the error at the ends of each map's colours, None for pictures that are not error
+    maps.
 
-    It is round, the same for all maps of a section, and at least what SCALE_PERCENTILE percent of
-    their pixels stay below. A map in which that is less than a MIN_SCALE_SHARE part of it has
-    another scale.
+    It is a round number, the same for all maps of a section, and SCALE_PERCENTILE percent of their
+    pixels stay below it. A map whose errors stay below MIN_SCALE_SHARE of it has a scale of its
+    own.
     """
-    maps = [
-        each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures
-    ]
-    common = round_up(
-        most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)]))
-    )
-    return tuple(None if errors is None else own_scale(most_of(errors), common) for errors in maps)
+    maps = {
+        i: picture.pixels[np.isfinite(picture.pixels)]
+        for i, picture in enumerate(pictures)
+        if picture.kind == "error"
+    }
+    common = round_up(most_of(np.concatenate([np.empty(0), *maps.values()])))
+    scales = {i: own_scale(most_of(errors), common) for i, errors in maps.items()}
+    return tuple(scales.get(i) for i in range(len(pictures)))
 
 
 def own_scale(most: float, common: float) -> float:
-    """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common``
-    one.
+    """Return the scale of a map whose errors reach ``most``,
+    in a section with the scale ``common``.
     """
     if 0.0 < most < MIN_SCALE_SHARE * common:
         return round_up(most)
@@ -226,14 +238,14 @@ def own_scale(most: float, common: float) -> float:
 
 
 def most_of(errors: np.ndarray) -> float:
-    """What SCALE_PERCENTILE percent of errors stay below."""
+    """Return the value that SCALE_PERCENTILE percent of absolute errors stay below."""
     if errors.size:
         return float(np.percentile(np.abs(errors), SCALE_PERCENTILE))
     return 0.0
 
 
 def round_up(error: float) -> float:
-    """The next of one, two or five times a power of ten; a hundredth for nothing."""
+    """Return the next of 1, 2 or 5 times a power of ten; 0.01 for an error of 0."""
     if error <= 0.0:
         return 0.01
     power = 10.0 ** math.floor(math.log10(error))
@@ -241,7 +253,7 @@ def round_up(error: float) -> float:
 
 
 def print_picture(picture: Picture, report: Report, scale: float | None) -> bytes:
-    """The picture's PNG; ``scale`` is the error at the ends of an error map's colours."""
+    """Return the picture as PNG; ``scale`` is the error at the ends of an error map's colours."""
     if scale is None:
         shown = shown_as(picture.pixels, report.on, report.exposure)
     else:
@@ -252,10 +264,11 @@ def print_picture(picture: Picture, report: Report, scale: float | None) -> byte
 
 
 def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
-    """Signed errors as (h, w, 3) uint8 sRGB, ±``scale`` at the ends, the film's background where
-    there are none.
+    """Return signed errors as colours (h, w, 3) uint8 sRGB,
+    with ±``scale`` at the ends and the film's background where they are NaN.
     """
     on = np.isfinite(errors)
+    # Map -scale … scale to 0 … 1, the range of the colour map.
     places = np.where(on, 0.5 + 0.5 * np.clip(np.nan_to_num(errors) / scale, -1.0, 1.0), 0.5)
     shown = mpl.colormaps[ERROR_COLOURS](places, bytes=True)[..., :3]
     top = len(tone_table()) - 1
@@ -264,7 +277,7 @@ def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
 
 
 def gradient(steps: int = 11) -> str:
-    """The colours of errors as a CSS gradient, from too dark to too bright."""
+    """Return the colours of errors as a CSS gradient, from too dark to too bright."""
     colours = mpl.colormaps[ERROR_COLOURS](np.linspace(0.0, 1.0, steps), bytes=True)[:, :3]
     return (
         f"linear-gradient(to right, {', '.join('#' + bytes(colour).hex() for colour in colours)})"

@@ -1,9 +1,9 @@
-"""Sections of a report: what was measured, as tables, plots and pictures, as documents for JSON,
-and as text of cells.
+"""Sections of a report: results as tables, plots and pictures, as documents for JSON, and as text
+of cells.
 
-They know nothing of how they are drawn. What has no value in JSON (NaN, ∞) is null there. Each
-column of a table is written in one unit, named in its head, with as many digits as its numbers are
-worth.
+Sections do not depend on how they are drawn. Values that JSON lacks (NaN, ∞) are null there. Each
+column of a table is written in one unit, which its head names, with as many digits as its numbers
+justify.
 """
 
 import math
@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 Cell = str | float | None
-"""What stands in a table: words, a number in its column's unit, or nothing (it does not apply, or
-was not measured).
+"""A cell of a table: words, a number in its column's unit,
+or None if it does not apply or was not measured.
 """
 
 COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
-"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it; ``seconds`` are of the
-processor, all threads.
+"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it;
+``seconds`` are of the processor, all threads together.
 """
 
 
@@ -53,7 +53,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves over one axis, and what the axes are; both are logarithmic."""
+    """Curves over one axis, with the names of both axes, which are logarithmic."""
 
     caption: str
     x: Column
@@ -65,8 +65,9 @@ class Plot:
 class Picture:
     """A picture of a view, by its ``kind``.
 
-    "radiance": ``pixels`` (h, w, 3) float32 linear RGB, 0 off the surface. "error": (h, w) float32
-    signed errors of the luminance over the mean luminance of the reference, NaN off the surface.
+    - "radiance": ``pixels`` (h, w, 3) float32 are linear RGB, 0 off the surface.
+    - "error": ``pixels`` (h, w) float32 are signed errors of the luminance relative to the
+      reference's mean luminance, NaN off the surface.
     """
 
     caption: str
@@ -76,8 +77,9 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One question of a report and its answer. ``about`` says in a few sentences what was done and
-    what is seen.
+    """One question of a report and its answer.
+
+    ``about`` explains the measurement and the results in a few sentences.
     """
 
     key: str
@@ -92,7 +94,7 @@ Document = dict[str, Any]
 
 
 def document_of(section: Section) -> Document:
-    """Everything in a section but its pictures' pixels."""
+    """Return a section as a document, without its pictures' pixels."""
     return {
         "key": section.key,
         "title": section.title,
@@ -106,7 +108,7 @@ def document_of(section: Section) -> Document:
 
 
 def section_of(document: Mapping[str, Any], pixels: Sequence[np.ndarray]) -> Section:
-    """The section that a document and its pictures' pixels were made of."""
+    """Return the section of a document and its pictures' pixels."""
     pictures = [
         Picture(**each, pixels=array)
         for each, array in zip(document["pictures"], pixels, strict=True)
@@ -122,13 +124,13 @@ def section_of(document: Mapping[str, Any], pixels: Sequence[np.ndarray]) -> Sec
 
 
 def table_of(document: Mapping[str, Any]) -> Table:
-    """A table from its document."""
+    """Return a table from its document."""
     columns = tuple(Column(**column) for column in document["columns"])
     return Table(document["caption"], columns, tuple(map(tuple, document["rows"])))
 
 
 def plot_of(document: Mapping[str, Any]) -> Plot:
-    """A plot from its document; points that have no value are NaN."""
+    """Return a plot from its document; points without a value are NaN."""
     curves = tuple(
         Curve(curve["name"], tuple(map(number, curve["x"])), tuple(map(number, curve["y"])))
         for curve in document["curves"]
@@ -138,13 +140,13 @@ def plot_of(document: Mapping[str, Any]) -> Plot:
 
 
 def number(value: float | None) -> float:
-    """A number as JSON has it; NaN for null."""
+    """Return a number from JSON; NaN for null."""
     return math.nan if value is None else value
 
 
 def plain(value: Any) -> Any:
-    """``value`` in types that JSON has: NumPy's numbers as Python's, None for what is not
-    finite.
+    """Return ``value`` in types that JSON has:
+    NumPy's numbers as Python's, None for numbers that are not finite.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
@@ -158,21 +160,21 @@ def plain(value: Any) -> Any:
 
 
 EMPTY_CELL = "–"
-"""What stands for a cell that does not apply or was not measured."""
+"""Text of a cell that does not apply or was not measured."""
 
 NO_BREAK_SPACE = "\u00a0"
-"""A space that no line breaks at."""
+"""A space at which no line breaks."""
 
 PREFIXES: dict[str, tuple[tuple[str, float], ...]] = {
     "seconds": (("ms", 1e-3), ("s", 1.0)),
     "bytes": (("B", 1.0), ("KiB", 2.0**10), ("MiB", 2.0**20), ("GiB", 2.0**30)),
 }
-"""Names and sizes of what a column of a unit may be written in, from small to large."""
+"""Names and sizes of the units that a column may be written in, from small to large."""
 
 
 @dataclass(frozen=True)
 class TextColumn:
-    """A column as it is written: its head, its cells, and whether they are numbers."""
+    """A column as text: its head, its cells, and ``numeric``, True if they are numbers."""
 
     head: str
     cells: tuple[str, ...]
@@ -180,7 +182,7 @@ class TextColumn:
 
 
 def text_columns(table: Table) -> tuple[TextColumn, ...]:
-    """The columns of a table, as text."""
+    """Return the columns of a table as text."""
     return tuple(
         text_column(column, [row[i] for row in table.rows])
         for i, column in enumerate(table.columns)
@@ -188,16 +190,18 @@ def text_columns(table: Table) -> tuple[TextColumn, ...]:
 
 
 def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
-    """One column as text: words as they are, numbers alike, a dash for nothing and for what is not
-    finite.
+    """Return one column as text: words as they are, numbers in one unit,
+    a dash for None and for numbers that are not finite.
     """
     numbers = [
         float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)
     ]
+    # One unit and one number of digits for the whole column, so that its numbers can be compared.
     name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
     write = writer(column.unit, [number / size for number in numbers])
 
     def text(cell: Cell) -> str:
+        """Return a cell as text."""
         if isinstance(cell, str):
             return cell
         if cell is not None and math.isfinite(cell):
@@ -212,8 +216,8 @@ def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:
-    """Name and size of what a column's numbers are written in: the last that the ``largest``
-    reaches.
+    """Return name and size of the unit of a column's numbers:
+    the largest that ``largest`` reaches.
     """
     if unit == "share":
         return "%", 0.01
@@ -222,25 +226,26 @@ def scale_of(unit: str, largest: float) -> tuple[str, float]:
 
 
 def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
-    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs,
-    2 at most.
+    """Return the function that writes the ``numbers`` of a column.
 
-    Others have three digits each, or, below 1, the decimals that give the largest three.
+    Percents have one decimal, or two if any is below 1. Other numbers have three digits each or,
+    below 1, the decimals that give the largest of them three.
     """
     if unit == "share":
-        return partial(
-            decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1
-        )
+        small = any(0.0 < abs(number) < 1.0 for number in numbers)
+        return partial(decimal, decimals=2 if small else 1)
     largest = max(map(abs, numbers), default=0.0)
     if unit == "count" or all(number == round(number) for number in numbers):
         return partial(decimal, decimals=0)
+    # The decimals that give the largest number three digits.
     if 1e-4 < largest < 1.0:
         return partial(decimal, decimals=2 - math.floor(math.log10(largest)))
     return digits
 
 
 def decimal(number: float, decimals: int) -> str:
-    """A number with so many decimals; "< 0.01" where none of them would show it."""
+    """Return a number with this many decimals; "< 0.01" if none of them would show it."""
+    # A small number must not look like zero.
     least = 10.0**-decimals
     if decimals and 0.0 < abs(number) < least / 2:
         if number > 0.0:
@@ -250,17 +255,19 @@ def decimal(number: float, decimals: int) -> str:
 
 
 def digits(number: float) -> str:
-    """A number with three digits; whole above a hundred, and with a power of ten where it is very
-    small or large.
+    """Return a number with three digits: whole above a hundred,
+    with a power of ten if it is very small or large.
     """
     size = abs(number)
     if size >= 1e9 or 0.0 < size < 1e-4:
         return signed(f"{number:.2e}")
-    return signed(f"{number:,.0f}" if size >= 99.95 or not size else f"{number:#.3g}")
+    if size >= 99.95 or not size:
+        return signed(f"{number:,.0f}")
+    return signed(f"{number:#.3g}")
 
 
 def signed(text: str) -> str:
-    """A number's text with a true minus sign, and none before nothing."""
+    """Return a number's text with a true minus sign, and none before zero."""
     if text[0] == "-" and text.strip("-0.,"):
         return "−" + text[1:]
     return text.removeprefix("-")

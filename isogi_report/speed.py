@@ -1,5 +1,6 @@
-"""``isogi bench``: how fast this machine is at what isogi does, and what the benchmarks measure
-with.
+"""``isogi bench``: measures the speed of this machine at isogi's work.
+
+Benchmarks use its tools, too.
 """
 
 import resource
@@ -48,22 +49,25 @@ SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
 LOOSEST_TARGET = 1.0
-"""A target error that FEWEST samples meet: what is measured are frames of light that is final, as
-most light is.
+"""A target error that MIN_SAMPLES samples meet,
+so that frames of final light are measured, as most are.
 """
 
 Candidate = Callable[[int], float]
-"""Does its work in the given round and returns the seconds that it took."""
+"""A function that does its work in the given round, and returns the seconds that it took."""
 
 
 Offsets = dict[Index, np.ndarray]
-"""Texels by their chunks: what each holds of them, by offsets."""
+"""Texels by chunk, as offsets within it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """``origins`` and ``directions`` (3, n) in index space, ``levels`` (n,) normalised isovalues of
-    the surfaces that they look for, all float64, and ``sides`` (n,) int8 that they start on."""
+    """Rays in index space: ``origins`` and ``directions`` (3, n) float64.
+
+    ``levels`` (n,) float64 are the normalised isovalues of the surfaces that they look for, and
+    ``sides`` (n,) int8 the sides that they start on.
+    """
 
     origins: np.ndarray
     directions: np.ndarray
@@ -75,11 +79,11 @@ class Rays:
 
     @property
     def columns(self) -> ray_stream.Rays:
-        """The rays as kernels take them."""
+        """The rays in the form that kernels take."""
         return ray_stream.Rays(self.levels, self.origins, self.directions, self.sides)
 
     def part(self, which: Any) -> "Rays":
-        """Some of the rays, as arrays of their own."""
+        """Return some of the rays, as contiguous copies."""
         origins, directions = (
             np.ascontiguousarray(v[:, which]) for v in (self.origins, self.directions)
         )
@@ -87,7 +91,7 @@ class Rays:
 
 
 def view_of(scene: Scene, size: int, **knobs: Any) -> View:
-    """The view that is measured: azimuth 40, elevation 30, three radii away, 30 degrees wide."""
+    """Return the view that is measured: azimuth 40°, elevation 30°, three radii away, 30° high."""
     return View(
         **{"isovalue": scene.isovalue, "camera": scene.camera(40, 30, 3, 30), **knobs},
         width=size,
@@ -96,25 +100,28 @@ def view_of(scene: Scene, size: int, **knobs: Any) -> View:
 
 
 def isovalues_near(scene: Scene, count: int) -> list[float]:
-    """Isovalues that differ, farther and farther to both sides of the scene's, within a tenth of
-    its range.
+    """Return ``count`` different isovalues on both sides of the scene's,
+    farther and farther away, within a tenth of its range.
     """
     low, high = scene.isovalues
     down = scene.isovalue - low
     up = high - scene.isovalue
+    # Stay within a tenth of the shorter side of the range, or of the only side there is.
     reach = 0.1 * (min(down, up) or max(down, up))
     ways = (1.0 if up else -1.0, -1.0 if down else 1.0)
     return [scene.isovalue + ways[i % 2] * reach * (i + 1) / count for i in range(count)]
 
 
 def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Renderer:
-    """A renderer over a store, with nothing else around it."""
+    """Return a renderer over a store, without a server."""
     tiles = Tiles(threads)
     return Renderer(Caches(PreparedScene(scene), store, SPEED_CACHE_BYTES), tiles)
 
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
-    """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
+    """Bake in this process the light that ``view`` lacks,
+    to ``until`` samples a texel, and render it.
+    """
     wanted = wanted_of(renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES))
     bake_offsets(
         renderer,
@@ -127,13 +134,13 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
 
 
 def wanted_of(frame: Frame) -> Offsets:
-    """The texels that a frame lacks, chunk by chunk."""
+    """Return the texels that a frame lacks, by chunk."""
     return {demand.index: demand.offsets for demand in frame.demands}
 
 
 def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, bar: tqdm) -> None:
-    """Bake texels of chunks, for views of this ``shading``, on the renderer's threads; the ``bar``
-    counts chunks.
+    """Bake texels of chunks for views of this ``shading``,
+    on the renderer's threads; ``bar`` counts chunks.
     """
     tasks = list(together(wanted))
     with bar:
@@ -147,7 +154,9 @@ def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, 
 
 
 def together(wanted: Offsets) -> Iterator[Offsets]:
-    """The texels of chunks in tasks of MAX_TASK_TEXELS or a few more, as workers bake them."""
+    """Yield the texels of chunks in tasks of MAX_TASK_TEXELS
+    or a few more, as workers bake them.
+    """
     task: Offsets = {}
     for index, offsets in wanted.items():
         task[index] = offsets
@@ -159,17 +168,19 @@ def together(wanted: Offsets) -> Iterator[Offsets]:
 
 
 def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -> None:
-    """Bake texels of some chunks together, for views of this ``shading``, and keep them in the
-    store.
+    """Bake texels of some chunks together for views
+    of this ``shading``, and write them to the store.
     """
     loader = renderer.caches.of(shading)
     lattice = renderer.prepared.lattice
     chunks = [
         loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()
     ]
+    # Bake the texels of all chunks in one call, as waves of paths are then full.
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
     refine(light, texels, loader.chunk_store.spec, until, UNREACHED_TARGET)
+    # Write each chunk, and tell the loader that the store has newer light.
     bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
     for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
         loader.chunk_store.save(replace(chunk, light=light.rows(np.arange(a, b))))
@@ -177,7 +188,7 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
 
 
 def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Light:
-    """The light of ``texels`` (m, 3; z, y, x) after ``until`` samples each."""
+    """Return the light of ``texels`` (m, 3; z, y, x) after ``until`` samples each."""
     light = Light.dark(prepared.scene.plan, len(texels))
     refine(light, texels, spec_for(prepared, "gi"), until, UNREACHED_TARGET)
     return light
@@ -186,7 +197,7 @@ def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Ligh
 def bake_pieces(
     prepared: PreparedScene, pieces: Sequence[np.ndarray], until: int, run: Run = serially
 ) -> int:
-    """Bake ``pieces`` of texels one by one, by means of ``run``; the paths that were taken."""
+    """Bake ``pieces`` of texels one by one, by means of ``run``; return the number of paths."""
     paths: list[int] = []
 
     def bake(a: int, b: int) -> None:
@@ -198,8 +209,9 @@ def bake_pieces(
 
 
 def primary_rays(prepared: PreparedScene, size: int) -> Rays:
-    """The rays of the view that is measured, in the order of its pixels."""
+    """Return the rays of the measured view, in the order of its pixels."""
     volume = prepared.scene.volume
+    # Rays through the middles of the pixels, in index space.
     camera = pinhole(view_of(prepared.scene, size).camera, size, size, volume.spacing)
     y, x = (np.mgrid[:size, :size] + 0.5).reshape(2, -1)
     corner, right, down, eye = (
@@ -214,7 +226,7 @@ def primary_rays(prepared: PreparedScene, size: int) -> Rays:
 def cast(
     prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_batch
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where ``rays`` meet their surfaces: (t, came), on one thread."""
+    """Return the intersections (t, came) of ``rays`` with their surfaces, found on one thread."""
     t = np.empty(len(rays))
     came = np.empty(len(rays), np.int8)
     cells = prepared.maps.covering(rays.levels)
@@ -223,8 +235,9 @@ def cast(
 
 
 def bounce(prepared: PreparedScene, rays: Rays, rng: np.random.Generator) -> Rays:
-    """Cosine rays from where ``rays`` hit."""
+    """Return cosine-distributed rays from the points that ``rays`` hit."""
     t, came = cast(prepared, rays)
+    # Start from the rays that hit, in place: ``bounce_rays`` replaces origins and directions.
     hit = np.isfinite(t)
     on = rays.part(hit)
     bounce_rays(
@@ -240,22 +253,24 @@ def bounce(prepared: PreparedScene, rays: Rays, rng: np.random.Generator) -> Ray
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """Time some work."""
+    """Return the seconds that some work takes."""
     begun = time.perf_counter()
     work()
     return time.perf_counter() - begun
 
 
 def timed(work: Callable[[], object]) -> Candidate:
-    """A candidate that does the same in every round."""
+    """Return a candidate that does the same in every round."""
     return lambda _: seconds(work)
 
 
 def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each candidate in ``repeats`` rounds; all of them work in each round, and round 0
-    is not counted.
+    """Return the seconds of each candidate in ``repeats`` rounds.
+
+    All candidates work in each round, so that disturbances hit all of them. Round 0 is not counted.
     """
     times: dict[str, list[float]] = {name: [] for name in candidates}
+    # Round 0 compiles kernels and fills caches.
     for turn in range(repeats + 1):
         for name, candidate in candidates.items():
             times[name].append(candidate(turn))
@@ -263,18 +278,19 @@ def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, l
 
 
 def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, float]:
-    """Median seconds of candidates that take turns."""
+    """Return the median seconds of candidates that take turns."""
     return {
         name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()
     }
 
 
 def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -> Candidate:
-    """A frame of ``view`` from a camera that is new to the renderer, whose light is final at the
-    ``target``.
+    """Return a candidate that renders ``view`` from a camera
+    that is new to the renderer, with light that is final at the ``target``.
     """
 
     def render(_: int) -> float:
+        """Forget what is kept of former views, and time the frame."""
         renderer.forget_views()
         return seconds(lambda: renderer.render(view, target))
 
@@ -282,16 +298,15 @@ def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -
 
 
 def turned(view: View, turn: float) -> View:
-    """The view under a light that is turned otherwise in each round."""
+    """Return the view with the light rotated differently in each round."""
     return replace(view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
 
 
 def relight(renderer: Renderer, view: View) -> Candidate:
-    """A frame that differs by its light's rotation alone from the last one, whose light was turned,
-    too.
-    """
+    """Return a candidate whose frame differs from the one before only by the light's rotation."""
 
     def render(turn: int) -> float:
+        """Render the view under another rotation first, and time the change."""
         renderer.render(turned(view, turn - 0.5), LOOSEST_TARGET)
         return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
 
@@ -299,22 +314,24 @@ def relight(renderer: Renderer, view: View) -> Candidate:
 
 
 TIMED_SHADINGS = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
-"""Shadings whose frames are timed: all but the reference, which takes as long as it has paths."""
+"""Shadings whose frames are timed:
+all but the reference, whose time depends on its number of paths.
+"""
 
 BAKED_TEXELS = 8192
 BAKED_SAMPLES = 64
-"""Texels that are baked to measure the speed of a bake, and samples of each: the fewest that make
-one final.
+"""Texels that are baked to measure the speed of a bake,
+and samples of each: the fewest that make one final.
 """
 
 Figures = dict[str, Any]
 
 
 def bench(target: str | None, isovalue: float | None, size: int, repeats: int) -> Figures:
-    """The figures of a scene at an isovalue, pictures of ``size`` × ``size`` pixels; see
+    """Return the figures of a scene at an isovalue, for pictures of ``size`` × ``size`` pixels; see
     ``StepTimes``.
 
-    Raises SceneError, VolumeError and LightError; ViewError where the view shows no surface.
+    Raises SceneError, VolumeError and LightError, and ViewError if the view shows no surface.
     """
     scene = open_scene(target, None, **({} if isovalue is None else {"isovalue": isovalue}))
     with tempfile.TemporaryDirectory(prefix="isogi-bench-") as store:
@@ -325,14 +342,14 @@ class StepTimes:
     """Measures one scene. Candidates of one figure take turns; each figure is a median."""
 
     def __init__(self, renderer: Renderer, size: int, repeats: int) -> None:
-        """Measure what ``renderer`` shows at ``size`` × ``size`` pixels, in ``repeats`` rounds."""
+        """Measure the ``renderer`` at ``size`` × ``size`` pixels, in ``repeats`` rounds."""
         self.renderer = renderer
         self.size = size
         self.repeats = repeats
 
     @property
     def scene(self) -> Scene:
-        """What is measured."""
+        """The scene that is measured."""
         return self.renderer.prepared.scene
 
     @property
@@ -342,7 +359,7 @@ class StepTimes:
 
     @cached_property
     def frame(self) -> Frame:
-        """The view's frame, all of its texels baked; ViewError where there are none."""
+        """The view's frame, with all of its texels baked. Raises ViewError if there are none."""
         frame = bake_view(self.renderer, self.view, MIN_SAMPLES)
         if not frame.surface:
             raise ViewError(
@@ -351,7 +368,7 @@ class StepTimes:
         return frame
 
     def figures(self) -> Figures:
-        """All figures, by their names."""
+        """Return all figures by name."""
         stages: tuple[Callable[[], Figures], ...]
         stages = (
             self.setting,
@@ -368,7 +385,7 @@ class StepTimes:
         return figures
 
     def setting(self) -> Figures:
-        """What is measured, and on how much of a machine."""
+        """Return the subject of the measurement, and the resources it uses."""
         return {
             "scene": self.scene.name,
             "isovalue": self.scene.isovalue,
@@ -382,10 +399,11 @@ class StepTimes:
         }
 
     def frames(self) -> Figures:
-        """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the
-        light is turned.
+        """Return ``frame_ms`` by shading, for a new camera with baked light,
+        and ``relight_ms``, for a new rotation of the light.
         """
         views = {name: replace(self.view, shading=name) for name in TIMED_SHADINGS}
+        # All shadings read the light of one of the specs.
         for spec in SPECS:
             bake_view(self.renderer, views[spec], MIN_SAMPLES)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
@@ -395,9 +413,10 @@ class StepTimes:
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
 
     def isovalues(self) -> Figures:
-        """``isovalue_ms``: from an isovalue to its picture, its map made again, lit by Lambert's
-        law.
+        """Return ``isovalue_ms``: the time from a new isovalue to its picture,
+        shaded by Lambert's law, with its map of active cells.
         """
+        # Each round takes another isovalue, so that no map of active cells is there yet.
         levels = isovalues_near(self.scene, self.repeats + 1)
 
         def show(turn: int) -> float:
@@ -408,7 +427,7 @@ class StepTimes:
         return {"isovalue_ms": milliseconds({"": show}, self.repeats)[""]}
 
     def encodings(self) -> Figures:
-        """``encode_ms``, by format: a frame's tone curve and its bytes."""
+        """Return ``encode_ms`` by format: the time for a frame's tone curve and its bytes."""
 
         candidates = {
             form: timed(partial(encode, self.frame, form, self.scene.default_exposure))
@@ -418,7 +437,9 @@ class StepTimes:
         return {"encode_ms": milliseconds(candidates, self.repeats)}
 
     def rays(self) -> Figures:
-        """Millions of rays a second and core: of the view, and cosine rays from what they hit."""
+        """Return millions of rays per second and core:
+        of the view, and diffuse rays from the points that they hit.
+        """
         prepared = self.renderer.prepared
         primary = primary_rays(prepared, self.size)
         rays = {"primary": primary, "diffuse": bounce(prepared, primary, np.random.default_rng(1))}
@@ -430,12 +451,13 @@ class StepTimes:
         return {f"{name}_mrays_per_core": len(rays[name]) / taken[name] / 1e6 for name in rays}
 
     def bakes(self) -> Figures:
-        """Millions of paths a second on one core, and texels of 64 samples a second on all cores
-        together.
+        """Return millions of paths per second on one core,
+        and texels of BAKED_SAMPLES samples per second on all cores.
         """
         prepared = self.renderer.prepared
         pieces = list(self._texels())
         bake = partial(bake_pieces, prepared, pieces, BAKED_SAMPLES)
+        # A first bake counts the paths, and makes the maps of active cells.
         paths = bake()
         taken = medians(
             {"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats
@@ -446,12 +468,11 @@ class StepTimes:
         }
 
     def _texels(self) -> Iterator[np.ndarray]:
-        """Texels of the view, (m, 3), those of several chunks together, of which it reads most
-        first.
-        """
+        """Yield texels of the view, (m, 3), in tasks, those chunks first of which it reads most."""
         lattice = self.renderer.prepared.lattice
         count = 0
         wanted = sorted(wanted_of(self.frame).items(), key=lambda pair: -len(pair[1]))
+        # Stop once there are enough texels for a steady figure.
         for task in together(dict(wanted)):
             if count < BAKED_TEXELS:
                 texels = np.concatenate(
@@ -462,18 +483,19 @@ class StepTimes:
 
 
 def milliseconds(candidates: dict[str, Candidate], repeats: int) -> dict[str, float]:
-    """Median milliseconds of candidates that take turns."""
+    """Return the median milliseconds of candidates that take turns."""
     return {name: 1000.0 * taken for name, taken in medians(candidates, repeats).items()}
 
 
 def memory() -> Figures:
-    """``peak_mb``: the most megabytes of memory that this process has had at once."""
+    """Return ``peak_mb``: the largest amount of memory that this process has had, in megabytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, Linux units of 1024 bytes.
     return {"peak_mb": peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)}
 
 
 def table(figures: Figures) -> str:
-    """Figures for a person, one a line; those by shading or format as ``name.which``."""
+    """Return figures as text, one a line; those by shading or format as ``name.which``."""
     rows: Figures = {}
     for name, value in figures.items():
         if isinstance(value, dict):
@@ -481,6 +503,5 @@ def table(figures: Figures) -> str:
         else:
             rows |= {name: value}
     width = max(map(len, rows))
-    return "\n".join(
-        f"{name:<{width}}  {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in rows.items()
-    )
+    texts = {name: f"{v:.4g}" if isinstance(v, float) else str(v) for name, v in rows.items()}
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())

@@ -1,9 +1,10 @@
 """The three studies of a report.
 
-The summary: what it is of, how wrong the frame is, what it took, and where it differs (S1, figure
-11). The split: a frame's error, and its parts, each found by putting its exact counterpart in place
-of one ingredient. Convergence: error against run time, of light kept in several ways, and of paths
-from each pixel (S1, table 1 and figure 7).
+- The summary: the subject, the error and the cost of its frame, and an error map (S1, figure 11).
+- The split: the frame's error and its parts. Each part is found by replacing one ingredient of the
+  frame by its exact counterpart.
+- Convergence: error against run time, of light kept in several ways, and of paths from each pixel
+  (S1, table 1 and figure 7).
 """
 
 import math
@@ -47,23 +48,25 @@ SUMMARY_KEY = "summary"
 SUMMARY_TITLE = "Summary"
 
 SUMMARY_TEXT = """\
-One view of a scene, each of its texels baked to the target error by the scene's plan, against a \
-reference: paths from each pixel to the lights themselves, with the scene's own normals and \
-offset. Errors are of the luminance, over the surface pixels, relative to the reference's mean: \
-the root mean square (less the reference's own noise), what 99 % of pixels stay below, the signed \
-mean (bias); FLIP is of the pictures as a screen shows them. Random numbers belong to texels and \
-pixels, so that light of as many samples has the same bits again; how many the reference has may \
-hang on the time that there was. Seconds are of the processor, all threads together."""
+One view of a scene, with light baked to the target error by the scene's plan, is compared with a \
+reference: paths from each pixel to the lights themselves, with the scene's normals and offset. \
+Errors are those of the luminance over the surface pixels, relative to the reference's mean: the \
+root mean square (without the reference's own noise), the error that 99 % of the pixels stay \
+below, and the signed mean (bias). FLIP compares the pictures as a screen shows them. Random \
+numbers belong to texels and pixels, so light of the same number of samples always has the same \
+bits; the number of paths of the reference may depend on the time available. Seconds are of the \
+processor, all threads together."""
 
 
 def study_summary(bench: Bench) -> Section:
-    """The headline, the facts, and the pictures."""
+    """Return the section with the headline, the facts, and the pictures."""
     planned = bench.planned
     best = bench.best
     frame = planned.frame()
-    own = score_cells(bench.score(frame.leaving))
+    scores = score_cells(bench.score(frame.leaving))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
-    headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
+    # The scores of the frame, its reference, and the facts of the scene, as tables.
+    headline = Table("The frame", columns, ((*scores, frame.noise, planned.seconds),))
     measured = (
         Column("reference's noise", "share"),
         Column("paths per pixel", "count"),
@@ -82,10 +85,11 @@ def study_summary(bench: Bench) -> Section:
 
 
 def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
-    """What is measured, in words."""
+    """Return the facts of the measurement as names and texts."""
     scene = bench.scene
     view = bench.view
     planned = bench.planned
+    # Put the scene, its picture and its plan into words.
     lights = " + ".join(light.name for light in scene.lighting.lights) or "no light"
     layers = " + ".join(map(layer_in_words, scene.plan.layers))
     size = " × ".join(map(str, scene.volume.size))
@@ -110,7 +114,7 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
 
 
 def layer_in_words(layer: Layer) -> str:
-    """A layer in words."""
+    """Return a description of a layer."""
     if layer.kind != "irradiance":
         order = f" of order {layer.order}"
     else:
@@ -129,18 +133,20 @@ SPLIT_COLUMNS = (
 )
 
 SPLIT_TEXT = """\
-Each part is the difference that remains when one ingredient of the frame gives way to its exact \
-counterpart, one after the other, so that biases add up to the total's. Noise that is known of \
-either side is taken off. The parts' root sum of squares equals the total where they are \
-independent. Normals and offset are the scene's own choice, and so the reference's too: what they \
-change is listed apart."""
+Each part is the change when one ingredient of the frame is replaced by its exact counterpart. \
+They are replaced one after the other, so that biases add up to the total's. Known noise of \
+either side is subtracted. If the parts are independent, their root sum of squares equals the \
+total. Normals and offset are chosen by the scene, and so the same in the reference: their effect \
+is listed separately."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of a frame's error: its ``name``, ``what`` was compared, and ``wrong`` (m,), the
-    pixels' luminance too much; ``noise`` (m,) is the variance of it that belongs to no part,
-    negative where some of the part is missing.
+    """One part of a frame's error: its ``name``, a text on ``what`` is compared, and ``wrong``
+    (m,), the excess luminance of pixels.
+
+    ``noise`` (m,) is the variance in it that belongs to no part, negative if some of the part's own
+    is missing.
     """
 
     name: str
@@ -151,10 +157,9 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The ``parts`` of a frame's error, and the ``whole`` of it; ``mean`` is the luminance that
-    they are relative to.
+    """The ``parts`` of a frame's error and the ``whole``, relative to the luminance ``mean``.
 
-    ``surface`` is what the scene's normals and offset make of it, and ``beyond`` the whole with
+    ``surface`` is the effect of the scene's normals and offset, and ``beyond`` the whole error with
     that.
     """
 
@@ -165,7 +170,7 @@ class Split:
     mean: float
 
     def spread(self, part: Part) -> Spread:
-        """The size of a part."""
+        """Return the size of a part."""
         return spread_of(part.wrong, part.noise, self.mean)
 
     @property
@@ -175,10 +180,12 @@ class Split:
 
 
 def study_split(bench: Bench) -> Section:
-    """The frame's error and its parts, as a table and as maps."""
+    """Return the section with the frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
     bias = sum(split.spread(part).bias for part in split.parts)
     reported = bench.planned.frame().noise
+    # The parts, their sum, the measured total, and the effect of normals and offset, which is no
+    # part.
     rows = (
         *(row_of(part, split) for part in split.parts),
         ("parts together", split.together, bias, "root sum of squares, sum of biases"),
@@ -197,9 +204,8 @@ def study_split(bench: Bench) -> Section:
         Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown
     )
     table = Table("Error of the plan's frame and its parts", SPLIT_COLUMNS, rows)
-    return Section(
-        SPLIT_KEY, SPLIT_TITLE, f"{SPLIT_TEXT} {missing(bench)}".strip(), (table,), (), pictures
-    )
+    about = f"{SPLIT_TEXT} {notes_on_missing_parts(bench)}".strip()
+    return Section(SPLIT_KEY, SPLIT_TITLE, about, (table,), (), pictures)
 
 
 def split_error(bench: Bench) -> Split:
@@ -209,6 +215,7 @@ def split_error(bench: Bench) -> Split:
     whole = Part(
         "total, measured", "the frame and the reference", planned.light - best.light, best.noise
     )
+    # Normals and offset are in frame and reference alike: measure them by a reference without.
     bare = bench.reference(bench.best.samples, true_surface(bench.scene))
     true = lit_by_paths(bare)
     change = reference_difference(bench.best, bare)
@@ -221,12 +228,16 @@ def split_error(bench: Bench) -> Split:
 
 
 def true_surface(scene: Scene) -> Scene:
-    """The scene with the normals that its trilinear isosurface has, and rays that start on it."""
+    """Return the scene with the normals of its trilinear isosurface, and rays that start on it."""
     return scene.with_settings(normals="gradient", offset=0.0)
 
 
 def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
-    """The parts, from the frame to the reference."""
+    """Yield the parts of the error, each the change from one ingredient to its exact counterpart.
+
+    They go in a chain from the frame to the reference, so that biases add up to the total.
+    """
+    # From the frame's texels to converged ones, and from rounded to exact coefficients.
     pair = converged(bench)
     plan = bench.scene.plan
     kept = lit_by_frame(pair.kept)
@@ -235,6 +246,7 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     yield Part("Monte Carlo noise", what, planned.light - kept.light, -kept.noise)
     if plan.precision != "single":
         yield Part("quantization", f"{plan.precision} and single floats", kept.light - exact.light)
+    # From texels around a pixel to the pixel's own point.
     own = own_light(bench)
     short = short_paths(bench)
     noise = exact.noise + own.noise
@@ -244,24 +256,26 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
         exact.light - own.light,
         noise,
     )
+    # From harmonics to the lights themselves.
     if cuts_harmonics(bench.scene):
-        what = f"{harmonics(plan)}, and the lights themselves"
+        what = f"{harmonics_in_words(plan)}, and the lights themselves"
         lights = lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
+    # From the plan's bounces to all that matter.
     if bench.scene.bounces:
         cut = reference_difference(short, bench.best)
         what = f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
         yield Part("bounces cut off", what, cut.light, cut.noise)
 
 
-def harmonics(plan: ScenePlan) -> str:
-    """What texels keep of a light, and what pixels see of it themselves."""
-    lobes = {0: "", 1: ", a lobe beside"}.get(plan.lobes, f", {plan.lobes} lobes beside")
+def harmonics_in_words(plan: ScenePlan) -> str:
+    """Return a description of the harmonics of the plan, and of its lobes."""
+    lobes = {0: "", 1: " and a lobe"}.get(plan.lobes, f" and {plan.lobes} lobes")
     return f"harmonics of order {plan.order}{lobes}"
 
 
-def missing(bench: Bench) -> str:
-    """Why some parts are not there."""
+def notes_on_missing_parts(bench: Bench) -> str:
+    """Return sentences on the parts that this plan does not have."""
     plan = bench.scene.plan
     reasons = []
     if plan.precision == "single":
@@ -269,12 +283,12 @@ def missing(bench: Bench) -> str:
     if not cuts_harmonics(bench.scene):
         reasons.append("Texels keep no harmonics that could be cut off.")
     if not bench.scene.bounces:
-        reasons.append("The scene has direct light alone: no bounces are missing.")
+        reasons.append("The scene has only direct light: no bounces are missing.")
     return " ".join(reasons)
 
 
 def row_of(part: Part, split: Split) -> tuple[str, float, float, str]:
-    """A part's row of the table."""
+    """Return a part's row of the table."""
     spread = split.spread(part)
     return part.name, spread.rmse, spread.bias, part.what
 
@@ -286,26 +300,26 @@ CURVE_PIXELS = 32
 """Pixels of the longer side of the picture."""
 
 CURVE_SAMPLES = (16, 64, 256, 1024, 4096, 16384)
-"""Samples of a texel, or paths of a pixel, of the points of a curve."""
+"""Samples of a texel, or paths of a pixel, at the points of a curve."""
 
 MAX_POINT_SECONDS = 120.0
 POINT_SHARE = 0.1
-"""Seconds that the next point of a curve may take, by what the last one took, and the share of
-those that are left.
+"""Most seconds that the next point of a curve may take,
+predicted from the last one, and the same as a share of the time left.
 """
 
 PATH_TRACING_CURVE = "path tracing from each pixel"
-"""The name of the curve that has no light of texels."""
+"""Name of the curve without light of texels."""
 
 CONVERGENCE_TEXT = """\
-Errors against the reference, of one view, as more samples are taken. Light of texels is baked \
-once and serves all cameras and, where it turns, all lights; paths from each pixel serve one \
-picture. Where a curve levels off, more samples do not help: interpolation, harmonics and bounces \
-that are cut off. Each point of baked light grows from the one before; seconds are of the \
-processor, all threads together, without compiling. The bake pays for itself after so many \
-pictures that read the texels of this one, from cameras that see the same surface or under turned \
-lights, as paths from each pixel could trace to its own error in its time; frames of baked light \
-take milliseconds, and count as nothing here."""
+Errors of one view against the reference, as more samples are taken. Light of texels is baked \
+once and serves all cameras and, if the light rotates, all rotations; paths from each pixel serve \
+one picture. Where a curve becomes flat, more samples do not help: the rest of the error is that \
+of interpolation, and of harmonics and bounces that are cut off. Each point of baked light \
+continues the one before. Seconds are of the processor, all threads together, without compiling. \
+Baking pays once as many pictures read the same texels, from other cameras or under rotated \
+light, as the table says: it has then taken less time than tracing each of them to the same \
+error. The time for frames of baked light, some milliseconds, is not counted."""
 
 CURVE_COLUMNS = (
     Column("way"),
@@ -316,8 +330,8 @@ CURVE_COLUMNS = (
 
 
 END_ERROR_FACTOR = 1.1
-"""How many times the error that a curve ends at its point may have that stands for the whole
-bake.
+"""The cheapest point whose error is at most this many times
+that at the end of its curve stands for the whole bake.
 """
 
 EQUAL_ERROR_COLUMNS = (
@@ -331,27 +345,30 @@ EQUAL_ERROR_COLUMNS = (
 
 @dataclass(frozen=True)
 class Point:
-    """A picture's score after so many ``samples`` and ``seconds`` of the processor."""
+    """The score of a picture after ``samples`` samples and ``seconds`` of the processor."""
 
     samples: int
     seconds: float
     score: Score
 
     def foresee(self, samples: int) -> float:
-        """The seconds that so many samples are expected to take."""
+        """Return the seconds that ``samples`` samples are expected to take."""
         return samples * self.seconds / self.samples
 
 
 def study_convergence(bench: Bench) -> Section:
-    """The curves, their points as a table, and where baked light begins to pay."""
+    """Return the section with the curves, their points
+    as a table, and the break-even of baked light.
+    """
+    # Measure the curves on a small picture, as some points take many samples.
     small = bench.sized(CURVE_PIXELS)
     found = points_of(small)
     rows = tuple(
         (name, p.samples, p.seconds, *score_cells(p.score))
-        for name, own in found.items()
-        for p in own
+        for name, points in found.items()
+        for p in points
     )
-    curves = tuple(curve(name, own) for name, own in found.items())
+    curves = tuple(curve_of(name, points) for name, points in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
     plot = Plot(
         f"Error against run time, {size}",
@@ -360,25 +377,30 @@ def study_convergence(bench: Bench) -> Section:
         curves,
     )
     table = Table(f"Points of the curves, {size}", CURVE_COLUMNS, rows)
-    tables = evens(curves[:-1], curves[-1], size), table
+    tables = break_even_table(curves[:-1], curves[-1], size), table
     return Section(
         CONVERGENCE_KEY,
         CONVERGENCE_TITLE,
-        " ".join([CONVERGENCE_TEXT, *ends(found)]),
+        " ".join([CONVERGENCE_TEXT, *notes_on_early_ends(found)]),
         tables,
         (plot,),
     )
 
 
 def points_of(bench: Bench) -> dict[str, list[Point]]:
-    """The points of all curves by name, that of path tracing last."""
+    """Return the points of all curves by name, that of path tracing last."""
     best = bench.grown(0.0)
-    found = {name: baked(bench, scene, best) for name, scene in ways(bench.scene).items()}
-    return {**found, PATH_TRACING_CURVE: traced(bench, best)}
+    found = {
+        name: points_of_bake(bench, scene, best)
+        for name, scene in ways_to_keep_light(bench.scene).items()
+    }
+    return {**found, PATH_TRACING_CURVE: points_of_paths(bench, best)}
 
 
-def ways(scene: Scene) -> dict[str, Scene]:
-    """The ways to keep a scene's light, by name: its plan, S1's, and irradiance."""
+def ways_to_keep_light(scene: Scene) -> dict[str, Scene]:
+    """Return scenes that keep the light in several ways, by name:
+    by the plan, as S1 does, and as irradiance.
+    """
     found = {f"the plan: {scene.plan.representation}": scene}
     s1 = as_s1(scene)
     if s1 is not None:
@@ -389,9 +411,12 @@ def ways(scene: Scene) -> dict[str, Scene]:
 
 
 def as_s1(scene: Scene) -> Scene | None:
-    """The scene with what S1 keeps of any; None under lamps, which harmonics do not hold."""
+    """Return the scene with the coefficients that S1 keeps of any scene;
+    None under lamps, which harmonics do not hold.
+    """
     if scene.lighting.lamps.any:
         return None
+    # S1 keeps direct and reflected light together, in single floats, and takes no lobes out.
     whole = Layer("whole", MEASURED_BANDS, 3, half=False)
     return with_plan(
         scene,
@@ -404,7 +429,9 @@ def as_s1(scene: Scene) -> Scene | None:
 
 
 def as_irradiance(scene: Scene) -> Scene:
-    """The scene under lights that stay: a texel keeps the light that it receives."""
+    """Return the scene under lights that do not rotate:
+    a texel keeps the irradiance that it receives.
+    """
     if scene.inputs.grey and scene.inputs.grey_light:
         channels = 1
     else:
@@ -416,45 +443,44 @@ def as_irradiance(scene: Scene) -> Scene:
 
 
 def of_glow(scene: Scene) -> tuple[Layer, ...]:
-    """The layer of what glows in a scene, which is the same whatever else is kept; none where
-    nothing does.
-    """
+    """Return the layer of glowing parts of a scene, which all ways share; none if nothing glows."""
     return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW_KIND)
 
 
-def curve(name: str, own: list[Point]) -> Curve:
-    """A way's ``own`` points as a curve of the plot."""
-    return Curve(name, tuple(p.seconds for p in own), tuple(p.score.rmse for p in own))
+def curve_of(name: str, points: list[Point]) -> Curve:
+    """Return the points of a way as a curve of the plot."""
+    return Curve(name, tuple(p.seconds for p in points), tuple(p.score.rmse for p in points))
 
 
-def ends(found: dict[str, list[Point]]) -> list[str]:
-    """A sentence on each curve that ends before the last of CURVE_SAMPLES."""
+def notes_on_early_ends(found: dict[str, list[Point]]) -> list[str]:
+    """Return a sentence on each curve that ends before the last of CURVE_SAMPLES."""
     return [
-        f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next "
-        "point would have taken too "
-        f"long, about {own[-1].foresee(CURVE_SAMPLES[len(own)]):.0f} seconds."
-        for name, own in found.items()
-        if len(own) < len(CURVE_SAMPLES)
+        f"The curve of {name.split(':')[0]} ends at {points[-1].samples:,} samples: the next point "
+        "would have taken too long, about "
+        f"{points[-1].foresee(CURVE_SAMPLES[len(points)]):.0f} seconds."
+        for name, points in found.items()
+        if len(points) < len(CURVE_SAMPLES)
     ]
 
 
-def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
-    """The points of light that is baked by a scene's plan. Raises Cancelled."""
+def points_of_bake(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
+    """Return the points of light that is baked by a scene's plan. Raises Cancelled."""
     bake = ViewBake(bench.renderer(scene), bench.view)
 
     def frame(samples: int) -> tuple[Frame, float]:
         bake.grow(samples)
         return bake.frame(), bake.seconds
 
-    return points(bench, best, frame)
+    return measure_points(bench, best, frame)
 
 
-def traced(bench: Bench, best: Reference) -> list[Point]:
-    """The points of paths from each pixel, each picture traced again; with as many bounces as may
-    matter.
+def points_of_paths(bench: Bench, best: Reference) -> list[Point]:
+    """Return the points of paths from each pixel,
+    each picture traced from the start, with as many bounces as may matter.
     """
     renderer = bench.renderer(bench.whole)
     view = replace(bench.view, shading="path_traced")
+    # Compile the kernels before time is taken.
     renderer.render(replace(view, samples=1))
 
     def frame(samples: int) -> tuple[Frame, float]:
@@ -462,63 +488,68 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
         frame = renderer.render(replace(view, samples=samples))
         return frame, time.process_time() - begun
 
-    return points(bench, best, frame)
+    return measure_points(bench, best, frame)
 
 
-def points(
+def measure_points(
     bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]
 ) -> list[Point]:
-    """The points of ``frame``, which returns its seconds too, over CURVE_SAMPLES, until the next
-    would take too long.
+    """Return the points of ``frame``, a function that returns a frame and its seconds, over
+    CURVE_SAMPLES.
 
-    The first one is made in any case.
+    They end when the next point would take too long; the first is made in any case.
     """
     found: list[Point] = []
     for samples in CURVE_SAMPLES:
-        if found and not fits(bench, found[-1].foresee(samples)):
+        # Time grows in proportion to samples, so the last point foretells the next.
+        if found and not is_affordable(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
         found.append(Point(samples, seconds, bench.score(picture.leaving, best)))
     return found
 
 
-def fits(bench: Bench, seconds: float) -> bool:
-    """Whether a point may take so long; the bench notes where time left forbids it."""
+def is_affordable(bench: Bench, seconds: float) -> bool:
+    """Return True if a point may take this many seconds.
+
+    If the time left forbids it, the bench notes that.
+    """
     if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
     return seconds <= min(MAX_POINT_SECONDS, POINT_SHARE * bench.left)
 
 
-def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
-    """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one;
-    ``size`` in words.
+def break_even_table(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
+    """Return the table of break-evens of each ``baked`` curve against the ``traced`` one;
+    ``size`` is in words.
     """
-    rows = tuple(even(curve, traced) for curve in baked)
+    rows = tuple(break_even_row(curve, traced) for curve in baked)
     return Table(f"When baked light pays, {size}", EQUAL_ERROR_COLUMNS, rows)
 
 
-def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
-    """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
+def break_even_row(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
+    """Return a way's row of the table,
+    by its cheapest point that is nearly as good as its last one.
+    """
+    # More samples than these hardly reduce the error, so stop the bake there.
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )
     picture = seconds_at(traced, error)
-    if picture is None:
-        pictures = None
-    else:
-        pictures = math.ceil(seconds / picture)
+    pictures = None if picture is None else math.ceil(seconds / picture)
     return baked.name, error, seconds, picture, pictures
 
 
 def seconds_at(curve: Curve, error: float) -> float | None:
-    """The seconds after which a curve has come to an error, linear in their logarithms between its
-    points.
+    """Return the seconds after which a curve reaches an error, by linear interpolation of
+    logarithms between its points.
 
-    Beyond its first and last point the line through the nearest two goes on. None where that never
-    meets the error: the curve has a single point, does not fall, or its error is 0.
+    Beyond the first and the last point the line through the nearest two is extended. Return None if
+    it never meets the error: the curve has a single point or does not fall, or the error is 0.
     """
     if len(curve.x) < 2 or min(error, *curve.y) <= 0.0:
         return None
+    # Find the two points that bracket the error, or the nearest two.
     i = min(max(bisect_left([-y for y in curve.y], -error), 1), len(curve.x) - 1)
     (x0, x1), (y0, y1) = (
         [math.log(v) for v in values[i - 1 : i + 1]] for values in (curve.x, curve.y)

@@ -1,3 +1,3 @@
-"""Bake requests, the queue that orders them, the tasks that bake them, and the processes that run
-tasks.
+"""Baking in worker processes: requests for light, the queue that orders them,
+the tasks that bake, and pools of processes that run tasks.
 """

@@ -1,8 +1,10 @@
 """Bake requests: light of a chunk that clients wait for, its priority, and the state of its task.
 
-Fair turns: of all that wait, the client that was served least is next (start-time fair queueing).
-P. Goyal, H. M. Vin, H. Cheng: Start-time Fair Queuing, SIGCOMM 1996. Workers share their processor
-seconds by it, and clients of the server the threads that render.
+``Shares`` gives clients fair turns by start-time fair queueing: of all that wait, the client that
+was served least is next. Workers share their processor seconds by it, and clients of the server the
+threads that render.
+
+Source: P. Goyal, H. M. Vin, H. Cheng: Start-time Fair Queuing, SIGCOMM 1996.
 """
 
 import math
@@ -22,12 +24,13 @@ from worker.tasks import BakeResult
 
 @dataclass(frozen=True)
 class Viewer:
-    """One ``visit`` of a ``client``. When it leaves, the requests that it was the last to renew are
-    dropped.
+    """One ``visit`` of a ``client``: a page or a script with views. Clients share the workers
+    evenly.
 
-    Clients share the workers evenly. A ``single`` viewer shows one view at a time: its newest view
-    replaces the requests of older ones; otherwise requests add up until they expire. A ``patient``
-    viewer yields to all others. One that ``bakes`` not is shown what is there.
+    A ``single`` viewer shows one view at a time, and its newest view replaces the requests of older
+    ones; otherwise requests add up until they expire. A ``patient`` viewer yields to all others.
+    Unless it ``bakes``, a viewer is shown the light that is there, and requests none. When it
+    leaves, the requests that it was the last to renew are dropped.
     """
 
     client: Hashable = ""
@@ -42,36 +45,39 @@ GUEST_VIEWER = Viewer()
 
 
 Key = tuple[str, Index]
-"""The name of a bake and the index of a chunk."""
+"""The name of a bake, and the index of a chunk."""
 
 MOST_FAILURES = 3
 """Failed tries after which a chunk is given up, until its request expires."""
 
 LONG_TASK_PATHS = 1 << 14
-"""Paths beyond which what is left of a chunk is not one task, but one level of samples more: about
-a tenth of a second, for which others may have to wait.
+"""If a chunk needs more paths than this, about a tenth of a second,
+its next task only takes its texels one level of samples up, as others may have to wait for it.
 """
 
 TASK_SECONDS = 0.25
 SHORT_TASK_SECONDS = 0.05
-"""Processor seconds that a task is filled up to, and that it is filled up to at least, where little
-is left and all workers are to have some of it.
+"""Processor seconds that a task is filled up to;
+and the least that it is filled up to when little work is left, which is shared among all workers.
 """
 
 PATH_SECONDS = 5e-6
-"""Processor seconds that a path of a chunk is assumed to take before any has ended."""
+"""Processor seconds that a path of a chunk is assumed to take before any was measured."""
 
 NO_EFFORT = Effort(0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
 class Interest:
-    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``,
-    until ``target``, or ``enough`` samples.
+    """The interest of a ``viewer`` in a chunk.
 
-    ``priority`` is the squared visible error of the light, over the paths taken. ``view`` numbers
-    the view that asked last, the newest being the highest, at the time ``asked``; the first request
-    came at ``since``. ``ticket`` marks its current place in the client's queue.
+    - ``offsets``, ``footprints``: the texels, and how much of each is seen.
+    - ``target``, ``enough``: the relative error, or else the samples, at which texels need no more.
+    - ``priority``: squared visible error of the light, over the paths taken.
+    - ``view``, ``asked``: the number of the view that asked last, the newest being the highest, and
+      the time.
+    - ``since``: time of the first request.
+    - ``ticket``: marks the current place in the client's queue.
     """
 
     viewer: Viewer
@@ -86,13 +92,15 @@ class Interest:
     ticket: int = 0
 
     def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Whether texels at ``offsets`` until a ``target``, or ``enough`` samples, are wanted
-        already.
+        """Return True if this interest includes the texels
+        at ``offsets`` until a ``target`` or ``enough`` samples.
         """
         return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
-        """Merge with a ``newer`` interest; priority and age are those of the newer."""
+        """Return this interest merged with a ``newer`` one
+        of the same client, whose priority and view count.
+        """
         offsets, footprints, target, enough = merged((self, newer))
         both = (offsets, footprints, target)
         since = min(self.since, newer.since)
@@ -100,8 +108,9 @@ class Interest:
 
 
 class MergedInterest(NamedTuple):
-    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the
-    strictest ``target``, and the most samples that are ``enough``."""
+    """Several interests as one: the texels ``offsets`` of all, the largest ``footprints`` of each,
+    the strictest ``target``, and the most samples that are ``enough``.
+    """
 
     offsets: np.ndarray
     footprints: np.ndarray
@@ -114,15 +123,19 @@ NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.
 
 @dataclass(eq=False)
 class BakeRequest:
-    """A request for light of the chunk ``key``, with the ``interests`` of its clients.
+    """A request for light of the chunk ``key``, with the ``interests`` of its clients, and the
+    state of its task.
 
-    ``effort`` is the work that it takes, as far as is known, and ``priority`` the squared visible
-    error in all views, over the paths taken. ``in_flight`` is whether it has a task, which was
-    charged to ``payers``. ``ranked`` holds whether it lacked light, and its priority, when it was
-    last ranked in the queues of all its clients. It is ``suspect`` when a worker died with its
-    task: that task may be the cause, or one beside it. It is ``postponed`` while another baker is
-    at the chunk, and has ``waited`` so many seconds for that. It has ``begun`` once a few texels
-    have light; its chunk has 1 << ``bits`` texels a side, see ``Demand``.
+    - ``effort``: the work that it takes, as far as is known.
+    - ``priority``: squared visible error in all views, over the paths taken.
+    - ``in_flight``: True if it has a task, which was charged to ``payers``.
+    - ``ranked``: if it lacked first light, and its priority, when it was last ranked in all queues.
+    - ``suspect``: True if a worker died with its task. This task may be the cause, or one next to
+      it.
+    - ``postponed``, ``waited``: True while another baker is at the chunk, and seconds waited for
+      that.
+    - ``begun``: True once a first few texels have light; see ``first_texels``.
+    - ``bits``: the chunk has 1 << ``bits`` texels a side; see ``Demand``.
     """
 
     key: Key
@@ -156,20 +169,19 @@ class BakeRequest:
 
     @property
     def next(self) -> tuple[np.ndarray, np.ndarray]:
-        """The offsets and footprints of the texels that its next task is for: all, or those that
-        have light first.
-        """
+        """The offsets and footprints of the texels of its next task: all, or a first few."""
         wanted = self._merge()
         if not self.sparse:
             return wanted.offsets, wanted.footprints
+        # Light a quarter of the texels first, evenly spread, and the rest with the next task.
         first = first_texels(wanted.offsets, self.bits)
         first = first if first.any() else ~first
         return wanted.offsets[first], wanted.footprints[first]
 
     @property
     def sparse(self) -> bool:
-        """Whether its next task lights a few texels alone: where none has light yet, and anybody is
-        impatient.
+        """True if its next task lights only a first quarter of the texels:
+        none has light yet, and some client is not patient.
         """
         unlit = not self.begun and self.effort.unlit >= len(self.offsets)
         return (
@@ -180,15 +192,16 @@ class BakeRequest:
 
     @property
     def stage(self) -> int:
-        """How far its first light has come: 0 without any, 1 where some texels lack it, else 2."""
+        """Progress of first light: 0 without any, 1 if some texels lack it, else 2."""
         if not self.effort.unlit:
             return 2
         return int(self.begun)
 
     @property
     def target(self) -> float:
-        """The strictest target: known without merging the texels, which frames that ask for the
-        time left need not.
+        """The strictest target.
+
+        It is known without merging texels, which would slow down estimates of the time left.
         """
         return min(
             (interest.target for interest in self.interests.values()), default=self._merged.target
@@ -196,7 +209,7 @@ class BakeRequest:
 
     @property
     def enough(self) -> int:
-        """The most samples that are enough for anybody."""
+        """The most samples that are enough for any client."""
         return max(
             (interest.enough for interest in self.interests.values()), default=self._merged.enough
         )
@@ -213,27 +226,29 @@ class BakeRequest:
 
     @property
     def until(self) -> int:
-        """The sample count beyond which no texel is taken next."""
+        """The number of samples beyond which its next task takes no texel."""
         return min(next_until(self.effort), self.enough)
 
     @property
     def paths(self) -> float:
-        """How many paths its next task takes, as far as is known."""
+        """The number of paths of its next task, as far as is known."""
         unlit, taken, left, *_ = self.effort
         if unlit:
             return FIRST_LEVEL * (len(self.next[0]) if self.sparse else unlit)
+        # Work that is not too long is done to the end. Else texels go one level up, which doubles
+        # their samples.
         if left <= LONG_TASK_PATHS:
             return left
         return min(left, taken)
 
     @property
     def given_up(self) -> bool:
-        """Whether its task failed so often that it is not tried again."""
+        """True if its task failed so often that it is not tried again."""
         return self.failures >= MOST_FAILURES
 
     @property
     def ready(self) -> bool:
-        """Whether a task for it may begin now."""
+        """True if a task for it may begin now."""
         return not (self.in_flight or self.postponed or self.given_up)
 
     def add_interest(
@@ -245,16 +260,15 @@ class BakeRequest:
         now: float,
         enough: int = MAX_SAMPLES,
     ) -> None:
-        """Add the demand of a ``viewer``'s newest ``view``.
-
-        It may be of a frame that was drawn before the last task ended: that one knows better what
-        its texels lack.
-        """
+        """Add the demand of the newest ``view`` of a ``viewer``, at the time ``now``."""
         older = self.interests.get(viewer.client)
+        # The frame may have been drawn before the last task ended. If it asks for nothing more,
+        # that task knows better how much work is left.
         known = self._known and older is not None and older.covers(demand.offsets, target, enough)
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
         interest = Interest(viewer, *seen, view, now, since, enough)
+        # A single viewer no longer wants what its older view did.
         if older is None or viewer.single:
             self.interests[viewer.client] = interest
         else:
@@ -270,60 +284,66 @@ class BakeRequest:
         self._stale = True
 
     def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Whether more is wanted than texels ``offsets`` until ``target``, or ``enough``
-        samples.
+        """Return True if more is wanted than the texels
+        at ``offsets`` until ``target`` or ``enough`` samples.
         """
         return exceeds(self._merge(), offsets, target, enough)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
-        """Take over the result of a task.
+        """Take over priority and effort from the ``result`` of a task.
 
-        Where newer views made the request grow meanwhile (``grown``), their facts stand.
+        If newer views made the request grow meanwhile (``grown``), theirs are kept.
         """
         self.begun = self.begun or self.sparse
         self._known = not grown
         if grown:
             return
+        # The result is of all texels together: share its priority evenly among the clients.
         for interest in self.interests.values():
             interest.priority = result.priority / len(self.interests)
         self.priority = result.priority
         self.effort = result.effort
 
     def _change_priority(self, change: float) -> None:
-        """Add a change of one interest to the sum; summing all again would be slow with a thousand
-        clients.
+        """Add a change of one interest to the sum.
+
+        To add up all of them would be slow with a thousand clients.
         """
         if self.interests:
             first = next(iter(self.interests.values())).priority
         else:
             first = 0.0
+        # The priority of a single interest is exact: rounding errors do not add up.
         if len(self.interests) < 2:
             self.priority = first
         else:
             self.priority = max(self.priority + change, 0.0)
 
     def _merge(self) -> MergedInterest:
-        """All interests as one, merged on use: most of them change again before that.
+        """Return all interests as one.
 
-        Of new texels, or a stricter target, the last result knows nothing.
+        They are merged when needed, as most of them change again before that.
         """
         if self._stale and self.interests:
             before = self._merged
             self._merged = merged(self.interests.values())
             self._stale = False
+            # The last result did not count new texels, or a stricter target.
             if exceeds(self._merged, before.offsets, before.target, before.enough):
                 self._known = False
         return self._merged
 
 
 def next_until(effort: Effort) -> int:
-    """The sample count beyond which a task takes no texel, of a chunk that wants this ``effort``.
+    """Return the number of samples beyond which the next task of a chunk with this ``effort`` takes
+    no texel.
 
-    It is the first while some have no light, and then all that there are, or where that is
-    LONG_TASK_PATHS, the next one.
+    It is the first level while some texels have no light. Then it is no limit if the work is one
+    task of at most LONG_TASK_PATHS paths, and else the level after the mean of the texels.
     """
     if effort.unlit:
         return FIRST_LEVEL
+    # The level above the mean of the texels that have light.
     mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
     if effort.left <= LONG_TASK_PATHS:
         return MAX_SAMPLES
@@ -331,13 +351,14 @@ def next_until(effort: Effort) -> int:
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:
-    """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest
-    target.
+    """Return all ``interests`` as one: the texels in ascending order,
+    the largest footprint of each, and the strictest target.
     """
     if len(interests) == 1:
         (alone,) = interests
         return MergedInterest(alone.offsets, alone.footprints, alone.target, alone.enough)
     wanted = np.concatenate([interest.offsets for interest in interests])
+    # Scatter the footprints into an array over the chunk; texels that nobody wants keep -1.
     seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
     np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
     offsets = np.flatnonzero(seen >= 0.0).astype(np.int32)
@@ -347,8 +368,8 @@ def merged(interests: Collection[Interest]) -> MergedInterest:
 
 
 def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
-    """Whether more is ``wanted`` than texels ``offsets`` until ``target``, or ``enough``
-    samples.
+    """Return True if more is ``wanted`` than the texels
+    at ``offsets`` until ``target`` or ``enough`` samples.
     """
     return (
         wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
@@ -356,19 +377,20 @@ def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: 
 
 
 def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
-    """Whether all ``offsets`` are among ``others``; both ascend."""
+    """Return True if all ``offsets`` are among ``others``. Both must be ascending."""
     if offsets is others or len(offsets) > len(others):
         return offsets is others
+    # Look up each offset among the others by bisection.
     places = np.minimum(np.searchsorted(others, offsets), len(others) - 1)
     return bool((others[places] == offsets).all())
 
 
 def priority_of(demand: Demand) -> float:
-    """The squared visible error over the paths that the light is of, or the paths of its first
-    level.
+    """Return the squared visible error of a demand, over the paths that its light is of, or those
+    of its first level.
 
-    The squared error falls with a power of the samples, so that the next path reduces it in
-    proportion to this.
+    The squared error falls with a power of the number of paths, so the next path reduces it in
+    proportion to this ratio.
     """
     return demand.weight / (demand.effort.taken + FIRST_LEVEL * demand.effort.unlit or FIRST_LEVEL)
 
@@ -382,7 +404,9 @@ PAST_TASKS_WEIGHT = 0.9
 
 @dataclass(eq=False)
 class Account:
-    """The seconds ``spent`` on one client, over its ``weight``, on a queue's own clock."""
+    """The seconds ``spent`` on one client,
+    divided by its ``weight``, on the queue's virtual clock.
+    """
 
     weight: float = 1.0
     spent: float = 0.0
@@ -390,10 +414,10 @@ class Account:
 
 @dataclass(eq=False)
 class FairClock:
-    """The clock of a queue: it is at the turn of the client that was served last.
+    """The virtual clock of a fair queue: it shows the account of the client that was served last.
 
-    A client saves nothing up while it asks for nothing, and is at most ``debt`` seconds ahead of
-    the clock for the work that it had done: nobody waits longer than this for the past.
+    A client that asks for nothing saves nothing up. For work done earlier it is at most ``debt``
+    seconds ahead of the clock, so no client waits longer than this for its past.
     """
 
     debt: float = math.inf
@@ -404,22 +428,22 @@ class FairClock:
         account.spent = max(account.spent, self.now)
 
     def serve(self, turn: float) -> None:
-        """Begin work whose client had spent so much (``turn``) when it was chosen."""
+        """Begin work of a client whose account stood at ``turn`` when it was chosen."""
         self.now = max(self.now, turn)
 
     def charge(self, account: Account, seconds: float) -> None:
-        """Charge a client with seconds of work, or give some back."""
+        """Charge a client for seconds of work; negative ones are given back."""
         account.spent = min(account.spent + seconds / account.weight, self.now + self.debt)
 
     def is_ahead(self, account: Account) -> bool:
-        """Whether a client was served more than the one that is served now."""
+        """Return True if a client was served more than the one that is served now."""
         return account.spent > self.now
 
 
 @dataclass(eq=False)
 class Shares:
-    """Fair shares of the workers: the ``accounts`` of clients, and processor seconds that a task
-    ``usual``-ly takes.
+    """Fair shares of the workers: the ``accounts`` of clients,
+    and the ``usual`` processor seconds of a task.
     """
 
     accounts: dict[Hashable, Account] = field(default_factory=dict)
@@ -427,30 +451,34 @@ class Shares:
     usual: float = FIRST_TASK_SECONDS
 
     def turns(self, waiting: Collection[Hashable]) -> list[Hashable]:
-        """Sort waiting clients by the processor seconds they were served; ties keep their order."""
+        """Return the ``waiting`` clients, those first
+        that were served least; ties keep their order.
+        """
+        # Accounts that the clock has passed are level with new ones, and need not be kept.
         self.accounts = {
             client: each for client, each in self.accounts.items() if self.clock.is_ahead(each)
         }
         return sorted(waiting, key=lambda client: self._account(client).spent)
 
     def begin(self, first: Hashable, clients: Collection[Hashable]) -> float:
-        """Begin a task for these clients, in the turn of the ``first``; returns the seconds charged
-        in advance.
+        """Begin a task for ``clients`` in the turn of the ``first`` one;
+        return the seconds charged in advance.
         """
         self.clock.serve(self._account(first).spent)
         self._charge(clients, self.usual)
         return self.usual
 
     def end(self, clients: Collection[Hashable], charged: float, seconds: float) -> None:
-        """End a task that took so many ``seconds``: correct what the clients were ``charged`` when
-        it began.
+        """End a task that took ``seconds``:
+        correct the amount that its clients were ``charged`` when it began.
         """
         self._charge(clients, seconds - charged)
+        # A running mean of the lengths of tasks is charged in advance.
         self.usual = PAST_TASKS_WEIGHT * self.usual + (1.0 - PAST_TASKS_WEIGHT) * seconds
 
     def _account(self, client: Hashable) -> Account:
-        """The account of a client; one without an account begins level with the client that is
-        served now.
+        """Return the account of a client;
+        a new one starts level with the client that is served now.
         """
         if client not in self.accounts:
             self.accounts[client] = Account(spent=self.clock.now)

@@ -1,6 +1,6 @@
-"""The baker: gives the workers tasks in the queue's order, and reports the light that has come.
+"""The baker: hands tasks to the workers in the queue's order, and reports the light that has come.
 
-While the store is away it pauses: one task now and then tries whether the store is back.
+While the store is away, baking pauses; now and then one task tries whether the store is back.
 """
 
 import logging
@@ -34,17 +34,17 @@ if TYPE_CHECKING:
 
 SHORTEST_PAUSE = 1.0
 LONGEST_PAUSE = 8.0
-"""Seconds until the first try, and the most that pass until the next; each pause is twice as long
-as the last.
+"""Seconds until the first try, and the longest time between two tries;
+each pause is twice as long as the last.
 """
 
 
 class Pause:
-    """A pause and its ``reason``, empty while there is none; ``resume`` is called when it is time
-    for a try.
+    """A pause in baking for a ``reason``, which is empty if there is none. ``resume`` is called
+    when it is time for a try.
 
-    The caller holds its lock around all methods. ``resume`` is called from another thread without
-    that lock.
+    The caller must hold its lock around all methods. ``resume`` is called from another thread
+    without that lock.
     """
 
     def __init__(self, clock: Callable[[], float], resume: Callable[[], None]) -> None:
@@ -59,16 +59,18 @@ class Pause:
 
     @property
     def over(self) -> bool:
-        """Whether it is time for a try."""
+        """True if it is time for a try."""
         return self._clock() >= self._until
 
     def begin(self, reason: str) -> None:
-        """Begin or prolong the pause: a task has failed for this ``reason``. A single failure is
-        ignored.
+        """Begin or prolong the pause, as a task has failed for this ``reason``.
+
+        A single failure is ignored.
         """
         if not self._stumbled:
             self._stumbled = True
             return
+        # Tasks that were in flight when the pause began fail too: they do not prolong it.
         if self.reason and not self.over:
             return
         if self.reason:
@@ -77,12 +79,13 @@ class Pause:
             self._seconds = SHORTEST_PAUSE
         self._until = self._clock() + self._seconds
         self.reason = reason
+        # Nothing else happens during a pause, so a timer starts the next try.
         self._timer = threading.Timer(self._seconds, self.stir)
         self._timer.daemon = True
         self._timer.start()
 
     def end(self) -> None:
-        """End the pause: a task went well, or the baker stops."""
+        """End the pause, as a task went well, or the baker stops."""
         self.reason = ""
         self._stumbled = False
         if self._timer is not None:
@@ -97,23 +100,28 @@ CLEAR_CORES_SECONDS = 0.5
 
 POSTPONE_SECONDS = 0.25
 LONGEST_REST = 5.0
-"""Seconds for which a chunk is postponed that another baker has claimed, and the most of these
-together: the other baker may have been killed."""
+"""Seconds for which a chunk is postponed that another baker has claimed,
+and the most of these together, as the other baker may have been killed.
+"""
 
 Listener = Callable[[str, Index, bool], None]
-"""Is called, from any thread, with a bake, a chunk, and whether more of the chunk will be baked."""
+"""A function that is called, from any thread, with a bake,
+a chunk, and True if more of the chunk will be baked.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A bake: the ``plan`` for the scene in ``source``, and the ``digest`` and ``store_url`` of its
-    light.
+    """The bake of a scene by a ``plan``: everything that its tasks have in common.
 
-    ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its
-    chunks. ``arrived`` is called with each chunk that has new light. Workers open the ``assets``,
-    where there are some, in place of the scene's files. Texels lie on the isosurface that is
-    ``shown``, if any. The scene may be cut from a ``whole``. Its ``light`` stays in memory while it
-    converges, where the workers are of this machine.
+    - ``source``: the scene. Workers open its ``assets``, if there are any, in place of its files.
+    - ``digest``, ``store_url``: the name and the place of its light.
+    - ``layers``: digests of the layers that it writes.
+    - ``arrived``: called with each chunk that has new light.
+    - ``costs``: measured costs of its chunks.
+    - ``shown``: if given, texels are projected onto that isosurface.
+    - ``whole``: the scene that this one was cut from, if it was.
+    - ``light``: light in memory while it converges, if the workers are of this machine.
     """
 
     source: SceneSource
@@ -130,18 +138,22 @@ class Bake:
 
 
 class Baker:
-    """One queue and one pool for all scenes; ``paths`` counts those baked. Safe to use from many
+    """Bakes light for all scenes, with one queue and one pool of workers. Safe to use from many
     threads.
+
+    ``paths`` counts the paths baked.
     """
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1
     ) -> None:
-        """Begin without a pool: requests wait until ``employ``. ``workers`` is the expected number,
-        None if unknown.
+        """Begin without a pool: requests wait until ``employ`` is called.
+
+        ``workers`` is the expected number of workers, None if unknown.
         """
         self._expected = workers
         self._clock = clock
+        # The name of this baker in claims: no other process has had it.
         self._name = uuid4().hex
         self._queue = BakeQueue(
             clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1])
@@ -164,13 +176,15 @@ class Baker:
         self._listeners: list[Listener] = []
 
     def add(self, scene: str, bake: Bake) -> None:
-        """Add the bake of a scene; what a whole has that it was cut from is written for it."""
+        """Add the ``bake`` of a ``scene``."""
         self._bakes[scene] = bake
+        # A cut may keep light of the whole, which workers read from the store: write all of it that
+        # is in memory.
         if bake.whole is not None and self._writer is not None:
             self._writer.write()
 
     def forget(self, scene: str) -> None:
-        """Drop a scene's bake; listeners learn that no more of its chunks is baked."""
+        """Drop the bake of a scene, and tell listeners that no more of its chunks is baked."""
         with self._changed:
             bake = self._bakes.pop(scene)
             dropped = self._queue.drop(scene)
@@ -190,8 +204,8 @@ class Baker:
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
-        """Have every worker open what a bake of a scene needs, by default the first one, before a
-        view asks for it.
+        """Have every worker open a scene, by default the first one,
+        before a view asks for its light.
         """
         pool = self._pool
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
@@ -201,8 +215,8 @@ class Baker:
             )
 
     def stir(self) -> None:
-        """Hand out the tasks that there is room for: workers have come, can be reached again, or a
-        pause is over.
+        """Hand out tasks if there is room:
+        call it if workers have come, can be reached again, or a pause is over.
         """
         with self._changed:
             self._feed()
@@ -219,10 +233,11 @@ class Baker:
         viewer: Viewer = GUEST_VIEWER,
         enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
-        """Request the light that a viewer's newest view lacks. Returns the chunks that will be
-        baked, or have been since the view was drawn.
+        """Request the light that the newest view of a ``viewer`` lacks, by its ``demands``.
 
-        There are none where the scene was dropped.
+        ``target`` is the relative error of the picture, and ``enough`` the samples beyond which no
+        texel goes. Return the chunks that will be baked, or were baked since the view was drawn;
+        none if the scene was dropped.
         """
         wanted: list[tuple[Key, Demand]] = [((scene, demand.index), demand) for demand in demands]
         with self._changed:
@@ -234,10 +249,10 @@ class Baker:
             return frozenset(index for _, index in (*stale, *(each.key for each in coming)))
 
     def make_way(self) -> None:
-        """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the
-        workers rest.
+        """Leave cores to frames and a browser while a view moves: half of the workers rest for
+        CLEAR_CORES_SECONDS.
 
-        The others get one task each, at lower priority. Workers on other machines go on.
+        The other half get one task each, at lower priority. Workers on other machines go on.
         """
         pool = self._pool
         if pool is not None and pool.step_back(CLEAR_CORES_SECONDS):
@@ -249,14 +264,16 @@ class Baker:
             self._queue.leave(viewer)
 
     def wait(self, scene: str, indices: Iterable[Index], seconds: float) -> None:
-        """Block until all requests of these chunks are done or given up, at most ``seconds``."""
+        """Block until all requests of these chunks are done or given up,
+        at most for ``seconds``.
+        """
         keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
             self._changed.wait_for(lambda: not self._queue.open(keys), seconds)
 
     def open(self, scene: str, indices: Iterable[Index], viewer: Viewer = GUEST_VIEWER) -> int:
-        """Count the chunks with open requests, neither done nor given up, and renew the viewer's
-        interest in them.
+        """Return the number of these chunks with requests that are neither done nor given up,
+        and renew the viewer's interest in them.
         """
         keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
@@ -264,13 +281,13 @@ class Baker:
             return len(self._queue.open(keys))
 
     def failures(self, scene: str, indices: Iterable[Index]) -> dict[Index, str]:
-        """The reasons for which chunks were given up."""
+        """Return the reasons for which chunks were given up."""
         with self._changed:
             found = self._queue.failures((scene, index) for index in indices)
             return {index: trouble for (_, index), trouble in found.items()}
 
     def spent(self, scene: str, indices: Iterable[Index]) -> Cost:
-        """The cost of these chunks' tasks so far; none where the scene was dropped."""
+        """Return the cost of these chunks' tasks so far; zero if the scene was dropped."""
         bake = self._bakes.get(scene)
         if bake is None:
             return Cost()
@@ -278,12 +295,12 @@ class Baker:
 
     @property
     def manned(self) -> bool:
-        """Whether there is a pool of workers."""
+        """True if there is a pool of workers."""
         return self._pool is not None
 
     @property
     def workers(self) -> int:
-        """Number of workers, present or expected; 1 where that is unknown."""
+        """Number of workers, present or expected; 1 if that is unknown."""
         pool = self._pool
         if pool is not None:
             return pool.workers
@@ -295,12 +312,14 @@ class Baker:
         """Estimate the time until all requests of these chunks, and ``later`` stages of the same
         picture, are done.
 
-        None where their cost is unknown.
+        ``subject`` names the picture, so that its earlier estimates can be compared with this one.
+        Return None if the cost of the work is unknown.
         """
         with self._changed:
             if scene not in self._bakes:
                 return None
             open_now = self._queue.open((scene, index) for index in indices)
+            # Sum up the processor seconds of open requests and of later stages.
             work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
             work += [
                 Work(each.index, each.effort, stage.target, stage.enough)
@@ -314,22 +333,23 @@ class Baker:
                 workers = self._pool.workers
             if seconds is None or workers is None:
                 return None
+            # Workers share the work, but a chunk is not divided among them.
             left = max(sum(seconds) / workers, *seconds, 0.0)
             return self._estimator.estimate(subject, left, self._seconds / workers).times(
                 self._pace.value
             )
 
     def trouble(self) -> str:
-        """Why requested light is not baked; empty where all is well."""
+        """Return the reason if requested light cannot be baked, else an empty string."""
         with self._changed:
             return self._queue.trouble()
 
     def paused(self) -> str:
-        """Why baking is paused: the store is away; empty where it is not."""
+        """Return the reason if baking is paused because the store is away, else an empty string."""
         return self._pause.reason or (self._writer.reason if self._writer else "")
 
     def tally(self) -> Tally:
-        """Counts of waiting, done and failed work so far."""
+        """Return counts of waiting, done and failed work so far."""
         with self._changed:
             pool = self._pool
             counts = self._queue.counts()
@@ -347,8 +367,8 @@ class Baker:
             return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
 
     def stop(self) -> None:
-        """Hand out no more tasks, write the light that is in memory, and save the measured
-        costs.
+        """Hand out no more tasks, write the light
+        that is in memory, and save the measured costs.
         """
         with self._changed:
             self._pool = None
@@ -369,38 +389,43 @@ class Baker:
 
     @property
     def unwritten(self) -> int:
-        """How many chunks have light that is in memory alone."""
+        """Number of chunks with light that is in memory only."""
         if self._writer is None:
             return 0
         return self._writer.unwritten
 
     def _look(self) -> None:
-        """Have light written when that is due, until the baker stops."""
+        """Have due light written, and written light forgotten, until the baker stops.
+
+        Runs in a thread.
+        """
         while self._writer is not None and not self._stopped.wait(LOOK_SECONDS):
             self._writer.look(self._wanted)
             with self._changed:
                 self._writer.sweep(self._queue.is_busy)
 
     def _wanted(self, name: str) -> set[Index]:
-        """The chunks of a bake that are still to be baked."""
+        """Return the chunks of the bake ``name`` that have open requests."""
         with self._changed:
             return self._queue.wanted(name)
 
     def _met(self, name: str, index: Index) -> None:
-        """Have light read again that another writer has added to."""
+        """Have a chunk read again that another writer has added light to."""
         bake = self._bakes.get(name)
         if bake is not None:
             bake.arrived(index)
             self._notify(name, index, False)
 
     def _shared(self, one: str, other: str) -> bool:
-        """Whether two bakes write to the same layer; False for a bake that was dropped."""
+        """Return True if two bakes write to the same layer,
+        or are the same; False for a bake that was dropped.
+        """
         if one == other or one not in self._bakes or other not in self._bakes:
             return one == other
         return not self._bakes[one].layers.isdisjoint(self._bakes[other].layers)
 
     def _feed(self) -> None:
-        """Hand tasks over while there is room for them; the caller holds the lock."""
+        """Hand out tasks while there is room. The caller must hold the lock."""
         while self._pool is not None and self._in_flight < self._room(self._pool):
             request = self._queue.take()
             if request is None:
@@ -411,17 +436,18 @@ class Baker:
             )
 
     def _fly(self, more: int) -> None:
-        """Count so many ``more`` tasks as in flight; the caller holds the lock."""
+        """Add ``more`` to the number of tasks in flight. The caller must hold the lock."""
         self._in_flight += more
         self._pace.working(min(self._in_flight, self.workers))
 
     def _room(self, pool: "WorkerPool") -> int:
-        """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view
-        moves.
-        """
+        """Return the number of tasks that may be in flight now."""
+        # While the store takes no light, more of it would only fill memory.
         if self._writer is not None and self._writer.reason:
             return 0
+        # In a pause a single task tries the store.
         if self._pause.reason:
+            # While a view moves, half of the workers have one task each.
             return min(int(self._pause.over), pool.room)
         return min(
             max(pool.workers // 2, 1)
@@ -431,7 +457,7 @@ class Baker:
         )
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
-        """Hand over the tasks of requests of one bake, to be done together."""
+        """Hand over requests of one bake as one task of the pool."""
         scene = requests[0].key[0]
         bake = self._bakes[scene]
         keeps = self._writer is not None and bake.light is not None
@@ -444,10 +470,13 @@ class Baker:
             pool.submit_all(tasks, lambda outcomes: self._done(scene, bake, tasks, outcomes))
 
     def _task(self, bake: Bake, request: BakeRequest, keeps: bool) -> BakeTask:
+        """Return the task of a request."""
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (*request.next, request.until, request.target)
+        # The other baker may have been killed: after LONGEST_REST its claim counts no more.
         insists = request.waited >= LONGEST_REST
+        # A worker needs no read of the store if the light of its texels is in memory.
         light = None
         if keeps and bake.light is not None:
             light = bake.light.some(index, request.next[0])
@@ -471,13 +500,15 @@ class Baker:
         tasks: Sequence[BakeTask],
         outcomes: Sequence[BakeResult | BaseException | None],
     ) -> None:
-        """Take over what became of tasks that were done together."""
+        """Take over the outcomes of tasks that were done together, from a thread of the pool."""
+        # Keep new light first, so that a view that is notified of it finds it.
         for task, outcome in zip(tasks, outcomes, strict=True):
             if isinstance(outcome, BakeResult) and not outcome.elsewhere:
                 bake.costs.add(task.index, outcome.cost)
                 if self._writer is not None and bake.light is not None:
                     self._writer.take(scene, bake.light, task, outcome)
                 bake.arrived(task.index)
+        # Then tell the queue, and hand out the next tasks.
         with self._changed:
             self._fly(-1)
             self._done_tasks += any(
@@ -488,6 +519,7 @@ class Baker:
             self._changed.notify_all()
             self._feed()
             open_still = [bool(self._queue.open([(scene, task.index)])) for task in tasks]
+        # Call listeners last, without the lock, as they may call the baker.
         for task, outcome, more in zip(tasks, outcomes, open_still, strict=True):
             if not (isinstance(outcome, BakeResult) and outcome.elsewhere):
                 self._notify(scene, task.index, more)
@@ -496,7 +528,7 @@ class Baker:
     def _settle(
         self, scene: str, task: BakeTask, outcome: BakeResult | BaseException | None
     ) -> None:
-        """Note in the queue what became of a task; the caller holds the lock."""
+        """Tell the queue the outcome of a task. The caller must hold the lock."""
         key = scene, task.index
         if isinstance(outcome, BakeResult) and outcome.elsewhere:
             self._postpone(key)
@@ -505,22 +537,25 @@ class Baker:
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
             self._done_chunks += 1
-            if task.light is None:  # it has read the store
+            # A task that was sent no light has read the store, so the store is there.
+            if task.light is None:
                 self._pause.end()
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
             self._kept += outcome.kept
             self._queue.finish(key, task.offsets, task.target, outcome, task.enough)
         elif isinstance(outcome, WorkersAwayError):
+            # The chunk is not to blame: it waits for the workers, as below for the store.
             self._queue.put_off(key)
         elif isinstance(outcome, StoreAwayError):
             self._put_off(key, outcome)
         elif self._pool is not None:
+            # Tasks that end after the baker has stopped do not count as failures.
             self._fail(key, outcome)
 
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
-        """Postpone a task that could not reach the store, and pause baking until the store is there
-        again.
+        """Postpone a task that could not reach the store,
+        and pause baking until the store is back.
         """
         waited = self._pause.reason
         self._queue.put_off(key)
@@ -530,15 +565,17 @@ class Baker:
             log.error("baking waits for the store: %s", error)
 
     def _postpone(self, key: Key) -> None:
-        """Postpone a chunk that another baker has claimed; other chunks come first."""
+        """Postpone a chunk that another baker has claimed, in favour of other chunks."""
         self._queue.put_off(key, POSTPONE_SECONDS)
         after(POSTPONE_SECONDS, self.stir)
 
     def _notify(self, scene: str, index: Index, more: bool) -> None:
+        """Call all listeners."""
         for listener in self._listeners:
             listener(scene, index, more)
 
     def _fail(self, key: Key, error: BaseException | None) -> None:
+        """Log a failure of a task, and have the queue try again or give up."""
         scene, index = key
         self._failed_tasks += 1
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)
@@ -548,7 +585,7 @@ class Baker:
 
 
 def after(seconds: float, call: Callable[[], None]) -> None:
-    """Call a function from another thread, in so many seconds."""
+    """Call a function from another thread after ``seconds``."""
     timer = threading.Timer(seconds, call)
     timer.daemon = True
     timer.start()

@@ -18,10 +18,10 @@ from worker.tasks import BakeTask, WriteTask, bake, bake_all, write_all
 
 
 def show_certificate(authority: str, certificate: str, key: str) -> "dask.config.set":
-    """Show a certificate to each scheduler that this process joins, and trust those of an
-    ``authority``: PEM files.
+    """Present a certificate to each scheduler that this process joins, and trust those signed by
+    ``authority``; all are PEM files.
 
-    It is so from now on, or until the end of a ``with`` block of what is returned.
+    It holds from now on, or until the end of a ``with`` block of the returned object.
     """
     tls = "distributed.comm.tls"
     own = {f"{tls}.client.cert": certificate, f"{tls}.client.key": key}
@@ -31,18 +31,22 @@ def show_certificate(authority: str, certificate: str, key: str) -> "dask.config
 
 
 CLIENT_CLOSE_SECONDS = 1.0
-"""Seconds that closing a client may take that could not be made."""
+"""Seconds that closing a client may take whose connection failed."""
 
 
 class OwnClient(Client):
     """A client that the garbage collector never closes.
 
-    Dask's own client takes a lock when it is collected. If the same thread is making a client then,
-    and holds that lock, it waits for ever. A client that finds no scheduler is such garbage.
+    Dask's own client takes a lock when it is collected. If that happens in a thread that is just
+    making a client, and holds this lock, the thread waits for ever. A client that finds no
+    scheduler is such garbage.
     """
 
     def __init__(self, address: str, timeout: str) -> None:
-        """Join a scheduler by its address; OSError where none is found within the ``timeout``."""
+        """Join a scheduler by its ``address``.
+
+        Raises OSError if none is found within the ``timeout``.
+        """
         try:
             super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
         except BaseException:
@@ -51,7 +55,7 @@ class OwnClient(Client):
             raise
 
     def __del__(self) -> None:
-        """Close nothing."""
+        """Do nothing, in place of Dask's closing."""
 
 
 SETTINGS: dict[str, object] = {
@@ -66,10 +70,10 @@ SETTINGS: dict[str, object] = {
     "distributed.worker.memory.terminate": False,
     "distributed.worker.profile.enabled": False,
 }
-"""Settings of Dask. A worker's death ends all its tasks, and the queue tries each again.
+"""Settings of Dask. A worker's death ends all its tasks, and the queue tries each of them again.
 
-By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set
-it takes 1 %.
+By default Dask observes itself a hundred times a second, which takes 5 % of a core with one idle
+worker. With these settings it takes 1 %.
 """
 
 CHECK_SECONDS = 1.0
@@ -89,24 +93,24 @@ log = logging.getLogger("isogi.worker")
 
 
 class Nice(WorkerPlugin):
-    """Gives a worker process its name, and lower priority than the server."""
+    """A plugin of Dask that names a worker process, and gives it lower priority than the server."""
 
     name = "nice"
 
     def __init__(self) -> None:
-        """Take the priority of this process, the server, as the one to stay below."""
+        """Note the priority of this process, the server, below which workers stay."""
         self.niceness = worker_niceness()
 
     def setup(self, worker: Any) -> None:
-        """Name the process, and lower its priority, unless it is as low already."""
+        """Name the process, and lower its priority unless it is as low already."""
         stand_behind(self.niceness)
 
 
 class DaskPool:
     """Worker processes of a scheduler, which may run on other machines.
 
-    They load kernels when they start: see ``worker.tasks.dask_setup``. They and their scheduler may
-    come and go: a thread of the pool follows that.
+    They load kernels when they start: see ``worker.tasks.dask_setup``. Workers and their scheduler
+    may come and go; a thread of the pool keeps track of them.
     """
 
     together = MAX_TASK_TEXELS
@@ -114,7 +118,10 @@ class DaskPool:
     keeps_light = False
 
     def __init__(self, scheduler: str) -> None:
-        """Join the ``scheduler``. Raises WorkersError, and WorkersAwayError if it is not there."""
+        """Join the ``scheduler`` by its address.
+
+        Raises WorkersError, and WorkersAwayError if it cannot be reached.
+        """
         self._scheduler = scheduler
         self._addresses: frozenset[str] = frozenset()
         self._joined = ""
@@ -122,6 +129,7 @@ class DaskPool:
         self._stir: Callable[[], None] = lambda: None
         self._moved = threading.Event()
         self._closing = threading.Event()
+        # Tasks in flight by Dask's key, and those that had ended at the last check.
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
         self._ended: set[Any] = set()
         try:
@@ -152,12 +160,12 @@ class DaskPool:
 
     @property
     def connected(self) -> bool:
-        """Whether the scheduler can be reached."""
+        """True if the scheduler can be reached."""
         return bool(self._client.status == "running")
 
     @property
     def trouble(self) -> str:
-        """Why nothing is baked at the moment; empty when all is well."""
+        """The reason if nothing can be baked at the moment, else empty."""
         if not self.connected:
             return SCHEDULER_AWAY.format(scheduler=self._scheduler)
         if not self._addresses:
@@ -173,22 +181,25 @@ class DaskPool:
         self._send(bake, task, done)
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
-        """Hand tasks of one bake over, to be done together."""
+        """Hand over tasks of one bake, to be done together."""
         self._send(bake_all, tasks, all_ended(tasks, done))
 
     def write(self, task: WriteTask, done: WriteDone) -> None:
-        """Have light written: its workers write what they bake themselves."""
+        """Hand over a task that writes light.
+
+        The baker gives none, as these workers write the light that they bake.
+        """
         self._send(write_all, task, done)
 
     def prepare(self, work: Callable[[], object]) -> None:
-        """Do nothing: joined workers prepare when they start."""
+        """Do nothing, as joined workers prepare when they start."""
 
     def step_back(self, seconds: float) -> bool:
-        """Leave the workers as they are: they may serve others."""
+        """Return False, and leave the workers as they are: they may serve others."""
         return False
 
     def pids(self) -> list[int]:
-        """Process ids of the workers."""
+        """Return the process ids of the workers, on their machines."""
         return list(self._client.run(os.getpid).values())
 
     def close(self) -> None:
@@ -204,7 +215,9 @@ class DaskPool:
     def _send(
         self, work: Callable[[Any], Any], what: Any, done: Callable[[Any, Any], None]
     ) -> None:
-        """Have a worker do some ``work`` on ``what``."""
+        """Have a worker call ``work`` with ``what``;
+        ``done`` is called with the result or the error.
+        """
         try:
             future = self._client.submit(work, what, pure=False)
         except Exception as error:  # the client closed at this moment
@@ -215,8 +228,10 @@ class DaskPool:
             future.add_done_callback(lambda ended: self._end(ended.key))
 
     def _connect(self, timeout: str) -> Client:
-        """Connect a client that hears of workers that come and go, and list the present ones;
-        raises OSError.
+        """Return a client that is notified of workers that come and go; list the workers that are
+        there.
+
+        Raises OSError if the scheduler is not found within the ``timeout``.
         """
         client: Client = OwnClient(self._scheduler, timeout)
         try:
@@ -230,15 +245,15 @@ class DaskPool:
         return client
 
     def _on_event(self, event: tuple[float, Any]) -> None:
-        """Note an event of the scheduler where workers came or went."""
+        """Wake the pool's thread if an event of the scheduler says that workers came or went."""
         if isinstance(event[1], dict) and event[1].get("action") in ("add-worker", "remove-worker"):
             self._moved.set()
 
     def _keep(self) -> None:
-        """Follow the workers: count them when some came or went, and join the scheduler again after
-        it was lost.
+        """Keep track of the workers until the pool is closed; join the scheduler again after it was
+        lost. Runs in a thread.
 
-        Events may be lost, so the number of workers is polled too.
+        Events may be lost, so the number of workers is polled, too.
         """
         while not self._closing.is_set():
             moved = self._moved.wait(CHECK_SECONDS)
@@ -246,6 +261,7 @@ class DaskPool:
             try:
                 self._look_after()
                 info = self._client.scheduler_info(n_workers=0) if self.connected else {}
+                # A restarted scheduler has a new id, and one that is away has none.
                 if info.get("id") != self._joined:
                     self._join_again()
                 elif moved or info["n_workers"] != len(self._addresses):
@@ -259,9 +275,10 @@ class DaskPool:
             hand_on_result(*entry)
 
     def _look_after(self) -> None:
-        """Report tasks that had ended at the last check already, where Dask's own callback has not
-        come.
+        """Report tasks that had already ended at the last check,
+        but for which Dask's callback has not come.
         """
+        # The callback of a task may still be on its way, so leave it the time until the next check.
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:
             log.info("a task had ended unnoticed: %s", key)
@@ -269,11 +286,11 @@ class DaskPool:
         self._ended = ended
 
     def _join_again(self) -> None:
-        """Join the scheduler with a new client: a restarted one knows neither the old client nor
+        """Join the scheduler with a new client, as a restarted one knows neither the old client nor
         its tasks.
 
-        A Dask client that reconnects by itself has lost its subscription to events, so it is
-        replaced too.
+        A Dask client that reconnects by itself loses its subscription to events, so it is replaced,
+        too.
         """
         if self._closing.is_set():
             return
@@ -287,7 +304,7 @@ class DaskPool:
         self._stir()
 
     def _count(self) -> None:
-        """Count the present workers; a round trip."""
+        """Count the present workers, by a request to the scheduler."""
         found = addresses(self._client)
         self._deaths += len(self._addresses - found)
         self._addresses = found
@@ -295,14 +312,14 @@ class DaskPool:
 
 
 def addresses(client: Client) -> frozenset[str]:
-    """Addresses of the workers of a client's scheduler."""
+    """Return the addresses of the workers of a client's scheduler."""
     return frozenset(client.scheduler_info(n_workers=-1)["workers"])
 
 
 def hand_on_result(ended: "Future[Any]", done: Done) -> None:
     """Call ``done`` with the result or the error of a future.
 
-    A result stays with its worker until it is fetched here. Where that worker dies in between, Dask
+    A result stays with its worker until it is fetched here. If that worker dies in between, Dask
     runs the task again; fetching waits for that, or raises its error.
     """
     try:
@@ -310,6 +327,8 @@ def hand_on_result(ended: "Future[Any]", done: Done) -> None:
     except KilledWorker:
         done(None, LostWorkerError("the process that was to bake it died."))
     except Exception as error:
+        # An error of the task itself is passed on; any other means that the worker or the scheduler
+        # is gone.
         own = ended.status == "error"
         done(None, error if own else WorkersAwayError(f"The workers were lost: {error}"))
     else:

@@ -8,8 +8,8 @@ class WorkersError(IsogiError):
 
 
 class LostWorkerError(WorkersError):
-    """A worker process died at a task, or while one waited for it."""
+    """A worker process died while it did a task, or while a task waited for it."""
 
 
 class WorkersAwayError(WorkersError):
-    """The workers cannot be reached at the moment; what is asked of them later will be done."""
+    """The workers cannot be reached at the moment; work is done when they are back."""

@@ -1,7 +1,8 @@
-"""Ctrl-C, which a terminal sends to the fork server and its workers too, is left to the process
-that started them.
+"""Ignore Ctrl-C, which a terminal sends to the fork server and its workers, too: the process that
+started them handles it.
 
-The fork server imports this first: it would end with a traceback while it imports the rest.
+The fork server imports this module first, as it would otherwise end with a traceback while it
+imports the rest.
 """
 
 import signal

@@ -1,5 +1,5 @@
-"""The worker processes of this machine: forked from the fork server, with tasks and results over
-pipes.
+"""The worker processes of this machine,
+forked from the fork server, with tasks and results over pipes.
 """
 
 import logging
@@ -44,7 +44,9 @@ from worker.tasks import (
 )
 
 START_SECONDS = 120.0
-"""Seconds within which the first workers come: the fork server imports and loads kernels first."""
+"""Seconds within which the first workers must be ready:
+the fork server imports and loads kernels first.
+"""
 
 RETRY_SECONDS = 1.0
 """Seconds until a process is started again that ended before it took jobs."""
@@ -58,7 +60,7 @@ log = logging.getLogger("isogi.worker")
 
 
 class Sent(NamedTuple):
-    """A job as it is ``packed`` for a pipe, and the function that is called once it is ``done``."""
+    """A job, ``packed`` for a pipe, and the function that is called when it is ``done``."""
 
     packed: bytes
     done: Callable[[Any, BaseException | None], None]
@@ -66,8 +68,8 @@ class Sent(NamedTuple):
 
 @dataclass(eq=False)
 class LocalWorker:
-    """A worker's ``process``, the ends of its two pipes, and the jobs that it has, the one at work
-    first.
+    """A worker ``process``, the server's ends of its two pipes, and the jobs it was sent, the one
+    at work first.
 
     It takes jobs once it is ``here``.
     """
@@ -90,10 +92,11 @@ class LocalWorker:
 
 
 class LocalPool:
-    """Worker processes of this machine, each on one thread. One that dies is started again.
+    """Worker processes of this machine, each with one thread. If one dies, another is started in
+    its place.
 
-    A thread of the pool sends all jobs and reads all answers. Each pipe is read in order: the first
-    job of a worker is the one at work, and is lost with it; the others go to another worker.
+    A thread of the pool sends all jobs and reads all answers. A worker answers its jobs in order.
+    So if it dies, the first job it was sent is lost, and the others go to another worker.
     """
 
     connected = True
@@ -101,9 +104,11 @@ class LocalPool:
     keeps_light = True
 
     def __init__(self, workers: int, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
-        """Start ``workers`` processes, which load or compile kernels of layers of these ``kinds``.
+        """Start ``workers`` processes, which load or compile the kernels of layers of these
+        ``kinds``.
 
-        Raises WorkersError. Their environment is that of now.
+        They inherit the environment variables of now. Raises WorkersError if they cannot be
+        started.
         """
         self._start = Start(dict(os.environ), worker_niceness(), tuple(kinds))
         self._number = workers
@@ -118,9 +123,11 @@ class LocalPool:
         self._lock = threading.Lock()
         self._closed = False
         self._retry = 0.0
+        # A pipe by which other threads wake the pool's thread.
         self._woken, self._waker = multiprocessing.Pipe(duplex=False)
         try:
             start_fork_server()
+            # Start all processes, and then wait for all: they load at the same time.
             for _ in range(workers):
                 self._workers.append(self._begin())
             for worker in self._workers:
@@ -148,14 +155,16 @@ class LocalPool:
 
     @property
     def trouble(self) -> str:
-        """Why nothing is baked at the moment; empty when all is well."""
+        """The reason if nothing can be baked at the moment, else empty."""
         if self.pids():
             return ""
         return WORKERS_LOST
 
     @property
     def preparing(self) -> str:
-        """Say that the workers compile kernels that this machine lacks; else empty."""
+        """A sentence for users if the workers compile kernels
+        that this machine lacks, else empty.
+        """
         lacking = self._kinds - self._baked
         if not self.trouble and kernels_missing(lacking):
             return WORKERS_COMPILE
@@ -170,30 +179,30 @@ class LocalPool:
         self._bake(Job(bake, (task,)), task.plan, done)
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
-        """Hand tasks of one bake over, to be done together."""
+        """Hand over tasks of one bake, to be done together."""
         self._bake(Job(bake_all, (tasks,)), tasks[0].plan, all_ended(tasks, done))
 
     def write(self, task: WriteTask, done: WriteDone) -> None:
-        """Have light written."""
+        """Hand over a task that writes light."""
         self._bake(Job(write_all, (task,)), task.plan, done)
 
     def prepare(self, work: Callable[[], object]) -> None:
-        """Have each worker do some ``work`` ahead of its tasks."""
+        """Have each worker do some ``work`` before its next task."""
         job = Sent(pickle.dumps(Job(attempt, (work,))), lambda *_: None)
         self.tell([(worker, job) for worker in self._workers])
 
     def step_back(self, seconds: float) -> bool:
-        """Lower the priority of the workers for some seconds."""
+        """Lower the priority of the workers for ``seconds``."""
         self._sessions.step_back(seconds)
         return True
 
     def pids(self) -> list[int]:
-        """Process ids of the workers that take jobs."""
+        """Return the process ids of the workers that take jobs."""
         with self._lock:
             return [worker.pid for worker in self._workers if worker.here]
 
     def close(self) -> None:
-        """Stop the workers: each ends its job if that takes less than LAST_SECONDS."""
+        """Stop the workers. Each ends the job at work if that takes less than LAST_SECONDS."""
         with self._lock:
             self._closed = True
         self._wake()
@@ -205,7 +214,7 @@ class LocalPool:
             report(sent, None, WorkersAwayError("The workers were stopped."))
 
     def tell(self, jobs: Iterable[tuple[LocalWorker, Sent]]) -> None:
-        """Have some workers do jobs that each is to do itself, ahead of others."""
+        """Send jobs to given workers, before jobs that wait for any worker."""
         self._ahead.extend(jobs)
         self._wake()
 
@@ -217,6 +226,8 @@ class LocalPool:
         self._kinds |= kinds
 
         def ended(result: Any, error: BaseException | None) -> None:
+            """Note that kernels are compiled, and report the end of the job."""
+            # A finished task shows that the kernels of its layers are compiled.
             if error is None:
                 self._baked.update(kinds)
             done(result, error)
@@ -233,7 +244,7 @@ class LocalPool:
             self._wake()
 
     def _wake(self) -> None:
-        """Have the thread look for work."""
+        """Wake the pool's thread, which then looks for work."""
         with suppress(OSError):
             self._waker.send_bytes(b"")
 
@@ -242,6 +253,7 @@ class LocalPool:
         while not self._closed:
             self._hand_out()
             answers = {worker.answers: worker for worker in self._workers}
+            # Wait for an answer, for the end of a process, or for other threads.
             for ready in wait([self._woken, *answers], RETRY_SECONDS):
                 if ready is self._woken:
                     self._woken.recv_bytes()
@@ -250,7 +262,7 @@ class LocalPool:
             self._replace()
 
     def _hand_out(self) -> None:
-        """Send the jobs that wait to the workers that have the fewest, TASKS_AHEAD at most."""
+        """Send waiting jobs to the workers that have the fewest, at most TASKS_AHEAD each."""
         while self._ahead:
             self._send(*self._ahead.popleft())
         while self._waiting:
@@ -261,18 +273,22 @@ class LocalPool:
             self._send(free, self._waiting.popleft())
 
     def _send(self, worker: LocalWorker, sent: Sent) -> None:
-        """Give a worker a job; the thread of the pool alone does so, and may have to wait."""
+        """Send a job to a worker.
+
+        Only the thread of the pool does so, as it may have to wait for the pipe.
+        """
         worker.sent.append(sent)
         with suppress(OSError):  # its end is noticed when its answers are read
             worker.jobs.send_bytes(sent.packed)
 
     def _read(self, worker: LocalWorker) -> None:
-        """Take an answer of a worker, or note that it has died."""
+        """Take an answer of a worker, or note that the worker has died."""
         try:
             packed = worker.answers.recv_bytes()
         except (EOFError, OSError):
             self._bury(worker)
             return
+        # The first answer says that the process is ready.
         if not worker.here:
             worker.here = True
             self._stir()
@@ -285,13 +301,15 @@ class LocalPool:
         report(sent, *answer)
 
     def _bury(self, worker: LocalWorker) -> None:
-        """Note that a worker has died: the job at work is lost, and others take the rest."""
+        """Remove a worker that has died: the job at work is lost, and others take the rest."""
         with self._lock:
             self._workers.remove(worker)
         at_work = worker.sent.popleft() if worker.sent else None
+        # Put the jobs that it had not begun back at the head of the queue, in order.
         self._waiting.extendleft(reversed(worker.sent))
         worker.close()
         self._deaths += 1
+        # It died while it started, and so may the next one: wait before that is started.
         if not worker.here:
             self._retry = time.monotonic() + RETRY_SECONDS
         log.warning("the worker process %d has died", worker.pid)
@@ -312,7 +330,7 @@ class LocalPool:
                 self._workers.append(started)
 
     def _begin(self) -> LocalWorker:
-        """Start a process; raises OSError."""
+        """Start a process. Raises OSError."""
         context: Any = multiprocessing.get_context(START_METHOD)
         its_jobs, jobs = context.Pipe(duplex=False)
         answers, its_answers = context.Pipe(duplex=False)
@@ -325,7 +343,10 @@ class LocalPool:
         return LocalWorker(process, jobs, answers)
 
     def _welcome(self, worker: LocalWorker) -> None:
-        """Wait until a process takes jobs; raises EOFError and TimeoutError."""
+        """Wait until a process takes jobs.
+
+        Raises EOFError if it ends before, and TimeoutError after START_SECONDS.
+        """
         if not worker.answers.poll(START_SECONDS):
             raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
         worker.answers.recv_bytes()
@@ -333,6 +354,7 @@ class LocalPool:
 
     def _end(self) -> None:
         """End all processes, and return when they have ended."""
+        # Closed pipes tell workers to end; kill those that have not after CLOSING_SECONDS.
         for worker in self._workers:
             worker.jobs.close()
         deadline = time.monotonic() + CLOSING_SECONDS
@@ -347,13 +369,14 @@ class LocalPool:
         self._waker.close()
 
     def _leaders(self) -> list[int]:
-        """The workers that lead sessions of their own."""
+        """Return the workers that lead sessions of their own."""
         return [pid for pid in self.pids() if leads_session(pid)]
 
 
 def ended(answers: Connection, deadline: float) -> bool:
-    """Whether a worker closes its end of a pipe before a ``deadline``; its last answers are
-    dropped.
+    """Return True if a worker closes its end of a pipe before ``deadline``.
+
+    Its last answers are dropped.
     """
     try:
         while answers.poll(max(deadline - time.monotonic(), 0.0)):
@@ -364,7 +387,7 @@ def ended(answers: Connection, deadline: float) -> bool:
 
 
 def report(sent: Sent, result: Any, error: BaseException | None) -> None:
-    """Call a job's ``done``; an error in it is logged and harms no other job."""
+    """Call ``done`` of a job. An error in it is logged, and harms no other job."""
     try:
         sent.done(result, error)
     except Exception:

@@ -1,4 +1,4 @@
-"""A worker process of this machine: it takes jobs from a pipe, and answers each on another."""
+"""A worker process of this machine: it takes jobs from one pipe, and answers each on another."""
 
 import os
 import pickle
@@ -18,7 +18,7 @@ from worker.tasks import attempt, load_kernels
 
 
 class Job(NamedTuple):
-    """Some ``work`` on ``what``; both can be pickled."""
+    """A call of ``work`` with the arguments ``what``. Both can be pickled."""
 
     work: Callable[..., Any]
     what: tuple[Any, ...] = ()
@@ -32,8 +32,8 @@ class Answer(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What a worker is started with: the ``environment`` and ``niceness`` that it takes, and the
-    ``kinds`` of layers whose kernels it loads.
+    """The arguments of a worker: its ``environment`` and ``niceness``,
+    and the ``kinds`` of layers whose kernels it loads.
     """
 
     environment: Mapping[str, str]
@@ -46,21 +46,23 @@ LAST_SECONDS = 1.0
 
 
 TERM_SECONDS = 5.0
-"""Seconds that a process lives on that is told to end: whoever ends a whole group tells the server
-too, which has its workers write light before it closes their pipes.
+"""Seconds that a worker lives on after SIGTERM. A signal to the whole process group
+reaches the server, too, which has its workers write light before it closes their pipes.
 """
 
 
 def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
-    """Do one job after the other, until the server closes the pipe or ends.
+    """Do one job after the other until the server closes the pipe or ends.
 
-    The first answer, of no job, says that the process is there.
+    The first answer belongs to no job: it says that the process is ready.
     """
+    # Leave Ctrl-C to the server, which also gets it, and outlive a signal to end for a while.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, end_later)
     os.environ.clear()
     os.environ.update(start.environment)
     stand_behind(start.niceness, apart=True)
+    # A thread reads the pipe, so that the server never waits for this process to finish a job.
     waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     closed = threading.Event()
     reader = threading.Thread(target=read_jobs, args=(jobs, waiting, closed), daemon=True)
@@ -68,6 +70,7 @@ def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
     with suppress(OSError):  # the server is gone
         answers.send_bytes(pickle.dumps(Answer(os.getpid())))
         attempt(partial(load_kernels, tuple(start.kinds)))
+        # After the end of the pipe the queue may hold more jobs: nobody waits for them.
         while (sent := waiting.get()) is not None and not closed.is_set():
             answers.send_bytes(answer_to(sent))
 
@@ -82,8 +85,10 @@ def end_later(*_: object) -> None:
 def read_jobs(
     jobs: Connection, waiting: "queue.SimpleQueue[bytes | None]", closed: threading.Event
 ) -> None:
-    """Keep the pipe empty, so that the server never waits. At its end the process ends, if need be
-    in the middle of a job: each object is written whole or not at all.
+    """Read jobs from the pipe into a queue, so that the server never waits. At the pipe's end, end
+    the process.
+
+    A job at work may be interrupted by that, as each object is written whole or not at all.
     """
     with suppress(EOFError, OSError):
         while True:
@@ -95,7 +100,7 @@ def read_jobs(
 
 
 def answer_to(sent: bytes) -> bytes:
-    """Do a job that was sent, and pickle the answer."""
+    """Do a job that was sent, and return the pickled answer."""
     try:
         job: Job = pickle.loads(sent)
         return pickle.dumps(Answer(job.work(*job.what)))
@@ -104,9 +109,10 @@ def answer_to(sent: bytes) -> bytes:
 
 
 def packed_error(error: Exception) -> bytes:
-    """An error as an answer; its text alone if it cannot be pickled and read again."""
+    """Return an error as a pickled answer; only its text if it cannot be pickled and read again."""
     try:
         packed = pickle.dumps(Answer(None, error))
+        # Some errors can be pickled but not read again.
         pickle.loads(packed)
     except Exception:
         packed = pickle.dumps(Answer(None, WorkersError(f"A worker failed: {error!r}")))

@@ -1,4 +1,6 @@
-"""What the baker asks of worker processes: those of this machine, or those of a Dask scheduler."""
+"""The interface of the baker to worker processes:
+those of this machine, or those of a Dask scheduler.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
@@ -6,8 +8,8 @@ from typing import Protocol
 from worker.tasks import PLAIN_LAYER_KINDS, BakeResult, BakeTask, WriteTask, Written
 
 MAX_TASK_TEXELS = 1 << 14
-"""Most texels of a task: at 1024 and more their paths fill whole waves; the sums of so many take
-some 20 MB.
+"""Most texels of a task. With 1024 and more their paths fill whole waves;
+the sums of this many take about 20 MB.
 """
 
 TASKS_AHEAD = 2
@@ -21,7 +23,7 @@ AllDone = Callable[[Sequence[BakeResult | BaseException]], None]
 
 
 class WorkerPool(Protocol):
-    """Worker processes that bake, wherever they are. Safe to use from many threads."""
+    """Worker processes that bake, on this machine or others. Safe to use from many threads."""
 
     @property
     def workers(self) -> int:
@@ -29,7 +31,10 @@ class WorkerPool(Protocol):
 
     @property
     def deaths(self) -> int:
-        """Number of workers that were lost; one that is started in its place counts as new."""
+        """Number of workers that were lost.
+
+        One that is started in the place of another counts as new.
+        """
 
     @property
     def room(self) -> int:
@@ -37,19 +42,19 @@ class WorkerPool(Protocol):
 
     @property
     def together(self) -> int:
-        """Most texels of a task, of as many chunks as that takes."""
+        """Most texels of a task, which may be of several chunks."""
 
     @property
     def connected(self) -> bool:
-        """Whether the workers, or their scheduler, can be reached."""
+        """True if the workers, or their scheduler, can be reached."""
 
     @property
     def trouble(self) -> str:
-        """Why nothing is baked at the moment; empty when all is well."""
+        """The reason if nothing can be baked at the moment, else empty."""
 
     @property
     def preparing(self) -> str:
-        """Say what the workers do before they can bake: they compile kernels; else empty."""
+        """A sentence for users if the workers compile kernels before they can bake, else empty."""
 
     def attend(self, stir: Callable[[], None]) -> None:
         """Call ``stir``, from another thread, whenever workers have come or gone."""
@@ -58,31 +63,32 @@ class WorkerPool(Protocol):
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
-        """Hand tasks of one bake over, to be done together; ``done`` is called with the result or
-        error of each.
+        """Hand over tasks of one bake, to be done together;
+        ``done`` is called with the result or error of each.
         """
 
     @property
     def keeps_light(self) -> bool:
-        """Whether the server keeps light that converges: its workers hand it back, and ``write`` it
-        when they are told.
+        """True if the server keeps light while it converges:
+        workers hand it back, and write it when asked to.
         """
 
     def write(self, task: WriteTask, done: WriteDone) -> None:
-        """Have light written; ``done`` is called as for ``submit``."""
+        """Hand over a task that writes light; ``done`` is called as for ``submit``."""
 
     def prepare(self, work: Callable[[], object]) -> None:
-        """Have each worker of this machine do some ``work`` ahead of its tasks; if it fails, it
-        fails again with these.
+        """Have each worker of this machine do some ``work`` before its next task.
+
+        Failure is ignored, as that task fails, too.
         """
 
     def step_back(self, seconds: float) -> bool:
-        """Lower the priority of the workers of this machine for some seconds; False if they are
-        not this server's.
+        """Lower the priority of the workers of this machine for ``seconds``;
+        return False if they are not this server's.
         """
 
     def pids(self) -> list[int]:
-        """Process ids of the workers."""
+        """Return the process ids of the workers."""
 
     def close(self) -> None:
         """Stop the workers that were started here, and leave those that were joined."""
@@ -91,10 +97,10 @@ class WorkerPool(Protocol):
 def start_pool(
     workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS
 ) -> WorkerPool:
-    """Start ``workers`` processes of one thread each, or join a ``scheduler``.
+    """Start ``workers`` processes of one thread each, or join a ``scheduler`` by its address.
 
-    Workers started here load or compile the kernels that bake layers of these ``kinds`` at once.
-    Raises WorkersError, and WorkersAwayError if the scheduler is not there.
+    Workers started here immediately load or compile the kernels that bake layers of these
+    ``kinds``. Raises WorkersError, and WorkersAwayError if the scheduler cannot be reached.
     """
     if scheduler is not None:
         from worker.dask_pool import DaskPool  # noqa: PLC0415 (loads Dask)
@@ -106,11 +112,14 @@ def start_pool(
 
 
 def all_ended(tasks: Sequence[BakeTask], done: AllDone) -> Callable[..., None]:
-    """Take the outcomes of ``tasks`` that were done together, or one error for all of them."""
+    """Return a function that calls ``done`` with the outcomes of ``tasks``
+    that were done together, or with one error for each of them.
+    """
 
     def ended(
         outcomes: Sequence[BakeResult | BaseException] | None, error: BaseException | None
     ) -> None:
+        """Pass on the outcomes, or the error once for each task."""
         if outcomes is None:
             done([error or RuntimeError("Nothing came of the task.")] * len(tasks))
         else:

@@ -1,13 +1,12 @@
-"""What the fork server imports, once for all workers: their code, and the kernels of their
-bakes.
+"""Import the workers' code and load the kernels of their bakes,
+once for all workers: the fork server imports this module.
 """
 
 import gc
 import os
 
-os.environ.update(
-    OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1"
-)  # a fork has no other threads
+# A forked process has only the thread that forked it, so libraries must not start threads here.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 from isogi_core.allocation import keep_memory_small
 from isogi_core.kernels._jit import entries_of, load
@@ -15,8 +14,9 @@ from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, attempt, bake_kerne
 
 
 def load_what_is_stored() -> None:
-    """Load the kernels of bakes that are compiled; the others are left to the workers, which say
-    so.
+    """Load the kernels of bakes that are compiled.
+
+    The others are left to the workers, which report that they compile.
     """
     load(
         [
@@ -29,4 +29,5 @@ def load_what_is_stored() -> None:
 
 keep_memory_small()
 attempt(load_what_is_stored)
-gc.freeze()  # workers share what is here as long as none writes to it, as a look for garbage does
+# Workers share this memory as long as none of them writes to it, as the garbage collector would.
+gc.freeze()

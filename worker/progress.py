@@ -1,4 +1,4 @@
-"""Progress of baking: counts, and the one estimator of its cost and of the time that is left."""
+"""Progress of baking: counts of work, and estimates of its cost and of the time left."""
 
 import math
 import statistics
@@ -22,12 +22,14 @@ from isogi_core.prepared.prepared_scene import Index
 class Tally:
     """Counts of a baker's work.
 
-    Chunks ``waiting`` and ``given_up``, and the ``age`` of the oldest request in seconds; tasks
-    ``in_flight`` and ``done``, each of one or more chunks; ``chunks`` that were baked in them, and
-    that ``failed``; of these, chunks whose light was there already (``duplicate``) or was damaged
-    and is baked again (``healed``); the ``paths`` that were baked; the present
-    ``workers``, and the ``deaths`` of workers; texels that ``kept`` the light of a whole volume
-    where that is cut.
+    - ``waiting``, ``given_up``: chunks; ``age``: seconds since the oldest request.
+    - ``in_flight``, ``done``: tasks, each of one or more chunks.
+    - ``chunks``, ``failed``: chunks that were baked, and that failed.
+    - ``duplicate``, ``healed``: of the baked ones, chunks whose light was there already, and that
+      were damaged.
+    - ``paths``: paths traced.
+    - ``workers``, ``deaths``: workers present, and lost.
+    - ``kept``: texels of cuts that kept the light of the whole volume.
     """
 
     waiting: int
@@ -49,13 +51,15 @@ class Tally:
 
 
 LEAST_SECONDS = 1.0
-"""Seconds that a time left stands for at least: people are shown no less."""
+"""Shortest time left that is shown, in seconds."""
 
 
 @dataclass(frozen=True)
 class TimeLeft:
-    """Seconds until work is done: most likely, and the range within which four of five estimates
-    come true. It is ``overdue`` once the work takes longer than was said before.
+    """Seconds until work is done: the most ``likely`` value, and the range from ``low`` to ``high``
+    that holds four of five true times.
+
+    It is ``overdue`` once the work takes longer than was reported before.
     """
 
     low: float
@@ -65,36 +69,40 @@ class TimeLeft:
 
     @classmethod
     def of(cls, work: float, ratios: Sequence[float], rest: float = 0.0) -> "TimeLeft":
-        """The time for so many seconds of ``work``, by ``ratios`` of true to estimated times, and a
-        fixed ``rest``.
+        """Return the time for ``work`` seconds of work, from ``ratios`` of true to estimated times,
+        plus a fixed ``rest``.
+
+        The range is between the first and the last decile of the ratios.
         """
         low, *_, high = statistics.quantiles(ratios, n=10, method="inclusive")
         return cls(low * work + rest, statistics.median(ratios) * work + rest, high * work + rest)
 
     def plus(self, other: "TimeLeft") -> "TimeLeft":
-        """The time of this and then ``other`` work."""
+        """Return the time of this work followed by ``other`` work."""
         return TimeLeft(self.low + other.low, self.likely + other.likely, self.high + other.high)
 
     def times(self, pace: float) -> "TimeLeft":
-        """The time of the work where each second of it takes ``pace`` seconds."""
+        """Return the time if each second of the work takes ``pace`` seconds."""
         return replace(self, low=pace * self.low, likely=pace * self.likely, high=pace * self.high)
 
     def scaled_to(self, likely: float) -> "TimeLeft":
-        """The time with this ``likely`` value, its range as wide as before, relative to that."""
+        """Return the time with this ``likely`` value; the range stays as wide in proportion."""
         if self.likely > 0.0:
             return self.times(likely / self.likely)
         return replace(self, low=likely / 2.0, likely=likely, high=2.0 * likely)
 
     def after(self, seconds: float, span: float | None = None) -> "TimeLeft":
-        """What this says so many ``seconds`` later, if nothing else is known: less by these.
+        """Return the time left after ``seconds`` have passed, if nothing else is known.
 
-        Once they are over, or a ``span`` of seconds that is given, it is overdue, and twice as
-        long; and so on.
+        Once these exceed ``span``, by default the likely time, the work is overdue, and the span
+        doubles each time that it is over.
         """
         if span is None:
             span = max(self.likely, LEAST_SECONDS)
         if seconds < span:
             return self.scaled_to(min(span - seconds, self.likely))
+        # Each span that is over is followed by one twice as long, at the end of which the work is
+        # expected then.
         while seconds >= span:
             seconds -= span
             span = 2.0 * max(span, LEAST_SECONDS)
@@ -102,37 +110,39 @@ class TimeLeft:
 
 
 def log_normal_ratios(spread: float) -> tuple[float, ...]:
-    """The deciles of ratios of true to estimated times whose logarithm has the standard deviation
-    ``spread``.
+    """Return quantiles of log-normal ratios of true to estimated
+    times whose logarithm has the standard deviation ``spread``.
     """
     normal = statistics.NormalDist()
     return tuple(math.exp(spread * normal.inv_cdf(p / 100)) for p in (5, *range(10, 100, 10), 95))
 
 
 ASSUMED_WORK_RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Assumed ratios of true to estimated work, besides the known ones: the range is wide at first."""
+"""Assumed ratios of true to estimated work,
+used along with measured ones, so that the range is wide at first.
+"""
 
 MAX_KNOWN_RATIOS = 50
-"""Known ratios that are kept; the oldest are dropped first."""
+"""Number of measured ratios that are kept; the oldest are dropped first."""
 
 MIN_JUDGING_SPACING = 0.5
 MIN_JUDGING_SHARE = 0.25
-"""Least seconds between two estimates of one subject that are judged later, and the same as a share
-of their work.
+"""Least seconds between two estimates of one subject
+that are compared with true times, and the same as a share of their work.
 """
 
 FORGET_SECONDS = 60.0
-"""Seconds without an estimate after which a subject is new: what happened meanwhile says nothing of
-work.
+"""Seconds without an estimate after which a subject counts
+as new, as other work may have been done meanwhile.
 """
 
 MAX_SUBJECTS = 16
-"""Subjects whose estimates are kept; the one not used for the longest time is dropped first."""
+"""Number of subjects whose estimates are kept; the longest unused is dropped first."""
 
 
 class Estimate(NamedTuple):
-    """An estimate of so many seconds of ``work`` left, when it was made, and the seconds ``worked``
-    by then.
+    """An estimate of ``work`` seconds left,
+    the time it was made, and the seconds ``worked`` by then.
     """
 
     work: float
@@ -142,17 +152,18 @@ class Estimate(NamedTuple):
 
 @dataclass
 class Subject:
-    """The ``estimates`` of a subject that are yet to be judged, and the time of the last one."""
+    """The ``estimates`` of a subject that are not judged yet, and the time of the last one."""
 
     asked: float
     estimates: list[Estimate] = field(default_factory=list)
 
 
 class TimeEstimator:
-    """Estimates the time left of subjects, such as a view and its target, and learns from how its
-    estimates come true.
+    """Estimates the time left of subjects, such as a view and its target, and learns from earlier
+    estimates.
 
-    Call under one lock from several threads.
+    An estimate is judged when its work is done: the ratio of true to estimated work widens or
+    shifts later ranges. Several threads must use it under one lock.
     """
 
     def __init__(
@@ -160,8 +171,8 @@ class TimeEstimator:
         clock: Callable[[], float] = time.monotonic,
         prior: tuple[float, ...] = ASSUMED_WORK_RATIOS,
     ) -> None:
-        """Begin without estimates; ``prior`` are assumed ratios of true to estimated times,
-        ascending.
+        """Begin without estimates;
+        ``prior`` are assumed ratios of true to estimated times, ascending.
         """
         self._clock = clock
         self._prior = prior
@@ -169,10 +180,10 @@ class TimeEstimator:
         self._subjects: OrderedDict[Hashable, Subject] = OrderedDict()
 
     def estimate(self, subject: Hashable, work: float, worked: float) -> TimeLeft:
-        """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates
-        are judged by this.
+        """Return the time left of a ``subject`` with ``work`` seconds of work, and judge its
+        earlier estimates.
 
-        ``worked`` are the seconds of work that were done so far, whosesoever.
+        ``worked`` are the seconds of work done so far, for any subject.
         """
         now = self._clock()
         known = self._subject(subject)
@@ -182,20 +193,22 @@ class TimeEstimator:
             last = known.estimates[-1].made
         else:
             last = -math.inf
+        # Estimates that follow closely are nearly the same: keep one of them, so that it is not
+        # counted many times.
         if work > 0.0 and now - last >= max(MIN_JUDGING_SPACING, MIN_JUDGING_SHARE * work):
             known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def end(self, subject: Hashable, worked: float) -> None:
-        """Judge the estimates of a ``subject`` of which nothing is left, if there are any: after so
-        many seconds ``worked``.
+        """Judge the estimates of a ``subject`` that is done,
+        if there are any, after ``worked`` seconds of work.
         """
         if (known := self._subjects.pop(subject, None)) is not None:
             self._judge(known, Estimate(0.0, self._clock(), worked))
 
     def _subject(self, name: Hashable) -> Subject:
-        """The subject of this name, marked as used now; a new one where it was not used for
-        FORGET_SECONDS seconds.
+        """Return the subject of this name, marked as used now;
+        a new one if it was not used for FORGET_SECONDS.
         """
         now = self._clock()
         known = self._subjects.pop(name, None)
@@ -210,10 +223,10 @@ class TimeEstimator:
         return subject
 
     def _judge(self, subject: Subject, now: Estimate) -> None:
-        """Judge estimates once as much was worked as they said, or nothing is left.
+        """Judge estimates whose work was done meanwhile, or of which nothing is left.
 
-        What was worked since, and what is left ``now``, over what was estimated is noted. Where
-        nothing was worked, that says nothing of the time that work takes.
+        The true work is that done since plus that left ``now``. If no work was done since, nothing
+        can be learnt.
         """
         for each in tuple(subject.estimates):
             worked = now.worked - each.worked
@@ -223,22 +236,22 @@ class TimeEstimator:
 
 
 RAISING = 2.0
-"""How many times as long as a reported time an estimate is that takes its place before it is over.
-"""
+"""An estimate replaces a reported time early if it is this many times as long."""
 
 
 class Promise:
-    """The time left of one work, as it is reported: it becomes less as time passes, at least.
+    """The reported time left of one work. Reports do not jump: they fall at least as fast as the
+    clock runs.
 
-    An estimate that is less takes its place. One that is more does so once the reported time is
-    over, or at once if it is RAISING times as long: the work is overdue then. If no estimate says
-    more, the reported time doubles. Call under one lock from several threads.
+    A shorter estimate replaces the reported time. A longer one does so when the reported time is
+    over, or immediately if it is RAISING times as long; the work is then overdue. If the reported
+    time is over and no estimate is longer, it doubles. Several threads must use it under one lock.
     """
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, forget: float = math.inf
     ) -> None:
-        """Report none yet. Begin again after ``forget`` seconds without an estimate."""
+        """Begin without a report. Begin again after ``forget`` seconds without an estimate."""
         self._clock = clock
         self._forget = forget
         self._told: TimeLeft | None = None
@@ -248,25 +261,25 @@ class Promise:
 
     @property
     def now(self) -> TimeLeft | None:
-        """What is reported now, without a new estimate; None before the first."""
+        """The time left that is reported now, without a new estimate; None before the first."""
         if self._told is None:
             return None
         return self._told.after(self._clock() - self._at, self._end - self._at)
 
     def kept(self, left: TimeLeft) -> TimeLeft:
-        """What is reported now that this much is ``left``, by a new estimate."""
+        """Return the time to report, by a new estimate ``left``."""
         asked = self._asked
         self._asked = self._clock()
         told = self._told
         due = self.now
         if told is None or due is None or self._asked - asked > self._forget:
             return self._report(left, left.likely, math.inf)
-        # the reported time is over, or far too short: the work takes longer than expected
+        # The reported time is over, or far too short: the work takes longer than expected.
         if self._asked >= self._end or left.likely > max(RAISING * due.likely, told.likely):
             longer = left.scaled_to(max(left.likely, due.likely))
             return self._report(replace(longer, overdue=True), left.likely, math.inf)
-        # as much less than before as the estimate is; estimates that were too short see a part of
-        # the work alone, and only the clock is followed then
+        # Shorten the reported time in proportion to the estimates. Not if the work is overdue:
+        # estimates that were too short saw only a part of it, so follow the clock.
         if not told.overdue and self._estimate > 0.0:
             likely = told.likely * left.likely / self._estimate
             if likely < due.likely:
@@ -274,7 +287,7 @@ class Promise:
         return due
 
     def _report(self, left: TimeLeft, estimate: float, latest: float) -> TimeLeft:
-        """Report what is ``left``; it is over in that time, and at the ``latest`` then."""
+        """Report ``left``. It is over in that time, or at ``latest`` if that is earlier."""
         self._told = left
         self._estimate = estimate
         self._at = self._asked
@@ -283,20 +296,20 @@ class Promise:
 
 
 MAX_PROMISES = 256
-"""Works whose reported times are kept: those asked for last."""
+"""Number of works whose reported times are kept: those asked for last."""
 
 
 class Promises:
-    """The times left that were reported of several works. Any thread may use it."""
+    """The reported times left of several works. Safe to use from many threads."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """None reported yet."""
+        """Begin without reports."""
         self._clock = clock
         self._known: OrderedDict[Hashable, Promise] = OrderedDict()
         self._lock = threading.Lock()
 
     def kept(self, work: Hashable, left: TimeLeft) -> TimeLeft:
-        """What is reported of a ``work`` of which this much is ``left``: see ``Promise``."""
+        """Return the time to report of a ``work`` by a new estimate ``left``; see ``Promise``."""
         with self._lock:
             known = self._known.pop(work, None) or Promise(self._clock, FORGET_SECONDS)
             self._known[work] = known
@@ -306,21 +319,19 @@ class Promises:
 
 
 PACE_WINDOW_SECONDS = 20.0
-"""Processor seconds of tasks that the pace is measured over; what was before counts half as
-much.
-"""
+"""Processor seconds of tasks over which the pace is measured; tasks before these count half."""
 
 
 class Pace:
-    """How many seconds a worker takes for a counted processor second of its tasks, by what they
-    took lately.
+    """The ratio of worker seconds by the clock to processor seconds of tasks, as measured lately.
 
-    Others use its core too, and tasks are handed out, read and write. Before the first is done
-    workers open what they need, which says nothing of others. Call under one lock.
+    It exceeds 1 as other processes use the core, and as tasks are handed out, read and written. The
+    time until the first task is done is left out, as workers then open scenes. Several threads must
+    use it under one lock.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        """Assume one second, until more is known."""
+        """Begin with a ratio of 1."""
         self._clock = clock
         self._busy = 1.0
         self._spent = 1.0
@@ -334,17 +345,18 @@ class Pace:
         return self._busy / self._spent
 
     def working(self, workers: int) -> None:
-        """Count so many ``workers`` as busy from now on."""
+        """Count ``workers`` as busy from now on."""
         now = self._clock()
         self._busy += self._begun * self._working * (now - self._since)
         self._working = workers
         self._since = now
 
     def spent(self, seconds: float) -> None:
-        """Count so many processor ``seconds`` of tasks that are done."""
+        """Count processor ``seconds`` of tasks that are done."""
         if self._begun:
             self._spent += seconds
         self._begun = True
+        # Halve both sums, so that older tasks count less and less.
         if self._spent >= 2.0 * PACE_WINDOW_SECONDS:
             self._busy = self._busy / 2.0
             self._spent = self._spent / 2.0
@@ -354,8 +366,8 @@ class Pace:
 
 
 class Work(NamedTuple):
-    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error
-    ``target``, or to ``enough`` samples.
+    """The work at a ``chunk``: the ``effort`` of its texels
+    to reach the relative error ``target``, or ``enough`` samples.
     """
 
     chunk: Index
@@ -365,14 +377,15 @@ class Work(NamedTuple):
 
 
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
-    """Processor seconds that each piece of ``work`` will take, by the measured ``costs`` of a bake;
-    None if unknown.
+    """Return the processor seconds that each piece of ``work`` will take, by the measured ``costs``
+    of a bake; None if unknown.
 
-    What is at hand comes first, what has the same target goes with it. A texel without light needs
-    what is ``expected`` of it; where that is unknown, as many paths as others of the bake did, or
-    will, or as many more as its own target is stricter. Those may have been lit elsewhere, or for
-    another target, so the paths are bounded by what its own allows.
+    The work at hand comes first in ``work``; later stages follow, with targets of their own. A
+    texel without light is taken to need its ``expected`` samples. If these are unknown, it is taken
+    to need as many paths as other texels of the bake took or will take, more if its target is
+    stricter, but no more than its target allows.
     """
+    # Mean paths per texel of the bake: those taken, and those left to the same target.
     total = costs.total
     left = sum(each.effort.left for each in work if each.target == work[0].target)
     rates = [costs.rate(each.chunk) for each in work]
@@ -383,6 +396,7 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     first = total.first / texels
 
     def _paths(each: Work) -> float:
+        """Return the paths that a piece of work will take."""
         unlit = each.effort.unlit
         stricter = (work[0].target / each.target) ** RATE
         if unlit and each.effort.expected:
@@ -397,7 +411,9 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
 
 
 def paths_after_first(usual: float, work: Work) -> float:
-    """Paths after its first light of a texel without light, where others take ``usual`` paths."""
+    """Return the paths after first light of a texel without light,
+    if other texels take ``usual`` paths.
+    """
     return min(max(usual, MIN_SAMPLES), most_samples(work.target), work.enough) - FIRST_LEVEL
 
 
@@ -406,11 +422,13 @@ def paths_after_first(usual: float, work: Work) -> float:
 
 @dataclass(frozen=True)
 class ChunkCost:
-    """The measured cost of a chunk's ``texels``: ``seconds`` of a worker, ``processor`` seconds,
-    and ``tasks``.
+    """The measured cost of a chunk's ``texels``.
 
-    ``seconds`` include the time in which others had the worker's core. ``maps`` are seconds that a
-    process spends once, ``stored`` the bytes of the chunk's objects.
+    - ``seconds``: of a worker by the clock, including time in which other processes had its core.
+    - ``processor``: processor seconds.
+    - ``tasks``: number of tasks.
+    - ``maps``: seconds that each process spends once, on maps of active cells.
+    - ``stored``: bytes of the chunk's objects.
     """
 
     texels: int
@@ -422,21 +440,23 @@ class ChunkCost:
 
 
 PER_TASK = 0.008
-"""Processor seconds of a worker that a task takes beside its paths."""
+"""Processor seconds of a worker that a task takes in addition to its paths."""
 
 UNREHEARSED_SPREAD = math.log(2.0)
-"""Spread of true over estimated times that no rehearsal shows, relative: pictures end a rung sooner
-or later.
+"""Relative spread of true over estimated times that a rehearsal does not show:
+pictures end a sample level sooner or later.
 """
 
 
 @dataclass(frozen=True)
 class CostEstimate:
-    """The estimated cost of a bake: ``seconds`` of all workers by the clock, and ``processor``
-    seconds of its paths.
+    """The estimated cost of a bake.
 
-    ``unsure`` is the relative standard error of these. ``maps`` are seconds that each worker spends
-    once, and ``stored`` the bytes of the objects.
+    - ``seconds``: of all workers together, by the clock.
+    - ``processor``: processor seconds of its paths.
+    - ``unsure``: relative standard error of both.
+    - ``maps``: seconds that each worker spends once.
+    - ``stored``: bytes of the objects.
     """
 
     seconds: float = 0.0
@@ -446,15 +466,15 @@ class CostEstimate:
     stored: int = 0
 
     def times(self, more: float) -> "CostEstimate":
-        """The cost of so many times as many texels."""
+        """Return the cost of ``more`` times as many texels."""
         seconds = more * self.seconds
         processor = more * self.processor
         stored = round(more * self.stored)
         return replace(self, seconds=seconds, processor=processor, stored=stored)
 
     def time_left(self, workers: int, around: float) -> TimeLeft:
-        """The time of the whole bake with so many ``workers``, and of the seconds spent ``around``
-        it.
+        """Return the time of the whole bake with ``workers`` workers,
+        plus the seconds ``around`` it.
         """
         ratios = log_normal_ratios(math.hypot(self.unsure, UNREHEARSED_SPREAD))
         return TimeLeft.of(self.seconds / workers, ratios, around + self.maps)
@@ -463,21 +483,23 @@ class CostEstimate:
 def extrapolated(
     measured: Sequence[ChunkCost], texels: int, whole: bool, per_task: float
 ) -> CostEstimate:
-    """The cost of so many ``texels`` by chunks that were ``measured``, which are the ``whole`` or a
-    sample of it.
+    """Return the cost of baking ``texels`` texels, from ``measured`` chunks, which are the
+    ``whole`` or a sample of it.
 
-    Chunks were sampled in proportion to their texels, so the mean of the seconds per texel of each
-    is that of all.
+    Chunks must be sampled in proportion to their texels: then the mean over chunks of seconds per
+    texel is unbiased.
     """
     if not measured:
         return CostEstimate()
     known = sum(one.texels for one in measured)
+    # Mean seconds per texel of the measured chunks, and from it the total.
     each = seconds_per_texel(measured, per_task)
     seconds = sum(one.texels * rate for one, rate in zip(measured, each, strict=True))
     if whole:
         total = seconds
     else:
         total = float(each.mean()) * texels
+    # If all chunks were measured, nothing is unsure.
     return CostEstimate(
         seconds=total,
         processor=total / seconds * sum(one.processor for one in measured),
@@ -488,8 +510,9 @@ def extrapolated(
 
 
 def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK) -> np.ndarray:
-    """Seconds of a worker for a texel of each chunk, (chunks,) float64; tasks are slowed down as
-    much as paths are.
+    """Return the seconds of a worker per texel of each chunk, (chunks,) float64.
+
+    Work per task is slowed down like paths.
     """
     slow = sum(one.seconds for one in measured) / max(sum(one.processor for one in measured), 1e-9)
     return np.array(
@@ -498,8 +521,8 @@ def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK)
 
 
 def relative_standard_error(values: np.ndarray) -> float:
-    """The standard error of the mean of ``values`` (n,), over the mean; 1 for a single value, which
-    shows none.
+    """Return the standard error of the mean of ``values`` (n,),
+    relative to the mean; 1 for a single value, which shows none.
     """
     if len(values) > 1:
         return float(values.std(ddof=1) / values.mean() / math.sqrt(len(values)))

@@ -1,11 +1,15 @@
 """The queue: decides which chunk is baked next, and how far.
 
 The requests of all live views are merged: a chunk that several views see is baked once, for all
-texels that any of them wants. Clients take turns, so that each is served as long. In a client's
-turn its newest view comes first; within a view, chunks without light come first, of which a quarter
-of the texels is lit, then those where some texels have none yet, then those where a second of work
-removes most visible error from all pictures, weighted towards their centres, and among equals those
-nearest to final. Patient clients come after all others. Pure data: no threads, no clock of its own.
+texels that any of them wants. Clients take turns so that each gets as many processor seconds. In a
+client's turn its newest view comes first. Within a view the order is:
+
+1. chunks without light, of which a quarter of the texels is lit first;
+2. chunks in which some texels have no light yet;
+3. chunks in which a second of work removes most visible error from all pictures, weighted towards
+   their centres, and among equals those nearest to final.
+
+Patient clients come after all others. The queue has no threads and no clock of its own.
 """
 
 import heapq
@@ -36,19 +40,20 @@ from worker.bake_requests import (
 from worker.tasks import BakeResult
 
 Rank = tuple[bool, int, int, float, float]
-"""A request's rank among those of a client; the smallest comes first."""
+"""The rank of a request among those of a client: the smallest comes first."""
 
 Place = tuple[Rank, int, BakeRequest]
 """A request with its rank, and the ticket of its interest when it was put there."""
 
 MIN_PLACES = 64
-"""Places that a queue may always hold before outdated ones are removed."""
+"""Number of places that a queue may always hold before outdated ones are removed."""
 
 
 @dataclass(eq=False)
 class ClientQueue:
-    """The requests of one client: a heap of places, from which outdated ones are removed beyond
-    ``most``.
+    """The requests of one client: a heap of places.
+
+    If there are more than ``most``, outdated ones are removed.
     """
 
     places: list[Place] = field(default_factory=list)
@@ -57,13 +62,15 @@ class ClientQueue:
     def push(self, client: Hashable, place: Place) -> None:
         """Add a place."""
         heapq.heappush(self.places, place)
+        # A place that is ranked again leaves its old place in the heap. Doubling the limit makes
+        # the cost of removing these constant per place.
         if len(self.places) > self.most:
             self.places = [each for each in self.places if is_current(each, client)]
             heapq.heapify(self.places)
             self.most = 2 * len(self.places) + MIN_PLACES
 
     def pop(self, client: Hashable) -> Place | None:
-        """Take out the first current place; None where there is none."""
+        """Take out the first current place; None if there is none."""
         while self.places:
             place = heapq.heappop(self.places)
             if is_current(place, client):
@@ -80,12 +87,13 @@ class ClientQueues:
         self._tickets = itertools.count(1)
 
     def clients(self, patient: bool) -> Collection[Hashable]:
-        """The clients that may be waiting, patient ones or others."""
+        """Return the clients that may be waiting, patient ones or others."""
         return self._queues[patient].keys()
 
     def push(self, request: BakeRequest, client: Hashable, rank: Rank) -> None:
-        """Put a request into a client's queue at this rank; its former place there becomes
-        outdated.
+        """Put a request into a client's queue at this rank.
+
+        Its former place there becomes outdated.
         """
         interest = request.interests[client]
         interest.ticket = next(self._tickets)
@@ -94,15 +102,16 @@ class ClientQueues:
         queue.push(client, (rank, interest.ticket, request))
 
     def length(self, patient: bool, client: Hashable) -> int:
-        """How many places a client's queue has, outdated ones among them."""
+        """Return the number of places in a client's queue, outdated ones included."""
         queue = self._queues[patient].get(client)
         if queue is None:
             return 0
         return len(queue.places)
 
     def pop(self, patient: bool, client: Hashable) -> tuple[Rank, BakeRequest] | None:
-        """Take out the first request of a client's queue, with its rank; None where the queue is
-        empty, and removed.
+        """Take out the first request of a client's queue, with its rank.
+
+        An empty queue is removed, and None returned.
         """
         place = self._queues[patient][client].pop(client)
         if place is None:
@@ -112,25 +121,27 @@ class ClientQueues:
 
 
 def is_current(place: Place, client: Hashable) -> bool:
-    """Whether this is the newest place of the request in the client's queue."""
+    """Return True if this is the newest place of its request in the client's queue."""
     _, ticket, request = place
     interest = request.interests.get(client)
     return interest is not None and interest.ticket == ticket
 
 
 STALE_SECONDS = 2.0
-"""Seconds within which a view that lacks what was just finished is taken to have been drawn before
-that.
+"""Seconds after a chunk was finished within which a view
+that lacks its light is taken to have been drawn before that.
 """
 
 FORGET_AFTER = 60.0
 EXPIRY_CHECK_SECONDS = 1.0
-"""Seconds after which a request that was not renewed expires, and between two checks for these."""
+"""Seconds after which a request that was not renewed expires,
+and seconds between two checks for these.
+"""
 
 RERANK_GROWTH = 1.5
 RERANK_LOSS = 1.0 / 3.0
-"""Growth of a request's priority, and share of its loss, from which on it is ranked again in all
-its clients' queues.
+"""Growth of a request's priority, and share of its loss, from which it is ranked again in the
+queues of all its clients.
 
 Below these it keeps its places, as a thousand clients may see one chunk.
 """
@@ -138,11 +149,11 @@ Below these it keeps its places, as a thousand clients may see one chunk.
 
 @dataclass(eq=False)
 class BakeQueue:
-    """Bake requests by chunk. Call under one lock when several threads use it.
+    """Bake requests by chunk. Several threads must use it under one lock.
 
-    ``shared`` says whether two bakes have a layer in common: of these, one at a time works on a
-    chunk, as the last writer would undo what the other has added. ``rate`` gives the seconds that a
-    path of a chunk takes.
+    ``shared`` says if two bakes have a layer in common. Of such bakes only one at a time may work
+    on a chunk, as the last writer would undo the work of the other. ``rate`` gives the seconds that
+    a path of a chunk takes, None if unknown.
     """
 
     clock: Callable[[], float]
@@ -168,9 +179,10 @@ class BakeQueue:
         viewer: Viewer = GUEST_VIEWER,
         enough: int = MAX_SAMPLES,
     ) -> set[Key]:
-        """Add the demands of a ``viewer``'s newest view.
+        """Add the demands of the newest view of a ``viewer``, until a ``target`` error or
+        ``enough`` samples.
 
-        Returns those that are left out: their light has come since the view was drawn.
+        Return the chunks that are left out, as their light has come since the view was drawn.
         """
         self._forget()
         stale = set[Key]()
@@ -184,12 +196,15 @@ class BakeQueue:
             if not request.given_up:
                 request.add_interest(demand, target, viewer, self.views, now, enough)
                 self._add_for(request, viewer.client)
+        # A single viewer has left its older views: drop the requests that this view does not renew.
         if viewer.single:
             self._release(viewer, self.views)
         return stale
 
     def _has_come(self, key: Key, demand: Demand, target: float, enough: int) -> bool:
-        """Whether what is demanded of a chunk was finished within the last STALE_SECONDS."""
+        """Return True if the light that is demanded
+        of a chunk was finished within the last STALE_SECONDS.
+        """
         when, done = self._finished.get(key, (-math.inf, NO_INTEREST))
         return self.clock() - when < STALE_SECONDS and not exceeds(
             MergedInterest(demand.offsets, demand.footprints, target, enough),
@@ -203,23 +218,25 @@ class BakeQueue:
         self._release(viewer, self.views + 1)
 
     def drop(self, bake: str) -> list[Key]:
-        """Drop all requests of a ``bake``; returns their keys."""
+        """Drop all requests of a ``bake``; return their keys."""
         dropped = [key for key in self.requests if key[0] == bake]
         for key in dropped:
             self._drop_all(self.requests[key])
         return dropped
 
     def take(self) -> BakeRequest | None:
-        """Take the next request, marked as in flight; None where there is nothing to do until a
+        """Take the next request, and mark it as in flight; None if there is nothing to do until a
         task has ended.
 
-        A request that may have killed a worker comes last and runs alone: it harms no other, and is
-        then known for it.
+        A suspect request, which may have killed a worker, comes last and runs alone. So it harms no
+        other, and if a worker dies again, the cause is known.
         """
         self._forget()
         self._bring_back()
         if self._alone:
             return None
+        # Go through clients by their turns, patient ones last, until one has a request that can be
+        # worked on.
         for patient in (False, True):
             for client in self.shares.turns(self._queues.clients(patient)):
                 request = self._first(patient, client)
@@ -229,17 +246,18 @@ class BakeQueue:
         return None
 
     def take_along(self, first: BakeRequest, most: int, tasks: int = 1) -> list[BakeRequest]:
-        """Take what goes with the request that was just taken: ``most`` texels of the same turn,
-        and TASK_SECONDS.
+        """Take further requests for the task of the request that was just taken: at most ``most``
+        texels, and TASK_SECONDS.
 
-        They are the next of that client, as long as these are of the same bake, target and sample
-        level. Where what is left would not fill so many ``tasks``, it is shared evenly among them,
-        so that all workers come to the end of it together.
+        They are the next ones of the same client, as long as these are of the same bake, target and
+        sample level. If the work left would not fill ``tasks`` tasks, it is shared evenly among
+        them, so that all workers end at the same time.
         """
         taken = [first]
         left = most - len(first.next[0])
         seconds = self.seconds(first)
         patient, client = self._turn
+        # Predict the client's waiting work from the first request, and share it among the tasks.
         waiting = seconds * (1 + self._queues.length(patient, client))
         enough = min(max(waiting / tasks, SHORT_TASK_SECONDS), TASK_SECONDS)
         while (
@@ -250,6 +268,7 @@ class BakeQueue:
         ):
             left = left - len(found.next[0])
             seconds = seconds + self.seconds(found)
+            # This one does not fit any more: put it back, and stop.
             if left < 0 or seconds > enough or not alike(first, found):
                 self._rank_for(found, client)
                 break
@@ -258,15 +277,17 @@ class BakeQueue:
         return taken
 
     def seconds(self, request: BakeRequest) -> float:
-        """The seconds that the next task of a request is predicted to take."""
+        """Return the seconds that the next task of a request is predicted to take."""
         return request.paths * (self.rate(request.key) or PATH_SECONDS)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:
-        """The rank of a request among those of a client; the smallest comes first."""
+        """Return the rank of a request among those of a client; the smallest comes first."""
         return request.suspect, -request.interests[client].view, *self._merits(request)
 
     def _merits(self, request: BakeRequest) -> tuple[int, float, float]:
-        """The rank of a request among those of a view."""
+        """Return the rank of a request among those of a view:
+        stage of first light, visible error removed per second, work left.
+        """
         return (
             request.stage,
             -request.priority / (self.rate(request.key) or 1.0),
@@ -281,18 +302,21 @@ class BakeQueue:
         result: BakeResult,
         enough: int = MAX_SAMPLES,
     ) -> None:
-        """Take over the result of a task for ``offsets`` of a chunk; the request stays where work
-        is left.
+        """Take over the ``result`` of a task for the texels at ``offsets`` of a chunk.
+
+        The request stays if work is left.
         """
         request = self.requests[key]
         self._end_task(request, result.cost.seconds)
         request.failures = 0
         request.suspect = False
         request.waited = 0.0
+        # Views may have asked for more while the task was in flight.
         grown = request.exceeds(offsets, target, enough)
         if not request.interests:
             del self.requests[key]
         elif result.unfinished == 0 and not grown:
+            # Remember the finished light for a while, as views drawn before may still ask for it.
             done = MergedInterest(request.offsets, request.footprints, target, enough)
             self._finished[key] = self.clock(), done
             self._drop_all(request)
@@ -301,7 +325,7 @@ class BakeQueue:
             self._rank_everywhere(request)
 
     def wanted(self, bake: str) -> set[Index]:
-        """The chunks of a ``bake`` whose requests are open."""
+        """Return the chunks of a ``bake`` whose requests are open."""
         return {
             index
             for (name, index), request in self.requests.items()
@@ -309,22 +333,24 @@ class BakeQueue:
         }
 
     def is_busy(self, bake: str, index: Index) -> bool:
-        """Whether a task of a ``bake`` is in flight for a chunk."""
+        """Return True if a task of a ``bake`` is in flight for a chunk."""
         return bake in self._in_flight.get(index, ())
 
     def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST_VIEWER) -> None:
-        """Renew a ``viewer``'s interest in ``keys``."""
+        """Renew the interest of a ``viewer`` in ``keys``."""
         claimed = self._interesting.get(viewer.client, {})
         for request in self.open(keys):
             if viewer.client in request.interests:
                 request.interests[viewer.client].asked = self.clock()
+                # Move the request to the end, so that a client's requests are in the order of their
+                # age.
                 claimed[request.key] = claimed.pop(request.key)
 
     def fail(self, key: Key, trouble: str, suspect: bool = False) -> bool:
-        """Note that a task failed, and why: it is tried again, or given up. Returns whether it was
-        given up.
+        """Note that a task failed, for the reason ``trouble``. Return True if its chunk is given
+        up, else it is tried again.
 
-        It is ``suspect`` where its worker died.
+        With ``suspect`` its worker died.
         """
         request = self.requests[key]
         self._end_task(request, request.charged)
@@ -337,8 +363,8 @@ class BakeQueue:
         return request.given_up
 
     def put_off(self, key: Key, seconds: float = 0.0) -> None:
-        """Note that a task could not be done, through no fault of the chunk; it waits again after
-        ``seconds``.
+        """Note that a task could not be done through no fault of its chunk,
+        which waits again after ``seconds``.
         """
         request = self.requests[key]
         self._end_task(request, 0.0)
@@ -346,23 +372,24 @@ class BakeQueue:
             del self.requests[key]
         request.postponed = seconds > 0.0
         request.waited = request.waited + seconds
+        # A postponed request is ranked again when its time has come; see ``_bring_back``.
         if request.postponed:
             self._postponed.append((self.clock() + seconds, request))
         self._rank_everywhere(request)
 
     def open(self, keys: Iterable[Key]) -> list[BakeRequest]:
-        """The requests of ``keys`` that are open: neither done nor given up."""
+        """Return the requests of ``keys`` that are open, that is, neither done nor given up."""
         found = (self.requests[key] for key in keys if key in self.requests)
         return [request for request in found if not request.given_up]
 
     def failures(self, keys: Iterable[Key]) -> dict[Key, str]:
-        """The reasons for which requests of ``keys`` were given up."""
+        """Return the reasons for which requests of ``keys`` were given up."""
         found = (self.requests[key] for key in keys if key in self.requests)
         return {request.key: request.trouble for request in found if request.given_up}
 
     def counts(self) -> tuple[int, int, float]:
-        """Numbers of waiting and of given-up requests, and the age in seconds of the oldest waiting
-        one.
+        """Return the numbers of waiting and of given-up requests, and the age in seconds of the
+        oldest waiting one.
 
         Tasks in flight that no client waits for any more are not counted.
         """
@@ -379,8 +406,8 @@ class BakeQueue:
         return len(waiting), sum(request.given_up for request in self.requests.values()), age
 
     def trouble(self) -> str:
-        """Why the given-up request that was renewed last was given up; empty where there is
-        none.
+        """Return the reason why a request was given up,
+        of several the one renewed last; empty if there is none.
         """
         self._forget()
         given_up = [request for request in self.requests.values() if request.given_up]
@@ -389,26 +416,31 @@ class BakeQueue:
         return ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest, and rank the request again for all clients where it has
-        changed much.
+        """Note a client's new interest.
+
+        Rank the request again for all clients if it has changed much, else only for this one.
         """
         self._interesting.setdefault(client, {}).pop(request.key, None)
+        # Put the request at the end of the client's order, which is by the time of asking.
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
+        # It has got or lost first light, or gained much priority: its places in all queues are
+        # out of date.
         if bool(request.effort.unlit) != lacking or request.priority >= RERANK_GROWTH * priority:
             self._rank_everywhere(request)
         elif not request.in_flight:
             self._rank_for(request, client)
 
     def _rank_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Rank a request in one client's queue; the others follow when it has grown beyond this."""
+        """Rank a request in one client's queue. The others follow when it has grown beyond this."""
         lacking, priority = request.ranked
         request.ranked = lacking, min(priority, request.priority)
         self._queues.push(request, client, self.rank(request, client))
 
     def _rank_everywhere(self, request: BakeRequest) -> None:
-        """Rank a request in the queues of all its clients; one in flight is ranked when its task
-        has ended.
+        """Rank a request in the queues of all its clients.
+
+        One in flight is ranked when its task has ended.
         """
         request.ranked = bool(request.effort.unlit), request.priority
         if request.interests and request.ready:
@@ -417,14 +449,16 @@ class BakeQueue:
                 self._queues.push(request, client, (request.suspect, -interest.view, *merits))
 
     def _first(self, patient: bool, client: Hashable) -> BakeRequest | None:
-        """The first of a client's requests that can be worked on now; None where there is none.
+        """Return the first of a client's requests that can be worked on now; None if there is none.
 
-        One whose priority has sunk since it was ranked is ranked again.
+        A request whose priority has sunk since it was ranked is ranked again.
         """
         while found := self._queues.pop(patient, client):
             rank, request = found
             if not request.ready:
                 continue
+            # A task of a shared layer is in flight for this chunk: hold the request back until that
+            # has ended.
             if self._is_busy(request.key):
                 self._held.setdefault(request.key[1], []).append(request)
             elif sunk(rank, self.rank(request, client)):
@@ -434,8 +468,8 @@ class BakeQueue:
         return None
 
     def _take(self, request: BakeRequest, client: Hashable) -> BakeRequest | None:
-        """Mark the request as in flight and return it; None where it must run alone and others are
-        in flight.
+        """Mark the request as in flight and return it;
+        None if it must run alone and others are in flight.
         """
         if request.suspect and self._in_flight:
             self._rank_for(request, client)
@@ -444,21 +478,22 @@ class BakeQueue:
         return request
 
     def _is_busy(self, key: Key) -> bool:
-        """Whether a task is in flight for a layer of this chunk."""
+        """Return True if a task is in flight for a layer of this chunk."""
         return any(self.shared(bake, key[0]) for bake in self._in_flight.get(key[1], ()))
 
     def _start(self, request: BakeRequest, client: Hashable) -> None:
-        """Begin the task of a request, in the turn of a client."""
+        """Begin the task of a request in the turn of a client."""
         bake, index = request.key
         self._in_flight.setdefault(index, set()).add(bake)
+        # All clients that want the chunk share its cost.
         request.payers = tuple(request.interests)
         request.in_flight = True
         self._alone = request.suspect
         request.charged = self.shares.begin(client, request.payers)
 
     def _end_task(self, request: BakeRequest, seconds: float) -> None:
-        """End the task of a request after so many processor seconds; requests held up by it go
-        on.
+        """End the task of a request, which took ``seconds`` of a processor,
+        and release requests that were held back by it.
         """
         bake, index = request.key
         self._in_flight[index].remove(bake)
@@ -478,7 +513,7 @@ class BakeQueue:
             self._rank_everywhere(request)
 
     def _forget(self) -> None:
-        """Drop expired interests; checked every EXPIRY_CHECK_SECONDS."""
+        """Drop expired interests. They are checked every EXPIRY_CHECK_SECONDS."""
         if self.clock() - self.looked < EXPIRY_CHECK_SECONDS:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
@@ -492,15 +527,18 @@ class BakeQueue:
                 self._drop(request, client)
 
     def _older_than(self, client: Hashable, horizon: float) -> list[BakeRequest]:
-        """The requests that a client has not renewed since; they come first in its order."""
+        """Return the requests that a client has not renewed since ``horizon``.
+
+        They come first in its order.
+        """
         requests = self._interesting[client].values()
         return list(
             itertools.takewhile(lambda request: request.interests[client].asked < horizon, requests)
         )
 
     def _release(self, viewer: Viewer, view: int) -> None:
-        """Drop the interests of a ``viewer`` in views before this one, but for given-up requests,
-        which expire.
+        """Drop the interests of a ``viewer`` in views before ``view``,
+        except given-up requests, which expire.
         """
         for request in list(self._interesting.get(viewer.client, {}).values()):
             interest = request.interests[viewer.client]
@@ -513,8 +551,9 @@ class BakeQueue:
             self._drop(request, client)
 
     def _drop(self, request: BakeRequest, client: Hashable) -> None:
-        """Drop a client's interest, and a request without interests; one in flight stays until its
-        task has ended.
+        """Drop a client's interest, and the request if it was the last.
+
+        A request in flight stays until its task has ended.
         """
         request.release(client)
         del self._interesting[client][request.key]
@@ -525,7 +564,7 @@ class BakeQueue:
 
 
 def alike(one: BakeRequest, other: BakeRequest) -> bool:
-    """Whether one task can bake both."""
+    """Return True if one task can bake both requests."""
     same = (one.key[0], one.target, one.enough, one.until) == (
         other.key[0],
         other.target,
@@ -536,5 +575,7 @@ def alike(one: BakeRequest, other: BakeRequest) -> bool:
 
 
 def sunk(rank: Rank, now: Rank) -> bool:
-    """Whether a request's rank has become much lower, or it has the first light that it lacked."""
+    """Return True if a request's rank has become much lower,
+    or if it has got the first light that it lacked.
+    """
     return now[:3] > rank[:3] or now[3] - rank[3] > RERANK_LOSS * abs(rank[3])

@@ -68,24 +68,22 @@ from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
 
 Assets = SceneAssets | SharedScene
-"""What a worker opens in place of a scene's files: copies of them in the store, or what the server
-shares with processes of its machine.
+"""The data that a worker opens in place of a scene's files:
+copies of them in the store, or memory that the server shares with processes of its machine.
 """
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The scene that one was cut from: its ``source``, and the ``assets`` that workers open in
-    place of its files.
+    """The scene that another was cut from: its ``source``,
+    and the ``assets`` that workers open in place of its files.
     """
 
     source: SceneSource
     assets: Assets | None = None
 
     def planes(self, cut: SceneSource) -> str:
-        """What a ``cut`` of it takes away, as its document has that besides what the whole is cut
-        by itself.
-        """
+        """Return the planes by which the scene ``cut`` is cut in addition to those of the whole."""
         own, both = (str(each.document.get("cut", "")) for each in (self.source, cut))
         if own:
             return both.removeprefix(f"{own};")
@@ -94,8 +92,8 @@ class Whole:
 
 @dataclass(frozen=True, eq=False)
 class WholeLight:
-    """The light of a whole volume in a store, ``chunks``, and what ``remains`` of it where it is
-    cut.
+    """The light of a whole volume in a store,
+    and the part of the volume that ``remains`` in a cut.
     """
 
     chunks: ChunkStore
@@ -108,12 +106,13 @@ class WholeLight:
         places: Sequence[tuple[Index, np.ndarray]],
         walks: bool,
     ) -> np.ndarray:
-        """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now,
-        (m,) bool.
+        """Copy light of the whole to texels of the cut whose light the cut does not change; return
+        the texels that got it, (m,) bool.
 
-        Without ``walks`` those alone of which this is known without walking paths. ``places`` are
-        chunks and offsets in them, whose texels have the rows of ``light``, in place, one chunk's
-        after the other's.
+        ``light`` is changed in place. Its rows are the texels of ``places``, pairs of a chunk and
+        offsets in it, in order. ``waiting`` (m,) bool marks the texels that may take light. Without
+        ``walks``, only texels get light for which it follows from values alone; otherwise paths are
+        traced again.
         """
         lattice = self.chunks.spec.prepared.lattice
         kept = np.zeros(len(light), np.bool_)
@@ -121,6 +120,7 @@ class WholeLight:
         rows = list[np.ndarray]()
         texels = list[np.ndarray]()
         found = list[Light]()
+        # Read the chunks of the whole, and collect the light of waiting texels there.
         for (index, offsets), (first, last) in zip(places, pairwise(bounds), strict=True):
             if waiting[first:last].any():
                 chunk = self.chunks.read(index)
@@ -137,6 +137,7 @@ class WholeLight:
         whole = Light.joined(found)
         every = np.concatenate(rows)
         whole.agree_on_void()
+        # Take light of more samples only, and only if no path of it met matter that is cut away.
         ahead = np.flatnonzero(whole.samples > light.samples[every])
         own = np.concatenate(texels)[ahead]
         stays = ahead[find_kept(whole.rows(ahead), own, self.chunks.spec, self.remains, walks)]
@@ -146,8 +147,10 @@ class WholeLight:
 
 
 def light_of_whole(spec: BakeSpec, planes: str, cut: BakeSpec, store: Store) -> WholeLight | None:
-    """The light by a ``spec`` of a whole volume, of which a ``cut`` by some ``planes`` may keep
-    some; None where none can.
+    """Return the light by a ``spec`` of a whole volume for a ``cut`` by ``planes``; None if the cut
+    can keep none of it.
+
+    That is so if the kind of light does not allow it, or if the volume of the cut is another one.
     """
     whole = spec.prepared.scene.volume
     left = cut.prepared.scene.volume
@@ -162,52 +165,57 @@ KERNELS_OF_LAYER = {
     **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
     **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
-"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they
-are others.
+"""Entry kernels by the kind of layer that they bake.
+Walls, several surfaces and colours have kinds, and kernels, of their own.
 """
 
 PLAIN_LAYER_KINDS = tuple(
     kind for kind in KERNELS_OF_LAYER if kind not in (COLOURED_KIND, *PATH_KINDS.values())
 )
-"""The kinds of layers of scenes with one surface, without walls, colours and glow."""
+"""Kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
 """Entry kernels that open a scene and map its isosurfaces."""
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels for baking layers of these ``kinds``, and those of rooms, besides those
-    that open a scene.
+    """Return the entry kernels that bake layers of these ``kinds``,
+    without those that open a scene.
     """
     return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:
-    """Whether kernels that bake layers of these ``kinds`` are not compiled yet on this machine."""
+    """Return True if kernels that bake layers
+    of these ``kinds`` are not compiled yet on this machine.
+    """
     return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
 
 
 def load_kernels(kinds: Iterable[str]) -> None:
-    """Compile or load the kernels that bake layers of these ``kinds``."""
+    """Load the kernels that bake layers of these ``kinds``; compile them if need be."""
     load(bake_kernels(kinds))
 
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk, which are seen by their ``footprints``, to
+    """A task: bring the texels at ``offsets`` of a chunk, seen by their ``footprints``, to
     ``until`` samples.
 
     Texels need no more once they are good for pictures of the relative error ``target``, or have
-    ``enough`` samples. ``plan`` is what is baked. ``digest`` names the light that the server means,
-    as the scene's files may have changed since. Where there are ``assets``, these are opened in
-    place of the scene's files. ``owner`` names the baker, which claims the chunk while others are
-    at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that
-    is ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they
-    keep what light of that the cut leaves as it is.
+    ``enough`` samples.
 
-    Where the server ``keeps`` the light, it comes with the result and is written later, by a
-    ``WriteTask``. The server then sends the ``light`` that it has of these texels, if it has the
-    chunk.
+    - ``source``, ``assets``: the scene; assets are opened in place of its files.
+    - ``plan``, ``digest``: the layers to bake, and the name of the light that the server means, as
+      the scene's files may have changed since.
+    - ``owner``, ``insists``: the baker that claims the chunk while others are at work too; if it
+      insists, it takes over a claim of another one.
+    - ``shown``: if given, texels are projected onto that isosurface; see ``BakeSpec``.
+    - ``whole``: the scene that this one was cut from; texels keep its light if the cut does not
+      change it.
+    - ``keeps``: True if the server keeps the light. It then comes with the result, and is written
+      later by a ``WriteTask``.
+    - ``light``: the light of the texels, if the server keeps it and has the chunk.
     """
 
     source: SceneSource
@@ -233,13 +241,16 @@ class BakeTask:
 class BakeResult:
     """The result of a task.
 
-    ``unfinished`` texels are not final yet. ``priority`` is that of their next path, a mean over
-    the paths taken, and ``effort`` the work done and left. ``cost`` is the task's own. The task is
-    a ``duplicate`` where all its light was there already, and has ``healed`` the chunk where that
-    was damaged. So many texels ``kept`` the light of a whole volume. With another baker at the
-    chunk (``elsewhere``) nothing was done. ``chunk`` is its light where the server keeps that, in
-    which the layers that ``changed`` are not written: all of it, or of the task's texels where the
-    server has sent these.
+    - ``unfinished``: number of texels that are not final yet.
+    - ``priority``: squared visible error over the paths taken; see ``bake_requests.priority_of``.
+    - ``effort``: the work done and left.
+    - ``cost``: the cost of this task.
+    - ``duplicate``: True if all of its light was there already.
+    - ``healed``: True if the chunk was damaged, and is replaced.
+    - ``elsewhere``: True if another baker has claimed the chunk; nothing was done.
+    - ``kept``: number of texels that kept the light of a whole volume.
+    - ``chunk``, ``changed``: the light, if the server keeps it, and the layers that are not
+      written. It is all of the chunk, or only the task's texels if the server has sent these.
     """
 
     unfinished: int
@@ -259,15 +270,16 @@ BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True
 
 @lru_cache(maxsize=4)
 def open_store(store_url: StoreUrl) -> Store:
-    """The store at a URL, opened once a process with the process's own credentials. The server has
-    made it.
+    """Return the store at a URL, opened once a process with its own credentials.
+
+    The server has made it.
     """
     return Store(store_url, make=False)
 
 
 @lru_cache(maxsize=4)
 def claims_of(store_url: StoreUrl) -> Claims:
-    """The claims in a store, kept once a process."""
+    """Return the claims in a store, one object a process."""
     return Claims(open_store(store_url))
 
 
@@ -275,10 +287,13 @@ def claims_of(store_url: StoreUrl) -> Claims:
 def prepared_scene(
     source: SceneSource, assets: Assets | None, store_url: StoreUrl
 ) -> PreparedScene:
-    """The prepared scene, opened once a process for all of its bakes: as the server shares it, from
-    its files, or its assets in the store.
+    """Return the prepared scene, opened once a process for all of its bakes.
+
+    It is opened from memory that the server shares, from its files, or from its assets in the
+    store.
     """
     if isinstance(assets, SharedScene):
+        # If the server has let go of the scene, read its files instead.
         with suppress(SharedMemoryError):  # the server has let go of the scene: its files are read
             return receive_scene(assets, most_maps())
         return opened(source)
@@ -291,18 +306,20 @@ def prepared_scene(
 
 
 MAP_BYTES_SHARE = 3 / 8
-"""Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped
-voxels.
+"""Bytes of active-cell maps that a worker keeps of a volume,
+as a share of those that it may hold of mapped voxels.
 """
 
 
 def most_maps() -> int:
-    """Most bytes of a volume's active-cell maps."""
+    """Return the most bytes of a volume's active-cell maps."""
     return int(MAP_BYTES_SHARE * budget())
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
-"""The scenes that this process has open, by their volumes and how rays meet these."""
+"""The scenes that this process has open,
+by their volumes and all settings that change how rays meet these.
+"""
 
 VOXEL_INDEPENDENT_SETTINGS = (
     "lights",
@@ -315,14 +332,15 @@ VOXEL_INDEPENDENT_SETTINGS = (
     "clear",
     "material",
 )
-"""Settings of a scene, besides a material's numbers, that nothing depends on which is worked out of
-its voxels.
+"""Settings of a scene, besides the numbers of a material,
+that nothing derived from its voxels depends on.
 """
 
 
 def opened(source: SceneSource) -> PreparedScene:
-    """A scene opened from its files; another of the same volume that is open shares what it has
-    worked out of it.
+    """Open a scene from its files.
+
+    It shares derived data with an open scene of the same volume, if there is one.
     """
     rest = {
         key: value
@@ -334,6 +352,8 @@ def opened(source: SceneSource) -> PreparedScene:
     if known is None:
         prepared = PreparedScene(build_scene(source), most_maps())
     else:
+        # Another scene of the same volume is open: take voxels, colours and glow from there, and
+        # build only the rest.
         bare = {
             name: value for name, value in source.document.items() if name not in VOXEL_SETTINGS
         }
@@ -353,11 +373,12 @@ def open_spec(
     assets: Assets | None = None,
     shown: Isovalue | None = None,
 ) -> tuple[BakeSpec, ChunkStore]:
-    """A bake's spec and chunk store, opened once a process; its kernels are loaded too.
+    """Return a bake's spec and chunk store, opened once a process with its kernels loaded.
 
-    Raises SceneError where the scene's files are not those of ``digest``.
+    Raises SceneError if the scene's files are not those of ``digest``.
     """
     found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
+    # The files may have changed since this process opened them: read them once more.
     if found.digest != digest:
         prepared_scene.cache_clear()
         OPEN.clear()
@@ -382,8 +403,8 @@ def open_whole(
     store_url: StoreUrl,
     assets: Assets | None,
 ) -> WholeLight | None:
-    """The light of the whole that a bake's scene was cut from, opened once a process; None where it
-    keeps none.
+    """Return the light of the whole that a bake's scene was cut from,
+    opened once a process; None if the cut can keep none of it.
     """
     spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
     cut, _ = open_spec(source, plan, digest, store_url, assets)
@@ -391,22 +412,21 @@ def open_whole(
 
 
 def attempt(work: Callable[[], object]) -> None:
-    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be
-    reported then.
+    """Do some ``work`` ahead of its time, and ignore failure:
+    it fails again when it is due, and is reported then.
     """
     with suppress(Exception):
         work()
 
 
 Outcome = BakeResult | Exception
-"""What became of a task."""
+"""The outcome of a task."""
 
 
 def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
-    """Do tasks of one bake and target together, each as ``bake`` does it, so that their texels'
-    paths fill waves.
+    """Do tasks of one bake and target together, so that the paths of their texels fill whole waves.
 
-    Where that fails each is done alone: what is wrong with one chunk harms no other.
+    If that fails, do each task alone, so that a fault of one chunk harms no other.
     """
     try:
         return [*bake_together(tasks)]
@@ -417,7 +437,7 @@ def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
 
 
 def outcome_of(task: BakeTask) -> Outcome:
-    """What becomes of a task that is done alone."""
+    """Return the outcome of a task that is done alone."""
     try:
         return bake(task)
     except Exception as error:
@@ -425,15 +445,16 @@ def outcome_of(task: BakeTask) -> Outcome:
 
 
 def bake(task: BakeTask) -> BakeResult:
-    """Do a task, unless another baker has claimed its chunk. Raises StoreAwayError where the store
-    is away.
+    """Do a single task, unless another baker has claimed its chunk.
+
+    Raises StoreAwayError if the store is away.
     """
     (result,) = bake_together([task])
     return result
 
 
 def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """Do tasks of one bake and target, but those whose chunks other bakers have claimed."""
+    """Do tasks of one bake and target, except those whose chunks other bakers have claimed."""
     first = tasks[0]
     spec, chunk_store = open_spec(
         first.source, first.plan, first.digest, first.store_url, first.assets, first.shown
@@ -441,6 +462,7 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
     claims = claims_of(first.store_url)
     digest = chunk_store.layers[0].digest
     with ExitStack() as held:
+        # Claim all chunks until the light is written, and bake those that are free.
         names = [".".join(map(str, (digest, *task.index))) for task in tasks]
         ours = [
             held.enter_context(claims.on(name, task.owner, task.insists))
@@ -452,10 +474,10 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """A task on its way: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
+    """A task at work: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
 
-    ``known`` are the samples of the chunk's parts as they were read, ``healed`` is whether it was
-    damaged.
+    ``known`` are the samples of each layer as they were read, and ``healed`` is True if the chunk
+    was damaged.
     """
 
     chunk: Chunk
@@ -466,7 +488,7 @@ class Work:
 
     @classmethod
     def begin(cls, task: BakeTask, chunk_store: ChunkStore) -> Self:
-        """Read the chunk of a task, unless its light has come with it."""
+        """Read the chunk of a task, unless its light has come with the task."""
         damaged = chunk_store.damaged
         chunk = (task.light or chunk_store.load(task.index)).with_texels(task.offsets)
         known = [part.samples.copy() for part in chunk.light.parts]
@@ -475,7 +497,7 @@ class Work:
         return cls(chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
     def end(self, light: Light) -> tuple[bool, ...]:
-        """Put new ``light`` of its texels into the chunk; which layers have any that is new."""
+        """Put new ``light`` of the texels into the chunk; return the layers that have changed."""
         self.chunk.light.put(self.rows, light)
         pairs = zip(self.chunk.light.parts, self.known, strict=True)
         return tuple(not np.array_equal(part.samples, old) for part, old in pairs)
@@ -484,25 +506,30 @@ class Work:
 def bake_chunks(
     tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims
 ) -> list[BakeResult]:
-    """Read the chunks of tasks, add samples to all of them together, write each back as one object,
-    or hand it to the server where that keeps it.
+    """Do tasks: read their chunks, add samples to all texels together, and write each chunk as one
+    object a layer.
 
-    The outcome depends on the texels and their sample counts alone, so a task that is done twice,
-    done again after a kill, or done beside others, leaves the same bytes. What it took, to read and
-    write as well, is shared by paths.
+    If the server keeps the light, the chunk is handed back instead.
+
+    The result depends only on the texels and their sample counts. So a task that is done twice,
+    again after a kill, or together with others leaves the same bytes. The cost of the tasks,
+    reading and writing included, is divided among them in proportion to paths.
     """
     if not tasks:
         return []
     begun = time.process_time()
+    # Read the chunks, and join the light of all texels.
     works = [Work.begin(task, chunk_store) for task in tasks]
     light = Light.joined([work.light for work in works])
     before = light.samples
     texels = np.concatenate(
         [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
     )
+    # Texels of a cut may keep light of the whole; this light cost no paths.
     kept = keep_light(light, texels, spec, tasks)
     before[kept] = light.samples[kept]
     sample_texels(light, texels, spec, *tasks)
+    # Put the light back into the chunks, and write those that the server does not keep.
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
     rows = [slice(a, b) for a, b in pairwise(bounds)]
     news = [
@@ -513,6 +540,7 @@ def bake_chunks(
         if not task.keeps:
             save(Unwritten(work.chunk, changed), chunk_store, claims)
     results = results_of(light, spec, tasks)
+    # Divide the time among tasks by the paths they took, or by texels if none took any.
     seconds = time.process_time() - begun
     samples = light.samples
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
@@ -537,7 +565,7 @@ def bake_chunks(
 
 @dataclass(frozen=True, eq=False)
 class Unwritten:
-    """A ``chunk`` that is to be written, as far as its layers have ``changed``."""
+    """A ``chunk`` to write, and the layers that have ``changed``."""
 
     chunk: Chunk
     changed: tuple[bool, ...]
@@ -545,8 +573,9 @@ class Unwritten:
 
 @dataclass(frozen=True, eq=False)
 class WriteTask:
-    """Write the light of ``chunks`` of one bake, which the other fields name as in a
-    ``BakeTask``.
+    """A task: write the light of ``chunks`` of one bake.
+
+    The other fields are as in a ``BakeTask``.
     """
 
     source: SceneSource
@@ -559,7 +588,9 @@ class WriteTask:
 
 
 Written = bool | Exception
-"""What became of a chunk that was to be written: whether another writer was met, or an error."""
+"""The outcome of writing a chunk:
+True if another writer was found at it, False if not, or an error.
+"""
 
 
 def write_all(task: WriteTask) -> list[Written]:
@@ -572,7 +603,7 @@ def write_all(task: WriteTask) -> list[Written]:
 
 
 def written(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> Written:
-    """What becomes of one chunk that is to be written."""
+    """Write a chunk, and return the outcome."""
     try:
         return save(each, chunk_store, claims)
     except Exception as error:
@@ -580,7 +611,7 @@ def written(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> Written
 
 
 def save(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> bool:
-    """Write a chunk; whether another writer was met at it. Raises StoreError."""
+    """Write a chunk; return True if another writer was found at it. Raises StoreError."""
     met = chunk_store.save(each.chunk, each.changed)
     if met:
         claims.note_contention()
@@ -590,11 +621,10 @@ def save(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> bool:
 def keep_light(
     light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]
 ) -> np.ndarray:
-    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have
-    it now, (m,) bool.
+    """Give texels of tasks of one bake the light of the whole that a cut does not change, in place;
+    return these, (m,) bool.
 
-    Those whose isosurface is not in what is taken away have it at once. Each other takes the first
-    samples for the cut itself, which show what that lets in, and walks old paths later.
+    ``texels`` (m, 3; z, y, x) belong to the rows of ``light``.
     """
     first = tasks[0]
     own = first.source, first.plan, first.digest, first.store_url, first.assets
@@ -605,12 +635,18 @@ def keep_light(
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
+    # Texels without light take it immediately if their isosurface does not exist in the part that
+    # is cut away.
     kept = lender.lend(
         light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False
     )
+    # The others take the first level of samples in the cut volume, so that light let in by the cut
+    # shows soon.
     sample_texels(
         light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks)
     )
+    # Before they take more, trace the paths of their old light again, and keep it if none met the
+    # part that is cut away.
     going_on = np.repeat(
         [task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks]
     )
@@ -619,10 +655,11 @@ def keep_light(
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
-    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's,
-    as far as they go.
+    """Add samples to the ``texels`` (m, 3; z, y, x) of tasks of one target, level by level;
+    ``light`` is changed in place.
 
-    Level by level; ``light`` is in place. How far a texel goes depends on its own task alone.
+    The rows are those of one task after the other. The number of samples that a texel gets depends
+    on its own task only.
     """
     target = tasks[0].target
     enough = tasks[0].enough
@@ -630,6 +667,7 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
     waiting = next_samples(light, spec, target, enough)
     located: Located | None = None
     while (climbing := (waiting >= 0) & (waiting < until)).any():
+        # All texels at the lowest level climb together; then ask again which ones are good enough.
         lowest = int(waiting[climbing].min())
         rows = np.flatnonzero(climbing & (waiting == lowest))
         part = light.rows(rows)
@@ -640,8 +678,11 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
-    """The cost of texels that had so many samples ``before``; parts that are sampled together share
-    their paths.
+    """Return the cost of a task: ``seconds`` that brought texels from ``before`` to ``samples``,
+    (m,) each.
+
+    Layers that are sampled together share their paths. Seconds of first light are in proportion to
+    its paths.
     """
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
     paths = int(taken.sum())
@@ -650,15 +691,16 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
 
 
 def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """The results of tasks of one target: what their ``light``, one's after the other's, still
-    lacks of that.
+    """Return the results of tasks of one target, by the work that their ``light``, of one task
+    after the other, still lacks.
 
-    What they cost is still to be reported.
+    Their cost is filled in later.
     """
     target = tasks[0].target
     enough = tasks[0].enough
     count = len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
+    # Weight errors by how much of each texel is seen, and sum up over the texels of each task.
     error = standard_error(light, spec)
     waiting = next_samples(light, spec, target, enough) >= 0
     visible = np.concatenate([task.footprints for task in tasks]) * error**2
@@ -675,7 +717,7 @@ def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[
 
 
 async def dask_setup(worker: Any) -> None:
-    """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``, before
-    it joins.
+    """Load the kernels of all bakes in a ``worker`` started
+    with ``--preload worker.tasks``, before it joins.
     """
     await asyncio.to_thread(load_kernels, PLAIN_LAYER_KINDS)

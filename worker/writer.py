@@ -1,4 +1,4 @@
-"""Writing of light that workers have handed back: once it rests, or has waited for some seconds."""
+"""Writing of light that workers have handed back, once it rests or has waited for some seconds."""
 
 import logging
 import threading
@@ -18,28 +18,30 @@ if TYPE_CHECKING:
     from worker.pool import WorkerPool
 
 LOOK_SECONDS = 0.25
-"""Seconds between two looks at what is to be written."""
+"""Seconds between two looks for light that is to be written."""
 
 WRITE_CHUNKS = 32
-"""Most chunks of one task: some 0.1 s of a worker."""
+"""Most chunks of one task: about 0.1 s of a worker."""
 
 SHORTEST_RETRY = 1.0
 LONGEST_RETRY = 8.0
-"""Seconds until a store that takes nothing is tried again: each time twice as many."""
+"""Seconds until a store that takes no light is tried again;
+doubled after each failure, up to the longest.
+"""
 
 LAST_SECONDS = 20.0
 """Seconds within which all light is written when the server stops."""
 
 MOST_FAILURES = 5
-"""Failures after which a chunk's light is dropped, to be baked again when a view needs it."""
+"""Failures after which a chunk's light is dropped; it is baked again when a view needs it."""
 
 log = logging.getLogger("isogi.worker")
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """The ``light`` in memory of a bake with this ``name``, and its last task, which says how it is
-    written.
+    """The ``light`` in memory of the bake ``name``, and a task of it,
+    ``like``, from which write tasks take the description of the bake.
     """
 
     name: str
@@ -48,16 +50,22 @@ class Kept:
 
 
 Told = Callable[[str, Index], None]
-"""Is called with the name of a bake and a chunk in which another writer was met."""
+"""A function that is called with the name of a bake
+and a chunk at which another writer was found.
+"""
 
 
 class LightWriter:
-    """Has a ``pool`` write light. Safe to use from many threads."""
+    """Has the workers of a ``pool`` write light. Safe to use from many threads."""
 
     def __init__(self, pool: "WorkerPool", told: Told, stir: Callable[[], None]) -> None:
-        """Write nothing yet; ``stir`` is called when the store takes light again."""
+        """Begin without light.
+
+        ``told`` is called for chunks at which another writer was found, ``stir`` when the store
+        takes light again.
+        """
         self.reason = ""
-        """Why light cannot be written; empty where it can."""
+        """The reason if light cannot be written, else empty."""
         self._pool = pool
         self._told = told
         self._stir = stir
@@ -69,19 +77,22 @@ class LightWriter:
         self._changed = threading.Condition()
 
     def take(self, name: str, light: FreshLight, task: BakeTask, result: BakeResult) -> None:
-        """Keep the light that a task of a bake has brought."""
+        """Keep in memory the light that a task of the bake ``name`` has brought."""
         if result.chunk is not None:
             light.put(result.chunk, result.changed)
             self._kept[task.digest] = Kept(name, light, replace(task, light=None))
 
     def look(self, wanted: Callable[[str], set[Index]]) -> None:
-        """Begin to write what is due. The chunks of a bake that are ``wanted`` are still baked."""
+        """Begin to write light that is due.
+
+        ``wanted`` gives the chunks of a bake that are still baked: their light does not rest.
+        """
         if time.monotonic() >= self._retry:
             for kept in list(self._kept.values()):
                 self._write(kept, kept.light.due(wanted(kept.name).__contains__))
 
     def sweep(self, busy: Callable[[str, Index], bool]) -> None:
-        """Forget what was written long ago, but for chunks that are ``busy``: they have a task."""
+        """Forget light that was written long ago, except chunks with tasks, which are ``busy``."""
         for kept in list(self._kept.values()):
             kept.light.sweep(partial(busy, kept.name))
 
@@ -91,7 +102,9 @@ class LightWriter:
             self._write(kept, kept.light.unwritten())
 
     def finish(self, seconds: float = LAST_SECONDS) -> None:
-        """Write all light, and return when that is done, or cannot be within some seconds."""
+        """Write all light, and return when that is done,
+        or when the store takes none, or after ``seconds``.
+        """
         deadline = time.monotonic() + seconds
         while self.unwritten and not self.reason and time.monotonic() < deadline:
             self.write()
@@ -106,17 +119,18 @@ class LightWriter:
 
     @property
     def unwritten(self) -> int:
-        """How many chunks have light that is not written."""
+        """Number of chunks with light that is not written."""
         return sum(len(kept.light.unwritten()) for kept in list(self._kept.values()))
 
     def _write(self, kept: Kept, due: Iterable[Fresh]) -> None:
-        """Have chunks of a bake written, but those that are being written already."""
+        """Have ``due`` chunks of a bake written, except those that are being written already."""
         like = kept.like
         with self._changed:
             free = [each for each in due if (like.digest, each.chunk.index) not in self._writing]
             self._writing |= {(like.digest, each.chunk.index) for each in free}
+        # Every write task names its bake as the bake's last task did.
         place = (like.source, like.plan, like.digest, like.store_url, like.assets, like.shown)
-        # What has failed goes alone, so that it harms no other.
+        # A chunk that has failed goes alone, so that it harms no other.
         failed = [each for each in free if (like.digest, each.chunk.index) in self._failures]
         rest = [each for each in free if each not in failed]
         groups = [[each] for each in failed]
@@ -132,7 +146,7 @@ class LightWriter:
         outcomes: Sequence[Written] | None,
         error: BaseException | None,
     ) -> None:
-        """Note what became of chunks that were to be written."""
+        """Note the outcomes of a write task, or its ``error``."""
         met = [
             each.chunk.index
             for number, each in enumerate(some)
@@ -145,7 +159,7 @@ class LightWriter:
             self._told(kept.name, index)
 
     def _settle(self, kept: Kept, fresh: Fresh, outcome: Written | BaseException | None) -> bool:
-        """Note what became of one chunk; whether another writer was met at it."""
+        """Note the outcome of writing one chunk; return True if another writer was found at it."""
         index = fresh.chunk.index
         key = kept.like.digest, index
         if isinstance(outcome, bool):
@@ -153,6 +167,8 @@ class LightWriter:
             self._failures.pop(key, None)
             self._recover()
             return outcome
+        # Light stays in memory while the store or the workers are away. A chunk that fails by
+        # itself is dropped after some tries.
         if isinstance(outcome, StoreAwayError):
             self._pause(str(outcome))
         elif not isinstance(outcome, WorkersAwayError):
@@ -164,7 +180,10 @@ class LightWriter:
         return False
 
     def _pause(self, reason: str) -> None:
-        """Write nothing for a while: the store takes nothing."""
+        """Write nothing for a while, as the store takes none.
+
+        Each further failure doubles the wait.
+        """
         if not self.reason:
             self._wait = SHORTEST_RETRY
             log.error("light waits in memory for the store: %s", reason)
@@ -174,7 +193,7 @@ class LightWriter:
         self._retry = time.monotonic() + self._wait
 
     def _recover(self) -> None:
-        """Go on: the store takes light."""
+        """End the pause, as the store takes light again."""
         if self.reason:
             self.reason = ""
             self._retry = 0.0

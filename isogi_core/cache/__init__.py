@@ -1,3 +1,3 @@
-"""The illumination cache: layers of chunks in a Zarr store, and the page pool of decoded chunks in
-memory.
+"""The cache of baked light: layers of chunks in a store,
+and the page pool of decoded chunks in memory.
 """

@@ -1,5 +1,8 @@
-"""The record of a chunk: the content of one object of the store, and its description in the layer's
-metadata.
+"""The record of a chunk: the bytes of one object of the store, and the layer's metadata that
+describe them.
+
+A chunk is a cube of texels. Each layer of a bake (direct light, reflected light, glow) keeps a
+chunk as one record. ``Chunk`` and ``Chunks`` are the decoded texels of all layers together.
 """
 
 import json
@@ -39,12 +42,17 @@ RECORD_TABLES = Numbers(SAMPLES_OF, NOISE_OF, LIGHT_OF)
 
 @cache
 def record_type(layer: Layer, texels: int) -> np.dtype[np.void]:
-    """The NumPy type, packed, of the record of a chunk of so many ``texels``.
+    """Return the packed NumPy type of the record of a chunk with ``texels`` texels, z slowest.
 
-    ``bake`` is the layer's digest and ``index`` (z, y, x) the chunk's place. ``light`` (channels,
-    coefficients, texels) holds multiples of ``scale``, and so does ``high``, the coefficients of
-    higher bands as bytes. ``rung`` is the code of a texel's sample level; ``high``, ``rung`` and
-    ``noise`` are codes: see ``bake.precision``. Texels go with z slowest.
+    - ``bake``, ``index``: the layer's digest, and the chunk's index (z, y, x). A reader recognises
+      by them an object that was stored under a wrong key.
+    - ``scale``: unit of ``light``, ``high`` and ``noise``; the layer's scale.
+    - ``rung``: code of each texel's sample count, 0 if the texel is not baked.
+    - ``noise`` (noises, texels): codes of standard errors.
+    - ``light`` (channels, floats, texels): coefficients of the lowest bands, as floats.
+    - ``high`` (channels, coefficients - floats, texels): coefficients of higher bands, as codes.
+
+    ``bake.texel_light`` defines the codes.
     """
     return np.dtype(
         [
@@ -60,20 +68,24 @@ def record_type(layer: Layer, texels: int) -> np.dtype[np.void]:
 
 
 def pack(part: Part, offsets: np.ndarray, texels: int, bake: str, index: Index) -> np.ndarray:
-    """Pack a part's texels at ``offsets`` of the chunk ``index`` into a record, (bytes,) uint8, but
-    for unlit ones.
+    """Pack the texels of a ``part`` into the record of the chunk ``index``; (bytes,) uint8.
 
-    A whole chunk has so many ``texels``.
+    ``offsets`` (m,) are the places of the part's texels within the chunk, which has ``texels``
+    texels. Texels without samples are left out. ``bake`` is the layer's digest.
     """
     layer = part.layer
     record = np.zeros((), record_type(layer, texels))
     record["bake"] = bake.encode()
     record["index"] = index
     record["scale"] = layer.scale
+    # Store the texels that have samples. Everything else in the record is zero, so that equal light
+    # has equal bytes.
     lit = part.samples != 0
     rows = part.rows(lit)
     record["rung"][offsets[lit]] = level_codes(rows.samples)
     record["noise"][:, offsets[lit]] = noise_codes(rows.noise, layer.scale).T
+    # In memory a texel's coefficients lie together; in the record each coefficient is a plane over
+    # the texels, in the order in which the kernel that unpacks them reads.
     light = np.moveaxis(rows.coefficients / np.float32(layer.scale), 0, -1)
     record["light"][:, :, offsets[lit]] = light_floats(light[:, : layer.floats], layer)
     record["high"][:, :, offsets[lit]] = light_codes(light[:, layer.floats :])
@@ -83,8 +95,9 @@ def pack(part: Part, offsets: np.ndarray, texels: int, bake: str, index: Index) 
 def unpack(
     data: np.ndarray, layer: Layer, texels: int, bake: str, index: Index
 ) -> tuple[np.ndarray, Part] | None:
-    """Unpack a record: ascending offsets of its texels, and their part; None where it is of another
-    bake or place.
+    """Unpack one record, (bytes,) uint8, to the ascending offsets of its texels and their part.
+
+    Return None if the record is of another bake or another chunk than ``index``.
     """
     records = data.reshape(1, -1)
     if belongs(records, layer, texels, bake, [index]).all():
@@ -95,8 +108,8 @@ def unpack(
 def belongs(
     records: np.ndarray, layer: Layer, texels: int, bake: str, indices: Sequence[Index]
 ) -> np.ndarray:
-    """Whether each of the ``records`` (k, bytes) uint8 is of this ``bake`` and its chunk of
-    ``indices``; (k,) bool.
+    """Return, for each of the ``records`` (k, bytes) uint8,
+    True if it is of this ``bake`` and of its chunk of ``indices``; (k,) bool.
     """
     found = record_fields(records, layer, texels)
     here = (found["index"] == np.array(indices).reshape(-1, 3)).all(axis=1)
@@ -104,13 +117,16 @@ def belongs(
 
 
 def unpack_all(records: np.ndarray, layer: Layer, texels: int) -> tuple[np.ndarray, Part]:
-    """Unpack ``records`` (k, bytes) uint8: ascending places of their texels, and their part.
+    """Unpack ``records`` (k, bytes) uint8 to the ascending places of their texels, (m,) int32, and
+    their part.
 
-    A place is the record's number times ``texels`` plus the offset in its chunk; (m,) int32.
+    A place is the record's number times ``texels`` plus the texel's offset in its chunk.
     """
     found = record_fields(records, layer, texels)
     places = np.flatnonzero(found["rung"] != 0).astype(np.int32)
+    # Texels of record i are the rows bounds[i] to bounds[i + 1] of the part.
     bounds = np.searchsorted(places, np.arange(len(records) + 1, dtype=np.int32) * np.int32(texels))
+    # One kernel call decodes all records: the part is allocated first, and filled in place.
     part = Part.undefined(layer, len(places))
     planes = (found["scale"], found["rung"], found["noise"], *planes_of(found, layer))
     filled = Texels(part.samples, part.noise, part.coefficients)
@@ -119,13 +135,15 @@ def unpack_all(records: np.ndarray, layer: Layer, texels: int) -> tuple[np.ndarr
 
 
 def record_fields(records: np.ndarray, layer: Layer, texels: int) -> np.ndarray:
-    """View ``records`` (k, bytes) uint8 as NumPy records, (k,)."""
+    """View ``records`` (k, bytes) uint8 as NumPy records of ``record_type``, (k,)."""
     return records.view(record_type(layer, texels))[:, 0]
 
 
 def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The light in NumPy records as bits of half floats, single floats, and bytes; one kind of
-    floats is empty.
+    """Return the light of NumPy records as three arrays: bits of half floats, single floats, and
+    codes.
+
+    The kernel takes both kinds of floats; the one that the layer does not use is empty.
     """
     light = found["light"]
     none = found["light"][:, :, :0]
@@ -135,14 +153,15 @@ def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, 
 
 
 def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
-    """Find the first thing in a record, (bytes,) uint8, that ``pack`` never writes; empty if all is
-    well.
+    """Find the first fault in a record, (bytes,) uint8, that ``pack`` never writes,
+    and return its description; empty if there is none.
     """
     record = data.view(record_type(layer, texels))[0]
     level = record["rung"]
     light = record["light"]
     dark = level == 0
-    oddities = {
+    # The checksum was right, so a fault here is one of the program that wrote the record.
+    faults = {
         "it was packed to another scale": record["scale"] != np.float32(layer.scale),
         "a texel took a number of samples that none takes": (
             (level > HIGHEST_LEVEL) & (level != VOID_CODE)
@@ -152,7 +171,7 @@ def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
             record[name][..., dark].any() for name in ("light", "high", "noise")
         ),
     }
-    return next((what for what, found in oddities.items() if found), "")
+    return next((fault for fault, found in faults.items() if found), "")
 
 
 CODEC_NAMES = ["bytes", "zstd", "crc32c"]
@@ -160,8 +179,10 @@ CODEC_NAMES = ["bytes", "zstd", "crc32c"]
 
 @dataclass(frozen=True, eq=False)
 class LayerFacts:
-    """A layer as its ``zarr.json`` describes it: isogi's own ``attributes``, and ``texels`` along
-    z, y, x.
+    """A layer as its ``zarr.json`` describes it.
+
+    ``texels`` is the size of its lattice along z, y, x, ``chunk`` the side of a chunk in texels,
+    and ``attributes`` isogi's entry in the metadata.
     """
 
     layer: Layer
@@ -187,14 +208,15 @@ class LayerFacts:
 
     @property
     def lattice_facts(self) -> tuple[Any, ...]:
-        """The facts that decide which texels can hold light: layers with equal facts must agree on
-        these texels.
+        """The facts that decide which texels can hold light.
+
+        Layers that have equal facts must agree on these texels.
         """
         names = ("format", "volume_digest", "normals", "offset", "shown")
         return (self.texels, self.chunk, *(self.attributes.get(name) for name in names))
 
     def holds(self, index: Index) -> bool:
-        """Whether a chunk lies within the lattice."""
+        """Return True if the chunk ``index`` lies within the lattice."""
         return all(place < count for place, count in zip(index, self.chunks, strict=True))
 
 
@@ -202,30 +224,34 @@ UNREADABLE = (
     *(ValueError, KeyError, TypeError, AttributeError),
     *(ArithmeticError, RecursionError),
 )
-"""Errors that metadata of something else raises."""
+"""Errors that reading raises if metadata is not that of a layer."""
 
 
 def facts_in(metadata: bytes) -> LayerFacts:
-    """Read the facts in a ``zarr.json``. Raises DamagedChunkError, which says what is wrong with
-    it.
+    """Read the description of a layer from the bytes of its ``zarr.json``.
+
+    Raises DamagedChunkError, which says what is wrong, if it is not the metadata of a layer, or if
+    the array that it describes does not fit the layer.
     """
     try:
         found = json.loads(metadata)
-        own = found["attributes"]["isogi"]
-        z, y, x = map(int, own["texels"])
-        named = {each.name: own[each.name] for each in fields(Layer) if each.name != "nodes"}
-        layer = Layer(**named, nodes=tuple(map(float, own.get("nodes", ()))))
-        facts = LayerFacts(layer, (z, y, x), int(own["chunk"]), own)
-        whole = agrees(found, facts)
+        attributes = found["attributes"]["isogi"]
+        z, y, x = map(int, attributes["texels"])
+        named = {each.name: attributes[each.name] for each in fields(Layer) if each.name != "nodes"}
+        layer = Layer(**named, nodes=tuple(map(float, attributes.get("nodes", ()))))
+        facts = LayerFacts(layer, (z, y, x), int(attributes["chunk"]), attributes)
+        fits = agrees(found, facts)
     except UNREADABLE as error:
         raise DamagedChunkError("it is not the metadata of a layer") from error
-    if not whole:
+    if not fits:
         raise DamagedChunkError("the array that it describes is not that of its layer")
     return facts
 
 
 def agrees(metadata: dict[str, Any], facts: LayerFacts) -> bool:
-    """Whether ``metadata`` describes an array as the layer's must be."""
+    """Return True if ``metadata`` describes the array
+    that a layer with these ``facts`` must have.
+    """
     grid = metadata["chunk_grid"]["configuration"]["chunk_shape"]
     return bool(
         metadata["zarr_format"] == 3
@@ -241,8 +267,10 @@ def agrees(metadata: dict[str, Any], facts: LayerFacts) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Texels of one chunk: ``offsets`` (m,) int32 ascending, inside the chunk; ``light`` has a row
-    for each.
+    """The texels of one chunk that have light, in all layers of a bake.
+
+    ``offsets`` (m,) int32, ascending, are their places within the chunk; ``light`` has a row for
+    each.
     """
 
     index: Index
@@ -251,18 +279,16 @@ class Chunk:
 
     @classmethod
     def empty(cls, index: Index, plan: ScenePlan) -> "Chunk":
-        """A chunk in which nothing is baked."""
+        """Return a chunk in which nothing is baked."""
         return cls(index, np.empty(0, np.int32), Light.dark(plan, 0))
 
     @classmethod
     def of_parts(cls, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
-        """The chunk of the offsets and the part that were ``found`` in each layer."""
-        return cls(index, *united(found))
+        """Return the chunk whose layers have the offsets and parts ``found``, one pair a layer."""
+        return cls(index, *merge_layers(found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
-        """This chunk with the texels at ``offsets`` added where it lacks them; added texels are
-        dark.
-        """
+        """Return this chunk with dark texels added at those ``offsets`` that it lacks."""
         union = np.union1d(self.offsets, offsets).astype(np.int32)
         return Chunk(
             self.index,
@@ -271,16 +297,18 @@ class Chunk:
         )
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:
-        """Rows of ``light`` for texels at ``offsets``, all of which the chunk must have."""
+        """Return the rows of ``light`` of the texels at ``offsets``;
+        the chunk must have all of them.
+        """
         return np.searchsorted(self.offsets, offsets)
 
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """Texels of several chunks: those of ``indices[i]`` are the rows ``bounds[i]`` … ``bounds[i +
-    1]`` of ``light``.
+    """The texels of several chunks, in all layers of a bake.
 
-    ``bounds`` (chunks + 1,) int64; ``offsets`` (m,) int32, ascending in each chunk.
+    The texels of chunk ``indices[i]`` are the rows ``bounds[i]`` to ``bounds[i + 1]`` of ``light``.
+    ``bounds`` (chunks + 1,) int64; ``offsets`` (m,) int32, ascending within each chunk.
     """
 
     indices: tuple[Index, ...]
@@ -290,34 +318,37 @@ class Chunks:
 
     @classmethod
     def of_one(cls, chunk: Chunk) -> "Chunks":
-        """A single chunk."""
+        """Return a single chunk as ``Chunks``."""
         return cls((chunk.index,), np.array([0, len(chunk.offsets)]), chunk.offsets, chunk.light)
 
     @classmethod
     def of_parts(
         cls, indices: Sequence[Index], texels: int, found: Sequence[tuple[np.ndarray, Part]]
     ) -> "Chunks":
-        """The chunks that have texels, of the places and the part that were ``found`` in each
-        layer.
+        """Return those chunks of ``indices`` that have texels, from the places and the part
+        ``found`` in each layer.
 
-        A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the
-        offset in it.
+        A place is the chunk's number among ``indices`` times the ``texels`` of a chunk, plus the
+        texel's offset in it.
         """
-        places, light = united(found)
+        places, light = merge_layers(found)
         bounds = np.searchsorted(
             places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels)
         )
+        # Leave out chunks without texels. Their bounds are equal to the ones before, so ``unique``
+        # removes these too.
         there = tuple(compress(indices, (np.diff(bounds) > 0).tolist()))
         return cls(there, np.unique(bounds), places % np.int32(texels), light)
 
 
-def united(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
-    """The places ``found`` in any of the layers, ascending, and their light; a part is dark where
-    it lacks a place.
+def merge_layers(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
+    """Return the ascending places ``found`` in any of the layers, and the light there;
+    a part is dark where its layer lacks the place.
     """
     first = found[0][0]
     parts = [part for _, part in found]
-    if all(np.array_equal(own, first) for own, _ in found):
+    # As a rule all layers were baked together and have the same places: no copy is needed.
+    if all(np.array_equal(places, first) for places, _ in found):
         return first.astype(np.int32), Light(tuple(parts))
-    places = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
-    return places, Light(tuple(part.among(own, places) for own, part in found))
+    union = reduce(np.union1d, [places for places, _ in found]).astype(np.int32)
+    return union, Light(tuple(part.among(places, union) for places, part in found))

@@ -25,14 +25,16 @@ from isogi_core.storage.atomic_file import user_cache
 from isogi_core.storage.store import Store, StoreLike
 
 MIN_DIRECT_ORDER = 2
-"""Least order of direct light that is shown in place of a higher one: band 0 alone has no
-direction.
+"""Lowest order of direct light that is shown in place of a higher one:
+band 0 alone does not depend on the normal.
 """
 
 
 def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePlan:
-    """The plan, with layers that the ``store`` lacks replaced by the smallest larger ones that it
-    has.
+    """Return the ``plan`` for a store that may hold other layers.
+
+    Each layer without light in the ``store`` is replaced by the smallest larger layer with light
+    there, if there is one.
     """
     store = Store.of(store)
     there = frozenset(store.layers())
@@ -42,10 +44,10 @@ def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePl
 
 
 def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Set[str]) -> Layer:
-    """The layer, or the smallest larger one where the store has light of that and none of the
-    layer.
+    """Return the ``layer`` if the ``store`` has light of it, else the smallest larger layer with
+    light there, else the layer.
 
-    ``there`` are the digests of layers in the ``store``.
+    ``there`` are the digests of the layers in the ``store``.
     """
     candidates = (layer, *sorted(larger_layers(layer), key=lambda other: other.bytes_per_texel))
     return next((found.layer for found in stored_layers(candidates, prepared, store, there)), layer)
@@ -54,8 +56,10 @@ def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Se
 def find_fallback(
     layer: Layer, prepared: PreparedScene, store: StoreLike, shown: Isovalue | None = None
 ) -> LayerStore | None:
-    """The largest of the smaller layers that the ``store`` has light of, for the same texels; None
-    without any.
+    """Return the store of the largest smaller layer that has light of the same texels; None if
+    there is none.
+
+    Its light is shown until the ``layer`` itself is baked.
     """
     store = Store.of(store)
     return next(
@@ -71,45 +75,50 @@ def stored_layers(
     there: Set[str],
     shown: Isovalue | None = None,
 ) -> Iterator[LayerStore]:
-    """The stores of those ``layers`` that have light; only digests that are ``there`` are read."""
+    """Yield the stores of those ``layers`` that have light.
+
+    Layers whose digests are not ``there`` are skipped without a request.
+    """
     layer_stores = (LayerStore(store, prepared, layer, shown) for layer in layers)
     return (each for each in layer_stores if each.digest in there and each.exists)
 
 
 def larger_layers(layer: Layer) -> Iterator[Layer]:
-    """Compatible layers that hold all of ``layer``, and more."""
-    orders = (
-        range(layer.order, MAX_ORDER + 1)
-        if layer.kind in ("direct", "indirect")
-        else (layer.order,)
-    )
-    other = (other for order in orders for other in precisions(layer, order))
-    return (other for other in other if other != layer and covers(other, layer))
+    """Yield the compatible layers that keep every coefficient
+    of ``layer`` at least as precisely, and more.
+    """
+    if layer.kind in ("direct", "indirect"):
+        orders = range(layer.order, MAX_ORDER + 1)
+    else:
+        orders = range(layer.order, layer.order + 1)
+    others = (other for order in orders for other in precisions(layer, order))
+    return (other for other in others if other != layer and covers(other, layer))
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
-    """Compatible layers that hold the first bands of ``layer``, or all of them less precisely; most
-    bands first.
+    """Yield the compatible layers that keep only lower bands of ``layer``,
+    or keep its bands less precisely; most bands first.
     """
+    # Direct light needs at least two bands.
     if layer.kind == "direct":
         least = MIN_DIRECT_ORDER
     else:
         least = 1
     lower = range(layer.order - 1, least - 1, -1)
-    other = (other for order in (layer.order, *lower) for other in precisions(layer, order))
-    return (other for other in other if not (other.order == layer.order and covers(other, layer)))
+    others = (other for order in (layer.order, *lower) for other in precisions(layer, order))
+    return (other for other in others if not (other.order == layer.order and covers(other, layer)))
 
 
 def precisions(layer: Layer, order: int) -> Iterator[Layer]:
-    """The layer at another ``order``, in every precision; the most precise first."""
+    """Yield the layer at another ``order`` in every precision, the most precise first."""
     yield replace(layer, order=order, half=False, coarse=None)
     for coarse in (None, *range(order - 1, 0, -1)):
         yield replace(layer, order=order, half=True, coarse=coarse)
 
 
 def covers(other: Layer, layer: Layer) -> bool:
-    """Whether ``other``, of no lower order, keeps each coefficient of ``layer`` at least as
-    precisely.
+    """Return True if ``other``, whose order is not lower,
+    keeps each coefficient of ``layer`` at least as precisely.
     """
     return other.floats >= layer.floats and (layer.half or not other.half)
 
@@ -117,18 +126,22 @@ def covers(other: Layer, layer: Layer) -> bool:
 log = logging.getLogger("isogi.cache")
 
 STAMP_EVERY = 3600.0
-"""Seconds after which the stamp of light that is in use is renewed."""
+"""Seconds after which the stamp of light in use is renewed:
+fine enough for pruning by days, and one write an hour.
+"""
 
 
 class UseStamps:
-    """Stamps of the last use of layers, by their ``digests``, in a ``store``. Safe to use from many
-    threads.
+    """Records when layers were last read, by writing an empty object a layer, its stamp, to the
+    ``store``.
+
+    The layers are given by their ``digests``. Safe to use from many threads.
     """
 
     def __init__(
         self, store: Store, digests: Sequence[str], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Stamp nothing yet."""
+        """Write no stamp yet."""
         self._store = store
         self._digests = digests
         self._clock = clock
@@ -138,7 +151,10 @@ class UseStamps:
     def touch(self) -> None:
         """Stamp the layers, as their light is read, unless that was done less than STAMP_EVERY
         seconds ago.
+
+        The stamps are written by a thread, so that no frame waits for them.
         """
+        # Set the next time first, so that only one thread stamps.
         with self._lock:
             if self._clock() < self._due:
                 return
@@ -146,12 +162,13 @@ class UseStamps:
         threading.Thread(target=self._stamp, name="stamp", daemon=True).start()
 
     def _stamp(self) -> None:
+        """Write the stamps. Failure is logged: stamps only serve to choose layers to delete."""
         try:
             for digest in self._digests:
                 key = f"{STAMPS_FOLDER}/{digest}"
                 self._store.put(key, b"", self._store.get(key))
         except StoreError as error:
-            log.info("When light was used cannot be kept: %s", error)
+            log.info("The time of the last use of light cannot be stored: %s", error)
 
 
 Objects = tuple[bytes | None, ...]
@@ -159,18 +176,19 @@ Objects = tuple[bytes | None, ...]
 
 
 def default_store() -> Path:
-    """The default folder of light."""
+    """Return the folder that light is kept in by default."""
     return user_cache("light")
 
 
 class ChunkStore:
-    """Chunks of all layers of a ``spec`` in a ``store``. Methods raise StoreError.
+    """The chunks of a bake, given by its ``spec``, with all their layers in a ``store``. Methods
+    raise StoreError.
 
     ``damaged`` counts the objects that were read and could not be used.
     """
 
     def __init__(self, store: StoreLike, spec: BakeSpec) -> None:
-        """Touch nothing yet."""
+        """Set up the layers' stores, without a request to the ``store``."""
         self.spec = spec
         self.store = Store.of(store)
         self.damaged = 0
@@ -180,8 +198,9 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or make the layers' arrays, and find smaller layers, now and not with the first
-        chunk.
+        """Open or create the layers' arrays and find the smaller layers.
+
+        Otherwise both happen with the first chunk.
         """
         for layer in self.layers:
             layer.open()
@@ -189,17 +208,19 @@ class ChunkStore:
 
     @cached_property
     def fresh(self) -> FreshLight:
-        """The light that this process has of the bake and has not written yet."""
+        """The light of the bake that this process holds and has not written yet."""
         return fresh_light(self.store, self.spec.digest)
 
     @property
     def made(self) -> bool:
-        """Whether there may be light to read: any layer's array was made, or some is in memory."""
+        """True if there may be light to read: in an array of a layer, or in memory."""
         return len(self.fresh) > 0 or any(layer.made for layer in self.layers)
 
     def read(self, index: Index) -> Chunk | None:
-        """Read a chunk, or take it from memory where that is newer; None where no layer has any of
-        it. Damaged objects count as absent and are logged.
+        """Read a chunk, or take it from memory if that has newer light; None if no layer has light
+        of it.
+
+        Damaged objects are logged and count as absent.
         """
         if (newer := self.fresh.newer(index)) is not None:
             return newer
@@ -209,7 +230,7 @@ class ChunkStore:
 
     @cached_property
     def fallbacks(self) -> tuple[LayerStore | None, ...]:
-        """For each layer the smaller one that an earlier plan has left; None without any."""
+        """For each layer the smaller one that an earlier plan has left, or None."""
         return tuple(
             find_fallback(layer.layer, self.spec.prepared, self.store, self.spec.shown)
             for layer in self.layers
@@ -221,63 +242,73 @@ class ChunkStore:
         return sum(layer.size for layer in self.layers)
 
     def objects(self, index: Index) -> Objects:
-        """The objects of a chunk as they are stored: of each layer, and then of each fallback."""
+        """Read the objects of a chunk without decoding them:
+        one of each layer, then one of each fallback.
+        """
         return tuple(
             None if layer is None else layer.read(index)
             for layer in (*self.layers, *self.fallbacks)
         )
 
     def show(self, indices: Sequence[Index], objects: Sequence[Objects]) -> Chunks:
-        """Decode the chunks that any layer has something of, as ``read`` does, from their
-        ``objects``.
+        """Decode chunks for a frame from their ``objects``, as read by ``objects``; chunks without
+        light are left out.
 
-        A texel that is not baked has the light of the fallback layer, with no samples.
+        A texel that is not baked shows the light of the fallback layer, with 0 samples.
         """
         self.use.touch()
+        # Turn the objects from one row a chunk into one row a layer, as each layer is decoded in
+        # one call.
         stored = list(zip(*objects, strict=True))
         found = [
             layer.decode_all(indices, stored_parts, self._report_damage)
             for layer, stored_parts in zip(self.layers, stored, strict=False)
         ]
+        # Fill in texels that only the smaller layer of an earlier plan has.
         for number, other in enumerate(self.fallbacks):
             if other is not None:
                 smaller = other.decode_all(
                     indices, stored[len(self.layers) + number], self._report_damage
                 )
-                found[number] = completed(*found[number], *smaller)
+                found[number] = add_fallback_light(*found[number], *smaller)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def show_fresh(self, chunks: Sequence[Chunk]) -> Chunks:
-        """The ``chunks`` that are newer than the store, as ``show`` gives those of the store."""
+        """Return ``chunks`` of unwritten light, as ``show`` returns those of the store."""
         indices = [chunk.index for chunk in chunks]
         places, light = texels_of(chunks, self.spec.prepared.lattice.texels)
         found = []
+        # Unwritten light has rows for texels that are not baked yet: leave these to the fallback
+        # layer.
         for part, other in zip(light.parts, self.fallbacks, strict=True):
             lit = part.samples != 0
-            own = places[lit], part.rows(lit)
+            shown = places[lit], part.rows(lit)
             if other is not None:
                 stored = [other.read(index) for index in indices]
-                own = completed(*own, *other.decode_all(indices, stored, self._report_damage))
-            found.append(own)
+                smaller = other.decode_all(indices, stored, self._report_damage)
+                shown = add_fallback_light(*shown, *smaller)
+            found.append(shown)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def load(self, index: Index) -> Chunk:
-        """Read a chunk; it is empty where it is absent or damaged, and is baked again then."""
+        """Read a chunk; return an empty one if it is absent or damaged, so that it is baked."""
         return self.read(index) or Chunk.empty(index, self.spec.plan)
 
     def save(self, chunk: Chunk, changed: Sequence[bool] | None = None) -> bool:
-        """Write the parts of a chunk, or those that ``changed``: one object each, atomically; see
-        LayerStore.save.
+        """Write the parts of a ``chunk``, or only those marked in ``changed``: one object a layer,
+        each atomically.
 
-        Returns whether another writer was found at the same chunk.
+        Return True if another writer has changed the same chunk (see ``LayerStore.save``).
         """
-        met = False
+        contended = False
         for number, (layer, part) in enumerate(zip(self.layers, chunk.light.parts, strict=True)):
+            # A layer without new light is not written again.
             if changed is None or changed[number]:
-                met |= layer.save(chunk.index, chunk.offsets, part)
-        return met
+                contended |= layer.save(chunk.index, chunk.offsets, part)
+        return contended
 
     def _chunk(self, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> Chunk | None:
+        """Return the chunk of the parts that were found; None if none of them has texels."""
         if not any(len(offsets) for offsets, _ in found):
             return None
         return Chunk.of_parts(index, found)
@@ -285,6 +316,7 @@ class ChunkStore:
     def _decoded(
         self, layer: LayerStore, index: Index, stored: bytes | None
     ) -> tuple[np.ndarray, Part]:
+        """Decode the object of a layer; return no texels if it is absent or damaged."""
         try:
             if stored is not None:
                 return layer.decode(index, stored)
@@ -293,23 +325,27 @@ class ChunkStore:
         return np.empty(0, np.int32), Part.dark(layer.layer, 0)
 
     def _report_damage(self, error: DamagedChunkError) -> None:
+        """Count and log damage of an object."""
         self.damaged += 1
-        if self.store.is_news(
-            str(error)
-        ):  # a damaged chunk is read again and again until it is baked
+        # A damaged chunk is read again and again until it is baked.
+        if self.store.is_new_message(str(error)):
             log.warning("%s", error)
 
 
-def completed(
+def add_fallback_light(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
-    """A ``part`` of texels at ``offsets``, and the light of ``other`` for further texels: void, or
-    no samples.
+    """Add to a ``part`` of texels at ``offsets`` the light of ``other`` at the places ``others``
+    that it lacks.
+
+    Added texels have 0 samples, so that they count as not baked, or VOID. Bands above those of
+    ``other`` are 0. Return the ascending union of places, and the part.
     """
     lacking = ~np.isin(others, offsets)
     union = np.union1d(offsets, others[lacking]).astype(np.int32)
     whole = part.among(offsets, union)
     rows = np.searchsorted(union, others[lacking])
+    # The fallback has fewer bands; those above stay 0.
     whole.coefficients[rows, :, : other.layer.order**2] = other.coefficients[lacking]
     whole.samples[rows] = np.where(other.samples[lacking] == VOID, VOID, 0)
     return union, whole

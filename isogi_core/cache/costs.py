@@ -1,9 +1,9 @@
-"""Costs of baking, chunk by chunk, kept beside the light, so that time left can be estimated after
-a restart.
+"""Costs of baking, chunk by chunk, kept in the store so that time left can be estimated after a
+restart.
 
-Chunks have the same bytes whoever bakes them, and hold no times. The attributes of one small Zarr
-group a bake do. They are written whole by the process that owns the queue: of two servers over one
-store, the last write stays. Where they are lost, times are measured again.
+Chunks themselves hold no times, as their bytes must not depend on the machine that baked them. The
+costs of a bake are the attributes of one small Zarr group, written whole by the process that owns
+the queue. If two servers bake into one store, the last write stays. Lost costs are measured again.
 """
 
 import json
@@ -24,14 +24,17 @@ from isogi_core.storage.store import Store, StoreLike
 log = logging.getLogger("isogi.cache")
 
 SAVE_EVERY = 30.0
-"""Seconds after which changed costs are written again."""
+"""Seconds after which changed costs are written again:
+a kill loses the costs of at most this time.
+"""
 
 
 class Cost(NamedTuple):
-    """Processor ``seconds`` spent on ``paths`` of light, which gave so many ``texels`` their first
-    light.
+    """The work of a bake: processor ``seconds`` for ``paths``, and the ``texels`` that got their
+    first light.
 
-    ``first`` of these seconds went into first light, which includes work that is done once a texel.
+    ``first`` of these seconds went into first light. These include work that is done once a texel,
+    such as finding its surface, and so do not measure the cost of a path.
     """
 
     seconds: float = 0.0
@@ -41,24 +44,28 @@ class Cost(NamedTuple):
 
     @property
     def rate(self) -> float | None:
-        """Seconds of a path after first light; None where there was none."""
+        """Seconds per path of light after the first, None if there was none."""
+        # Leave out first light, whose seconds include work that is done once a texel.
         paths = self.paths - FIRST_LEVEL * self.texels
         if paths > 0:
             return (self.seconds - self.first) / paths
         return None
 
     def plus(self, other: "Cost") -> "Cost":
-        """The sum of both."""
-        return Cost(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))  # type: ignore[arg-type]
+        """Return the sum of both costs."""
+        return Cost(*(a + b for a, b in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 class Costs:
-    """The costs of the bake ``digest`` in a ``store``. Safe to use from many threads."""
+    """The costs of the bake ``digest`` in a ``store``, in memory and as an object there.
+
+    Safe to use from many threads.
+    """
 
     def __init__(
         self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Know nothing yet."""
+        """Begin without costs, and without reading the store."""
         self._store = Store.of(store)
         self._key = f"{COSTS_FOLDER}/{digest}/zarr.json"
         self._clock = clock
@@ -66,27 +73,27 @@ class Costs:
         self._rates: list[float] = []
         self._fastest: float | None = None
         self._total = Cost()
-        self._grown: float | None = None
+        self._changed_at: float | None = None
         self._lock = threading.Lock()
         self._writing = threading.Lock()
 
     def add(self, index: Index, cost: Cost) -> None:
-        """Add the cost of a chunk's task."""
+        """Add the cost of a task that baked the chunk ``index``."""
         with self._lock:
-            self._take(index, cost)
-            if self._grown is None:
-                self._grown = self._clock()
+            self._add(index, cost)
+            if self._changed_at is None:
+                self._changed_at = self._clock()
 
     def rate(self, index: Index) -> float | None:
-        """Seconds of a path of a chunk: as measured there, else the common rate; None before the
-        first task.
+        """Return the seconds per path of a chunk, as measured there,
+        else the common rate; None before the first task.
         """
         with self._lock:
-            own = self._chunks.get(index, Cost()).rate
-            return self._common if own is None else own
+            measured = self._chunks.get(index, Cost()).rate
+            return self._common_rate if measured is None else measured
 
     def of(self, indices: Iterable[Index]) -> Cost:
-        """The costs of some chunks together."""
+        """Return the sum of the costs of some chunks."""
         with self._lock:
             return reduce(
                 Cost.plus,
@@ -100,20 +107,25 @@ class Costs:
         return self._total
 
     @property
-    def _common(self) -> float | None:
-        """The median rate of all chunks; before there is one, that of the first light that came
-        fastest.
+    def _common_rate(self) -> float | None:
+        """The median rate of all chunks.
+
+        Before any chunk has a rate, the lowest seconds per path of first light, None without any.
         """
         middle = len(self._rates) // 2
         if self._rates:
             return (self._rates[middle] + self._rates[~middle]) / 2
         return self._fastest
 
-    def _take(self, index: Index, cost: Cost) -> None:
-        """Add a cost to a chunk's; the rates stay sorted. The caller holds the lock."""
+    def _add(self, index: Index, cost: Cost) -> None:
+        """Add a cost to that of the chunk ``index``, and update total and rates.
+
+        The caller must hold the lock.
+        """
         before = self._chunks.get(index, Cost())
         after = self._chunks[index] = before.plus(cost)
         self._total = self._total.plus(cost)
+        # Replace the chunk's rate in the sorted list, so that the median needs no sort.
         if before.rate is not None:
             del self._rates[bisect_left(self._rates, before.rate)]
         if after.rate is not None:
@@ -122,21 +134,25 @@ class Costs:
             self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
-        """Add the costs in the store. Missing or damaged costs count as unknown."""
+        """Add the costs in the store.
+
+        Missing or damaged costs count as unknown; the latter are logged.
+        """
         try:
             found = self._store.get(self._key)
             if found is None:
                 return
             chunks = costs_in(found.data)
         except Exception as error:
-            log.info("What the bake took before is unknown: %s", error)
+            log.info("The costs of earlier baking cannot be read: %s", error)
             return
         with self._lock:
             for index, cost in chunks.items():
-                self._take(index, cost)
+                self._add(index, cost)
 
     def save(self, at_once: bool = True) -> None:
-        """Write changed costs; without ``at_once`` only after SAVE_EVERY seconds.
+        """Write the costs to the store if they have changed; without ``at_once`` only after
+        SAVE_EVERY seconds.
 
         A failed write is logged and tried again SAVE_EVERY seconds later. Nothing is written to a
         read-only store.
@@ -145,11 +161,12 @@ class Costs:
             return
         with self._writing:
             with self._lock:
-                if self._grown is None or not (
-                    at_once or self._clock() - self._grown >= SAVE_EVERY
+                if self._changed_at is None or not (
+                    at_once or self._clock() - self._changed_at >= SAVE_EVERY
                 ):
                     return
-                self._grown = None
+                # Costs that are added during the write mark themselves as changed again.
+                self._changed_at = None
                 chunks = {
                     "/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()
                 }
@@ -157,13 +174,16 @@ class Costs:
                 group = {"zarr_format": 3, "node_type": "group", "attributes": {"chunks": chunks}}
                 self._store.put(self._key, json.dumps(group).encode(), self._store.get(self._key))
             except Exception as error:
-                log.warning("What the bake took cannot be kept: %s", error)
+                log.warning("The costs of baking cannot be stored: %s", error)
                 with self._lock:
-                    self._grown = self._clock()
+                    self._changed_at = self._clock()
 
 
 def costs_in(stored: bytes) -> dict[Index, Cost]:
-    """The costs of chunks in an object. Raises errors of many kinds where it is damaged."""
+    """Return the costs of chunks in an object of the store.
+
+    Raises errors of many kinds if it is damaged.
+    """
     kept: Any = json.loads(stored)["attributes"]["chunks"]
     return {
         place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()
@@ -171,6 +191,6 @@ def costs_in(stored: bytes) -> dict[Index, Cost]:
 
 
 def place(key: str) -> Index:
-    """The index of the chunk that a key, z/y/x, names."""
+    """Return the index of the chunk that a key z/y/x names."""
     z, y, x = map(int, key.split("/"))
     return z, y, x

@@ -1,7 +1,7 @@
-"""Light that is newer than the store: it stays in memory while it converges, and is written once it
-rests, or after some seconds.
+"""Light that is newer than the store: it stays in memory while it converges.
 
-Chunks here are never changed in place: each is as whole and consistent as one of the store.
+A chunk is written when its light rests, or after some seconds, and not after every task. Chunks
+here are never changed in place: each is as whole and consistent as one of the store.
 """
 
 import threading
@@ -18,12 +18,12 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 
 WRITE_SECONDS = 4.0
-"""Seconds after which light is written though more is coming: so much a kill may lose, and so late
-other servers find it.
+"""Seconds after which light is written even if more is coming.
+A kill loses at most this much, and other servers find light this late.
 """
 
 REST_SECONDS = 1.0
-"""Seconds without new light after which that of a chunk rests, where no more is asked for."""
+"""Seconds without new light after which the light of a chunk rests, if no more is asked for."""
 
 KEPT_SECONDS = 10.0
 """Seconds for which written light stays here, so that the next task need not read it."""
@@ -31,9 +31,10 @@ KEPT_SECONDS = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """A ``chunk`` with light that came ``last``, and ``since`` when some of it is not written.
+    """A ``chunk`` of light in memory, in seconds of the clock: ``last`` its newest light, ``since``
+    its oldest unwritten light.
 
-    ``changed`` is which layers have such light: none where all is written.
+    ``changed`` marks the layers that have unwritten light, none of them if all is written.
     """
 
     chunk: Chunk
@@ -52,8 +53,8 @@ class FreshLight:
         self._lock = threading.Lock()
 
     def newer(self, index: Index) -> Chunk | None:
-        """A chunk with light that is not written yet; None where the store has all that there is
-        here.
+        """Return the chunk ``index`` if some of its light is not written yet, else None:
+        the store has it then.
         """
         found = self._chunks.get(index)
         if found is not None and any(found.changed):
@@ -61,20 +62,22 @@ class FreshLight:
         return None
 
     def some(self, index: Index, offsets: np.ndarray) -> Chunk | None:
-        """The light of a chunk's texels at ``offsets``, of those that it has; None where the chunk
-        has to be read from the store.
+        """Return the light of those texels at ``offsets`` that the chunk ``index`` has here;
+        None if the chunk must be read from the store.
         """
         found = self._chunks.get(index)
         if found is None:
             return None
         chunk = found.chunk
+        # Send only the texels that are asked for: a worker needs no others.
         rows = np.flatnonzero(np.isin(chunk.offsets, offsets))
         return Chunk(index, chunk.offsets[rows], chunk.light.rows(rows))
 
     def put(self, chunk: Chunk, changed: Sequence[bool]) -> None:
-        """Take new light of a chunk's texels: of all of them, or of some where the others are here.
+        """Take new light of a chunk's texels: of all of them, or of some if the others are here
+        already.
 
-        ``changed`` is which layers have new light.
+        ``changed`` marks the layers that have new light.
         """
         now = self._clock()
         with self._lock:
@@ -82,16 +85,20 @@ class FreshLight:
             if known is None:
                 self._chunks[chunk.index] = Fresh(chunk, tuple(changed), now, now)
                 return
+            # ``with_texels`` copies, so readers of the former chunk see no change.
             whole = known.chunk.with_texels(chunk.offsets)
             whole.light.put(whole.rows_of(chunk.offsets), chunk.light)
             unwritten = tuple(a or b for a, b in zip(known.changed, changed, strict=True))
+            # The time of the oldest unwritten light decides when the chunk must be written.
             since = known.since if any(known.changed) else now
             self._chunks[chunk.index] = Fresh(whole, unwritten, since, now)
 
     def due(self, open_now: Callable[[Index], bool]) -> list[Fresh]:
-        """What is to be written now: light that rests, or that has waited for WRITE_SECONDS.
+        """Return the chunks to write now: those whose light rests, and those that have waited for
+        WRITE_SECONDS.
 
-        Light rests where no more is asked for: where its chunk is not ``open_now``.
+        Light rests if none came for REST_SECONDS and ``open_now`` says that no more is asked for
+        its chunk.
         """
         now = self._clock()
         with self._lock:
@@ -104,26 +111,30 @@ class FreshLight:
         ]
 
     def unwritten(self) -> list[Fresh]:
-        """All that is not written."""
+        """Return all chunks with unwritten light."""
         with self._lock:
             return [each for each in self._chunks.values() if any(each.changed)]
 
     def written(self, fresh: Fresh) -> None:
-        """Note that some light was written; what came since then is still to be."""
+        """Mark the light of ``fresh`` as written,
+        unless newer light of its chunk came meanwhile.
+        """
         index = fresh.chunk.index
         with self._lock:
+            # If newer light came during the write, the entry is another one, and stays unwritten.
             if self._chunks.get(index) is fresh:
                 none = (False,) * len(fresh.changed)
                 self._chunks[index] = replace(fresh, changed=none)
 
     def drop(self, index: Index) -> None:
-        """Forget a chunk, whose light cannot be written."""
+        """Forget a chunk whose light cannot be written."""
         with self._lock:
             self._chunks.pop(index, None)
 
     def sweep(self, busy: Callable[[Index], bool]) -> None:
-        """Forget what was written KEPT_SECONDS ago, but for chunks that are ``busy``: their tasks
-        bring light of some texels alone.
+        """Forget written chunks whose last light came KEPT_SECONDS ago, unless they are ``busy``.
+
+        The tasks of a busy chunk bring light of some texels only, and need the others here.
         """
         now = self._clock()
         with self._lock:
@@ -136,22 +147,24 @@ class FreshLight:
 
 
 STORES: "weakref.WeakKeyDictionary[Store, dict[str, FreshLight]]" = weakref.WeakKeyDictionary()
-"""The light of each store that this process has open, by the digests of bakes."""
+"""The light of each store that this process has open,
+by the digests of bakes. Closed stores drop out.
+"""
 
 LOCK = threading.Lock()
 
 
 def fresh_light(store: Store, digest: str) -> FreshLight:
-    """The light of a bake that is newer than a ``store``, one for all that this process reads of
-    it.
+    """Return the unwritten light of the bake ``digest`` in a ``store``:
+    the same object for everyone in this process.
     """
     with LOCK:
         return STORES.setdefault(store, {}).setdefault(digest, FreshLight())
 
 
 def texels_of(chunks: Collection[Chunk], texels: int) -> tuple[np.ndarray, Light]:
-    """The places of the texels of some chunks, each of so many ``texels``, and their light: see
-    ``Chunks.of_parts``.
+    """Join the texels of some chunks of ``texels`` texels:
+    return their places (see ``Chunks.of_parts``) and light.
     """
     places = [number * texels + chunk.offsets for number, chunk in enumerate(chunks)]
     light = Light.joined([chunk.light for chunk in chunks])

@@ -1,11 +1,10 @@
-"""The inventory of a store: the kind of each object, by the key alone, and the claims of writers on
-chunks.
+"""The inventory of a store, which sorts its objects by their keys alone, and claims on chunks.
 
-Claims of chunks, so that bakers over one store take different ones. They are hints that save time,
-never locks. A claim is a small object beside the light. Claims are made only after another baker
-was noticed, as a baker alone has no use for them. After a long enough wait a claim is taken over,
-as its owner may have been killed. Where claims cannot be read or written, baking goes on without
-them.
+A claim tells other bakers on the same store to take other chunks. It is a small object next to the
+light, and a hint that saves time, never a lock: without claims, some chunks are baked twice. Claims
+are made only after another baker was noticed, as a single baker has no use for them. A claim may be
+taken over after a long wait, as its owner may have been killed. If claims cannot be read or
+written, baking goes on without them.
 """
 
 import logging
@@ -25,13 +24,13 @@ QUARANTINE_FOLDER = "quarantine"
 """Folder that damaged objects are moved to."""
 
 STAMPS_FOLDER = "used"
-"""Folder of stamps of use: see ``cache.chunk_store``."""
+"""Folder of stamps of last use: see ``cache.chunk_store.UseStamps``."""
 
 COSTS_FOLDER = "costs"
-"""Folder of costs: see ``cache.costs``."""
+"""Folder of the costs of bakes: see ``cache.costs``."""
 
 CLAIMS_FOLDER = "claims"
-"""Folder of claims."""
+"""Folder of claims on chunks."""
 
 CHUNK_KEY = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
 LAYER_KEY = re.compile(r"([0-9a-f]{20})/zarr\.json")
@@ -39,13 +38,13 @@ COST_KEY = re.compile(rf"{COSTS_FOLDER}/([0-9a-f]{{20}})/zarr\.json")
 STAMP_KEY = re.compile(rf"{STAMPS_FOLDER}/([0-9a-f]{{20}})")
 LEFTOVER_KEY = re.compile(rf".*\.partial|{CLAIMS_FOLDER}/.*")
 OTHER_KEYS = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glow|walls)/.*")
-"""Other objects that isogi keeps beside the light."""
+"""Other objects that isogi keeps in a store."""
 
 
 @dataclass(eq=False)
 class LayerFiles:
-    """The objects of one layer: its metadata, None where that is missing, its chunks, and the stamp
-    of its use.
+    """The objects of one layer: its metadata, None if that is missing,
+    its chunks, and the stamp of its last use.
     """
 
     digest: str
@@ -55,8 +54,9 @@ class LayerFiles:
 
     @property
     def objects(self) -> list[Entry]:
-        """All objects, the metadata last: a layer that is deleted in this order stays readable to
-        the end.
+        """All objects, the metadata last.
+
+        A layer that is deleted in this order stays readable to the end.
         """
         return [*self.chunks.values(), *filter(None, (self.stamp, self.metadata))]
 
@@ -73,11 +73,13 @@ class LayerFiles:
 
 @dataclass(eq=False)
 class Inventory:
-    """Objects of a store: ``layers`` by their digests, and others.
+    """The objects of a store by kind.
 
-    ``costs`` are by the digests of their bakes. ``leftovers`` are half-written, by a process that
-    was killed or is at work. ``foreign`` objects are not isogi's. ``quarantined`` ones were found
-    damaged earlier.
+    - ``layers``: by their digests.
+    - ``costs``: by the digests of their bakes.
+    - ``leftovers``: half-written objects and claims, of processes that were killed or are at work.
+    - ``foreign``: objects that isogi has not written.
+    - ``quarantined``: objects that a repair has found damaged and moved away.
     """
 
     layers: dict[str, LayerFiles] = field(default_factory=dict)
@@ -92,11 +94,12 @@ class Inventory:
         return sum(len(layer.chunks) for layer in self.layers.values())
 
     def layer(self, digest: str) -> LayerFiles:
-        """The objects of a layer, none as yet where it is new."""
+        """Return the objects of a layer; a new digest gets an empty entry."""
         return self.layers.setdefault(digest, LayerFiles(digest))
 
     def add(self, found: Entry) -> None:
-        """Add an object."""
+        """Sort in an object that was found in the store."""
+        # Quarantine comes first, as keys there contain those of other kinds.
         if found.key.startswith(f"{QUARANTINE_FOLDER}/"):
             self.quarantined.append(found)
         elif LEFTOVER_KEY.fullmatch(found.key):
@@ -113,7 +116,7 @@ class Inventory:
 
 
 def inventory_of(listed: Iterable[Entry]) -> Inventory:
-    """The inventory of the ``listed`` objects of a store."""
+    """Return the inventory of the objects in a listing of a store."""
     inventory = Inventory()
     stamps = {}
     for found in listed:
@@ -132,26 +135,29 @@ CONTENDED_SECONDS = 60.0
 
 
 class Claims:
-    """The claims in a ``store``, as one process knows them."""
+    """The claims on chunks of a ``store``, as one process makes and reads them."""
 
     def __init__(self, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin without contention."""
+        """Begin without contention: no claims are made."""
         self._store = store
         self._clock = clock
         self._contended = -math.inf
 
     def note_contention(self) -> None:
-        """Note that another baker worked on the same chunk: read and write claims for a while."""
+        """Note that another baker worked on the same chunk,
+        so that claims are made for CONTENDED_SECONDS.
+        """
         self._contended = self._clock()
 
     @contextmanager
     def on(self, name: str, owner: str, insist: bool = False) -> Iterator[bool]:
-        """Claim the chunk of this ``name`` for its ``owner`` while the block runs; yields whether
-        it is free to bake.
+        """Claim the chunk ``name`` for ``owner`` while the block runs; yield True if it is free to
+        be baked.
 
-        An owner takes over its own former claim, and with ``insist`` anybody's. An empty owner
-        claims nothing.
+        An owner takes over a claim that it left earlier, and with ``insist`` a claim of anyone. An
+        empty owner claims nothing.
         """
+        # A baker that has noticed no other saves the requests.
         if not owner or self._clock() - self._contended > CONTENDED_SECONDS:
             yield True
             return
@@ -165,11 +171,13 @@ class Claims:
                     self._store.delete(key)
 
     def _claim(self, key: str, mark: bytes, insist: bool) -> bool:
-        """Make a claim; True also where the store takes no claims."""
+        """Make a claim, and return True if the chunk is free, or if the store takes no claims."""
         try:
             if self._put(key, mark, None):
                 return True
             former = self._store.get(key)
+            # The claim was deleted meanwhile, is ours, or is to be taken over: replace it, unless
+            # someone else is faster.
             if (former is None or insist or former.data == mark) and self._put(key, mark, former):
                 return True
         except StoreError as error:
@@ -179,7 +187,9 @@ class Claims:
         return False
 
     def _put(self, key: str, mark: bytes, former: StoredObject | None) -> bool:
-        """Write a claim in place of the former one; False where that has changed."""
+        """Write a claim in place of ``former``;
+        return False if another process has changed it meanwhile.
+        """
         with suppress(ChangedError):
             self._store.put(key, mark, former)
             return True

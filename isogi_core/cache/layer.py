@@ -1,8 +1,8 @@
-"""Layers of light on disk or in an object store: one Zarr v3 array a layer, one object a chunk.
+"""Layers of light in a folder or an object store: one Zarr v3 array a layer, one object a chunk.
 
 An object is written whole or not at all and describes itself, so readers and writers need no locks.
-Whether a chunk is there is asked of the store by key and never read from values. The checksum,
-which is the last codec, shows damage.
+The store is asked by key whether a chunk is there; its values are never read for that. The
+checksum, which is the last codec, reveals damage.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -53,7 +53,7 @@ CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""
 
 MOST_TRIES = 20
-"""Tries of a write while others write the same chunk."""
+"""Most tries of a write while others write the same chunk."""
 
 RECORD_CODES = {
     "first_rung": FIRST_LEVEL,
@@ -66,14 +66,14 @@ RECORD_CODES = {
 """Constants that a reader without isogi needs to decode the bytes of a record."""
 
 MOVE_AWAY = (
-    "have `isogi store repair` mend it, or move that folder away, and the light is baked again."
+    "let `isogi store repair` repair it, or move that folder away, and the light is baked again."
 )
 
 
 class LayerStore:
     """The chunks of one layer in a ``store``. Methods raise StoreError.
 
-    Its texels lie on the isosurface ``shown``, if any; see ``BakeSpec``.
+    With ``shown``, texels are projected onto the isosurface of that isovalue; see ``BakeSpec``.
     """
 
     def __init__(
@@ -85,8 +85,10 @@ class LayerStore:
         digest: str = "",
         texels: int = 0,
     ) -> None:
-        """Touch nothing yet; the scene's lattice says what the ``digest`` is, and how many
-        ``texels`` a chunk has.
+        """Set up without a request to the store.
+
+        ``digest`` and ``texels``, the texels of a chunk, follow from the scene unless they are
+        given.
         """
         self.store = Store.of(store)
         self.prepared = prepared
@@ -98,7 +100,7 @@ class LayerStore:
 
     @cached_property
     def array(self) -> "zarr.Array[Any]":
-        """The Zarr array, made on first use: (chunks z, y, x, bytes of a record) uint8."""
+        """The Zarr array, created on first use: (chunks z, y, x, bytes of a record) uint8."""
         return self._open() or self._create()
 
     @property
@@ -108,19 +110,17 @@ class LayerStore:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The attributes of its array: see ``layer_attributes``."""
+        """The attributes of the array: see ``layer_attributes``."""
         return layer_attributes(self.layer, self.prepared, self.shown)
 
     @property
     def path(self) -> str:
-        """The folder or URL of this layer: the store's, and the digest of all that its light
-        depends on.
-        """
+        """The folder or URL of the layer, for messages."""
         return f"{self.store.url.name}/{self.digest}"
 
     @property
     def exists(self) -> bool:
-        """Whether the store has light of this layer: an array with at least one chunk."""
+        """True if the store has light of the layer: an array of its own, and at least one chunk."""
         array = self._find()
         return (
             array is not None
@@ -130,17 +130,17 @@ class LayerStore:
 
     @property
     def made(self) -> bool:
-        """Whether the array was made; the store is asked until it was."""
+        """True if the array exists. The store is asked until it does."""
         self._recognise()
         return "array" in self.__dict__
 
     def open(self) -> None:
-        """Open the array, or make it; a full or read-only store is used as it is."""
+        """Open the array, or create it. A full or read-only store is used without it."""
         with suppress(StoreReadOnlyError, StoreFullError):
             self.array  # noqa: B018
 
     def _find(self) -> "zarr.Array[Any] | None":
-        """The Zarr array in the store, as its metadata describes it; None where there is none."""
+        """Open the Zarr array in the store by its metadata; None if there is none."""
         found = self.store.get(self._metadata_key)
         try:
             if found is None:
@@ -152,14 +152,18 @@ class LayerStore:
             ) from error
 
     def _open(self) -> "zarr.Array[Any] | None":
-        """The array where it is there; StoreError where it is not ours."""
+        """Return the array, None if there is none; raise StoreError if it is not this layer's."""
         array = self._find()
         if array is None or self._is_ours(array):
             return array
-        raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
+        raise StoreError(f"The data at {self.path} are not the light of this scene; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
-        if array is self.__dict__.get("array"):  # read before each new chunk, and looked at once
+        """Return True if an array in the store is the one that this layer needs:
+        its shape, codecs and volume agree.
+        """
+        # The array is read before each new chunk, but checked only once.
+        if array is self.__dict__.get("array"):
             return True
         facts = array.attrs.asdict().get("isogi")
         return (
@@ -172,15 +176,17 @@ class LayerStore:
         )
 
     def _create(self) -> "zarr.Array[Any]":
+        """Create the array in the store, and return it."""
+        # Another process may have created it in between: then use that one.
         with suppress(ChangedError):
             self.store.put(self._metadata_key, self._description(), None)
         array = self._open()
         if array is None:
-            raise StoreError(f"Cannot make a place for light at {self.path}: it is gone again.")
+            raise StoreError(f"Light at {self.path} cannot be created: another process deletes it.")
         return array
 
     def _description(self) -> bytes:
-        """The array's metadata, as Zarr writes it."""
+        """Return the array's metadata, as Zarr writes it."""
         return description(
             shape=(*self.chunks, self.size),
             chunks=(1, 1, 1, self.size),
@@ -192,25 +198,27 @@ class LayerStore:
 
     @property
     def _metadata_key(self) -> str:
+        """Key of the object that describes the array."""
         return f"{self.digest}/zarr.json"
 
     def _key(self, index: Index) -> str:
-        """The key of a chunk's object, as Zarr names it."""
+        """Return the key of a chunk's object, as Zarr names it."""
         return "/".join((self.digest, "c", *map(str, index), "0"))
 
     def read(self, index: Index) -> bytes | None:
-        """Read the object of a chunk; None where there is none."""
+        """Read the object of a chunk; None if there is none."""
         self._recognise()
         return self.store.view(self._key(index))
 
     def _recognise(self) -> None:
-        """Check once that the array, where there is one, is this layer's."""
+        """Check once that an array in the store is this layer's."""
         if "array" not in self.__dict__ and (array := self._open()) is not None:
             self.array = array
 
     def decode(self, index: Index, stored: bytes) -> tuple[np.ndarray, Part]:
-        """Decode an object: offsets and part. DamagedChunkError where it is damaged, or of another
-        chunk.
+        """Decode the object of a chunk to offsets and part.
+
+        Raises DamagedChunkError if it is damaged or of another chunk.
         """
         return unpack_all(self._records([(index, stored)]), self.layer, self.texels)
 
@@ -220,42 +228,46 @@ class LayerStore:
         stored: Sequence[bytes | None],
         report: Callable[[DamagedChunkError], None],
     ) -> tuple[np.ndarray, Part]:
-        """Decode many chunks at once: places, see ``Chunks.of_parts``, and their part.
+        """Decode the objects of many chunks in one call, to places (see ``Chunks.of_parts``) and
+        their part.
 
-        A chunk without an object has no texels; a damaged one has none either, and is passed to
-        ``report``.
+        A chunk without an object has no texels. A damaged one has none either, and ``report`` is
+        called with its error.
         """
         there = [i for i, data in enumerate(stored) if data is not None]
         objects = [(indices[i], stored[i] or b"") for i in there]
         try:
             records = self._records(objects)
         except DamagedChunkError:
+            # Objects are checked together, as that is faster. Now that one is damaged, check each
+            # by itself, and leave the damaged ones out.
             sound = [self._is_sound(each, report) for each in objects]
             there = list(compress(there, sound))
             objects = list(compress(objects, sound))
             records = self._records(objects)
         places, part = unpack_all(records, self.layer, self.texels)
-        return placed(places, there, self.texels) if len(there) < len(stored) else places, part
+        if len(there) < len(stored):
+            places = to_chunk_places(places, there, self.texels)
+        return places, part
 
     def _records(self, objects: Sequence[tuple[Index, bytes]]) -> np.ndarray:
-        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first one,
-        where any is damaged.
+        """Return the records in objects, (objects, bytes) uint8.
+
+        Raises DamagedChunkError if any is damaged; the message names the first chunk of the list.
         """
         try:
             records = unwrap_all([data for _, data in objects], self.size)
         except DamagedChunkError as error:
             raise self._damaged(objects[0][0], str(error)) from error
-        home = belongs(
-            records, self.layer, self.texels, self.digest, [index for index, _ in objects]
-        )
-        if not home.all():
+        indices = [index for index, _ in objects]
+        if not belongs(records, self.layer, self.texels, self.digest, indices).all():
             raise self._damaged(objects[0][0], "it was baked for another place")
         return records
 
     def _is_sound(
         self, found: tuple[Index, bytes], report: Callable[[DamagedChunkError], None]
     ) -> bool:
-        """Whether an object can be used; its damage is passed to ``report``."""
+        """Return True if an object can be used; call ``report`` with its error if not."""
         try:
             self._records([found])
         except DamagedChunkError as error:
@@ -264,69 +276,79 @@ class LayerStore:
         return True
 
     def _damaged(self, index: Index, why: str) -> DamagedChunkError:
+        """Return the error for a damaged chunk; ``why`` completes the sentence."""
         return DamagedChunkError(
             f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again."
         )
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
-        """Encode a part's texels at ``offsets`` as an object, as Zarr would with CHUNK_CODECS."""
+        """Encode a part's texels at ``offsets`` as an object,
+        byte for byte as Zarr would with CHUNK_CODECS.
+        """
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
     def save(self, index: Index, offsets: np.ndarray, part: Part) -> bool:
-        """Write a chunk's part as one object, atomically, merged with what others have written
-        there meanwhile.
+        """Write a chunk's part as one object, atomically, merged with the light that others have
+        written there.
 
-        The light of more samples stays for each texel, so that no writer undoes what another has
-        added. The array is made again where it was deleted. Returns whether another writer had
-        taken the same samples, or more.
+        Each texel keeps the light of more samples, so no writer undoes another's work. If the array
+        was deleted, it is created again.
+
+        Return True if another writer has stored the same light already, or more samples for some
+        texel. Raises StoreError if others write the same chunk each time.
         """
+        # Read, merge, and replace only if the object has not changed since it was read; else begin
+        # again with the newer one.
         key = self._key(index)
         self._recognise()
         for _ in range(MOST_TRIES):
             former = self.store.get_sound(key)
-            whole = joined(offsets, part, *self._former(index, former))
+            whole = merge_parts(offsets, part, *self._former(index, former))
             stored = self.encode(index, *whole)
+            # A chunk without metadata could not be found again, so the array comes first.
             if former is None:
-                self._keep_array()
+                self.array = self._open() or self._create()
             elif stored == former.data:
                 return True
             with suppress(ChangedError):
                 self.store.put(key, stored, former)
-                return outdone(offsets, part, *whole)
+                return has_more_samples(offsets, part, *whole)
         raise StoreError(
-            f"Others keep writing chunk {index} of the light at {self.path}; it is tried again "
-            "later."
+            f"Others keep writing chunk {index} of the light at {self.path}; writing it is tried "
+            "again later."
         )
 
     def _former(self, index: Index, found: StoredObject | None) -> tuple[np.ndarray, Part]:
-        """The content of an object; nothing where it is missing or damaged."""
+        """Decode an object that was found; return no texels if it is missing or damaged."""
         with suppress(DamagedChunkError):
             if found is not None:
                 return self.decode(index, found.data)
         return np.empty(0, np.int32), Part.dark(self.layer, 0)
 
-    def _keep_array(self) -> None:
-        """Make the array, also where it was deleted."""
-        self.array = self._open() or self._create()
 
-
-def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
-    """Renumber ``places`` (m,) int32 in records: record i is the chunk ``numbers[i]``."""
+def to_chunk_places(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
+    """Renumber ``places`` (m,) int32 in records to places in chunks,
+    if record i is of chunk ``numbers[i]``.
+    """
     record, offset = np.divmod(places, np.int32(texels))
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)
 
 
-def joined(
+def merge_parts(
     offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
 ) -> tuple[np.ndarray, Part]:
-    """Merge two parts of one chunk: for each texel the light of more samples, and void where either
-    is void.
+    """Merge two parts of one chunk: each texel gets the light of more samples, and is void if it is
+    so in either part.
+
+    ``offsets`` and ``others`` are the texels of ``part`` and ``other``, ascending. Return the union
+    of them, and its part.
     """
     if not len(others):
         return offsets, part
     union = np.union1d(offsets, others).astype(np.int32)
     whole = part.among(offsets, union)
     rows = np.searchsorted(union, others)
+    # VOID is -1 and would lose a comparison of samples, so it is asked for by itself.
     better = (whole.samples[rows] != VOID) & (
         (other.samples > whole.samples[rows]) | (other.samples == VOID)
     )
@@ -334,8 +356,8 @@ def joined(
     return union, whole
 
 
-def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
-    """Whether the ``whole`` has more samples than ``part`` for any texel of ``part``."""
+def has_more_samples(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
+    """Return True if ``whole`` has more samples than ``part`` for any texel of ``part``."""
     return whole is not part and bool(
         (whole.samples[np.searchsorted(union, offsets)] > part.samples).any()
     )
@@ -344,14 +366,26 @@ def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> 
 def layer_attributes(
     layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None
 ) -> dict[str, Any]:
-    """The attributes of a layer's array: whose light it is, how it was made, and how its records
-    are decoded.
+    """Return the attributes of a layer's array: the scene, the parameters of its light, and the
+    codes of its records.
 
-    ``scene`` and ``plan`` are those that it was first baked for; others may share the layer.
+    A reader without isogi can decode the records from them. ``scene`` and ``plan`` are those that
+    the layer was first baked for; other scenes may share it.
     """
     scene = prepared.scene
     record = record_type(layer, prepared.lattice.texels)
+    # Direct light meets surfaces once, so neither bounces nor albedo change it.
+    bounces = 0
+    albedo = None
+    if layer.reflected:
+        bounces = scene.bounces
+        albedo = list(layer.nodes or scene.surfaces.albedo)
+    # Only irradiance depends on the lights; transfer serves any.
+    lights = None
+    if layer.kind == "irradiance":
+        lights = [light.name for light in scene.lighting.lights]
     return {
+        # Whose light it is, and the lattice that it is for.
         "format": BAKE_FORMAT,
         "scene": scene.id,
         "volume": scene.volume.name,
@@ -364,12 +398,12 @@ def layer_attributes(
         "normals": scene.settings.normals,
         "offset": scene.settings.offset,
         "shown": shown,
+        # The layer, and everything that its light depends on.
         **asdict(layer),
-        "bounces": scene.bounces if layer.reflected else 0,
-        "albedo": list(layer.nodes or scene.surfaces.albedo) if layer.reflected else None,
-        "lights": [light.name for light in scene.lighting.lights]
-        if layer.kind == "irradiance"
-        else None,
+        "bounces": bounces,
+        "albedo": albedo,
+        "lights": lights,
+        # The plan, and the form of its records.
         "plan": asdict(scene.plan),
         "codes": RECORD_CODES,
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record)],
@@ -377,6 +411,6 @@ def layer_attributes(
 
 
 def fields_of(record: np.dtype[np.void]) -> Iterator[tuple[str, np.dtype[Any]]]:
-    """Names and types of a record's fields, in their order."""
+    """Yield the names and types of a record's fields, in their order."""
     for name in record.names or ():
         yield name, record[name]

@@ -1,5 +1,7 @@
-"""The page pool: decoded light in a texel table of fixed size, which kernels read through an
-indirection table.
+"""The page pool: decoded light in a texel table of fixed size.
+
+Kernels read it through an indirection table, which gives the row of each texel of a chunk. So a
+view needs memory for the chunks that it reads, and not for the whole volume.
 """
 
 import hashlib
@@ -32,10 +34,10 @@ from isogi_core.model.scene_plan import GLOW_KIND, MIN_SAMPLES, Layer
 from isogi_core.prepared.prepared_scene import Index
 
 PAGE_TEXELS = 64
-"""Texels of a page."""
+"""Texels of a page, the unit in which memory is given to chunks."""
 
 FEWEST_CHUNKS = 8
-"""Least number of chunks in the indirection table."""
+"""Least number of chunks in the indirection table, however small the budget."""
 
 
 UNLIT_VERSION = b"\0" * 8
@@ -44,8 +46,10 @@ UNLIT_VERSION = b"\0" * 8
 
 @dataclass(eq=False)
 class Entry:
-    """A chunk in the pool: its ``slot`` in the table, its pages, its holders, and whether it is
-    outdated and listed.
+    """A chunk in the pool: its ``slot`` in the indirection table, its ``pages``, and the number of
+    frames that hold it.
+
+    It is ``stale`` if the store has newer light, and ``listed`` until it is replaced or dropped.
     """
 
     slot: int
@@ -56,36 +60,38 @@ class Entry:
 
 
 class Numbers:
-    """Free numbers below ``most``: those given back last are taken first, and others in ascending
-    order.
+    """Free numbers below ``most``.
+
+    Those given back last are taken first, then new ones in ascending order.
     """
 
     def __init__(self, most: int) -> None:
-        """All are free."""
+        """Begin with all numbers free."""
         self._most = most
         self.taken = 0
         self._back: list[int] = []
 
     def __len__(self) -> int:
-        """How many are free."""
+        """Return how many are free."""
         return len(self._back) + self._most - self.taken
 
     def take(self) -> int:
-        """One of those that are free; ``taken`` counts the different ones that were ever taken."""
+        """Take a free number. ``taken`` counts the numbers that were ever used."""
         if self._back:
             return self._back.pop()
         self.taken += 1
         return self.taken - 1
 
     def give_back(self, numbers: Sequence[int]) -> None:
-        """Free these numbers; the last is taken first."""
+        """Free these numbers; the last of them is taken first."""
         self._back.extend(numbers)
 
 
 class Held(NamedTuple):
-    """Held chunks: their ``slots`` (n,) int32, -1 where absent, and the ``age`` of the pool.
+    """Chunks that a frame holds: their ``slots`` (n,) int32, -1 if absent, and the ``age`` of the
+    pool.
 
-    At equal age equal slots lead to the same light.
+    At equal age, equal slots lead to the same light.
     """
 
     slots: np.ndarray
@@ -96,17 +102,22 @@ class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
 
     A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative
-    ``error`` and the ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also
+    ``error`` and the ``stamp``: see ``fill_rows``. If light is kept for several albedos, a row also
     has the share of its variance that is ``reflected``.
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
-        """Allocate the arrays that frames of ``spec`` read; memory is taken as they fill."""
+        """Allocate the arrays that frames of ``spec`` read.
+
+        The system gives memory as they fill.
+        """
         texels = spec.prepared.lattice.texels
-        beside = FEWEST_CHUNKS * 4 * texels
-        pages = max(
-            min(budget // page_bytes(spec), (budget - beside) // (PAGE_TEXELS * row_bytes(spec))), 1
-        )
+        # A page costs its rows and its part of the table. A small budget has more table than that,
+        # as the table has FEWEST_CHUNKS slots at least: take these off first then.
+        least_table = FEWEST_CHUNKS * 4 * texels
+        with_table = budget // page_bytes(spec)
+        rows_alone = (budget - least_table) // (PAGE_TEXELS * row_bytes(spec))
+        pages = max(min(with_table, rows_alone), 1)
         slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
         self.spec = spec
         self.rows = new_rows(spec, pages * PAGE_TEXELS)
@@ -122,11 +133,11 @@ class PagePool:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that were taken so far."""
+        """Bytes of memory that were ever filled."""
         return self._free_pages.taken * page_bytes(self.spec)
 
     def missing(self, indices: Sequence[Index]) -> list[Index]:
-        """The chunks that are not in the pool, or outdated there."""
+        """Return the chunks of ``indices`` that are not in the pool, or stale there."""
         with self._lock:
             found = map(self._entries.get, indices)
             return [
@@ -136,33 +147,39 @@ class PagePool:
             ]
 
     def outdate(self, index: Index) -> None:
-        """Note that the store has newer light of a chunk. The old light may be shown until that is
-        read.
+        """Note that the store has newer light of a chunk.
+
+        The old light may be shown until that is read.
         """
         with self._lock:
             if index in self._entries:
                 self._entries[index].stale = True
 
     def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
-        """Put decoded chunks into the pool, replacing older light; the chunks ``keep`` are not
-        dropped for them.
+        """Put decoded chunks into the pool, and replace their older light. The chunks in ``keep``
+        are not dropped for them.
 
-        Raises NoRoomError, and drops none, where the budget cannot hold them.
+        Raises NoRoomError, and drops none, if the budget cannot hold them.
         """
         counts = np.diff(chunks.bounds)
         with self._lock:
             self._age += 1
+            # New light goes to other pages than the old: frames that hold the chunk read on from
+            # the old ones.
             entries = self._allocate(-(-counts // PAGE_TEXELS), {*keep} - {*chunks.indices})
             rows = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
             for slot in slots.tolist():
                 self._versions.pop(slot, None)
+            # Texels that the chunk lacks are not baked; the others find their rows.
             self.table[slots] = UNLIT_ROW
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(
                 self.rows, rows, chunks.light, self.spec
             )
             if self.spec.plan.nodes:
                 self.reflected[rows] = reflected_share(chunks.light, self.spec)
+            # From here on, frames that ask for the chunk get the new entry. The old one is freed
+            # when no frame holds it.
             for index, entry in zip(chunks.indices, entries, strict=True):
                 former = self._entries.pop(index, None)
                 self._entries[index] = entry
@@ -171,12 +188,16 @@ class PagePool:
 
     @contextmanager
     def hold(self, indices: Sequence[Index]) -> Iterator[Held]:
-        """Hold the chunks, so that they and their rows stay while the block runs."""
+        """Hold the chunks ``indices`` while the block runs: their rows are not reused.
+
+        Yields their slots. Chunks count as used now, so that others are dropped before them.
+        """
         with self._lock:
             age = self._age
             found = [self._entries.get(index) for index in indices]
             for index, entry in zip(indices, found, strict=True):
                 if entry is not None:
+                    # Entries are in the order of their last use: held ones move to the end.
                     entry.held += 1
                     self._entries.move_to_end(index)
         try:
@@ -184,6 +205,7 @@ class PagePool:
                 np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age
             )
         finally:
+            # An entry that was replaced meanwhile is freed by its last holder.
             with self._lock:
                 for entry in found:
                     if entry is not None:
@@ -191,8 +213,10 @@ class PagePool:
                         self._give_back(entry)
 
     def version(self, slot: int) -> bytes:
-        """How far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has
-        no light.
+        """Return a digest of how far the held chunk in a ``slot`` is baked, and by which plan;
+        UNLIT_VERSION if it has no light.
+
+        Equal versions are equal light: that of a texel depends on plan and sample levels only.
         """
         if slot < 0:
             return UNLIT_VERSION
@@ -209,13 +233,13 @@ class PagePool:
         return self._versions[slot]
 
     def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:
-        """The ``version`` of each chunk as it is in the pool now."""
+        """Return the ``version`` of each chunk as it is in the pool now."""
         with self.hold(indices) as held:
             return tuple(map(self.version, held.slots.tolist()))
 
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
-        """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels,
-        columns) float32.
+        """Return the transfer of a held chunk's texels at ``offsets`` (m,), 0 if unlit;
+        (m, channels, columns) float32.
         """
         found = np.zeros((len(offsets), *self.transfer.shape[1:]), np.float32)
         if slot >= 0:
@@ -224,8 +248,9 @@ class PagePool:
         return found
 
     def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
-        """Allocate entries with so many ``pages`` each; where need be, drop the longest unused
-        chunks but ``keep``.
+        """Allocate entries of so many ``pages`` (chunks,) each.
+
+        If there are too few, drop the longest unused chunks but those in ``keep``.
         """
         total = int(pages.sum())
         if not self._has_room(total, len(pages)):
@@ -239,13 +264,16 @@ class PagePool:
         return [Entry(self._free_slots.take(), taken[a:b]) for a, b in pairwise(bounds)]
 
     def _has_room(self, pages: int, slots: int) -> bool:
+        """Return True if this many pages and slots are free."""
         return len(self._free_pages) >= pages and len(self._free_slots) >= slots
 
     def _make_room(self, pages: int, slots: int, spare: Sequence[Index]) -> None:
-        """Drop chunks of ``spare``, in this order, until so many pages and slots are free.
+        """Drop chunks of ``spare``, in this order, until ``pages`` pages and ``slots`` slots are
+        free.
 
-        Raises NoRoomError, and drops none, where all of them are too few.
+        Raises NoRoomError, and drops none, if dropping all of them is not enough.
         """
+        # Check first that it is possible: a view that does not fit must not empty the pool.
         most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
         if most < pages or len(self._free_slots) + len(spare) < slots:
             raise NoRoomError(
@@ -258,13 +286,15 @@ class PagePool:
             self._release(self._entries.pop(index))
 
     def _release(self, entry: Entry) -> None:
-        """Remove an entry from the list; its pages are freed when no frame holds it."""
+        """Take an entry off the list; its pages are freed as soon as no frame holds it."""
         entry.listed = False
         self._give_back(entry)
 
     def _give_back(self, entry: Entry) -> None:
-        """Free an entry's pages, the last first: they are then taken upwards again, the fastest
-        order to read.
+        """Free the pages of an entry that is neither held nor listed.
+
+        The last page is given back first, so that pages are then taken in ascending order, the
+        fastest to read.
         """
         if entry.held == 0 and not entry.listed and entry.slot >= 0:
             self._free_pages.give_back(entry.pages[::-1].tolist())
@@ -273,28 +303,32 @@ class PagePool:
 
 
 def pages_of_sheet(lattice: Lattice) -> int:
-    """Pages that a chunk of a surface takes at least; the table has room for as many chunks."""
+    """Return the pages that a chunk crossed by one surface takes at least;
+    the table has a slot for each such chunk.
+    """
     return lattice.rows // PAGE_TEXELS
 
 
 def page_bytes(spec: BakeSpec) -> int:
-    """Bytes that a page of a ``spec`` takes, its part of the table among them."""
+    """Return the bytes that a page of a ``spec`` takes,
+    its part of the indirection table among them.
+    """
     lattice = spec.prepared.lattice
     return PAGE_TEXELS * row_bytes(spec) + lattice.texels * 4 // pages_of_sheet(lattice)
 
 
 def row_bytes(spec: BakeSpec) -> int:
-    """Bytes that a row takes."""
+    """Return the bytes of a row of the texel table."""
     return 4 * (spec.channels * spec.columns + (4 if spec.plan.nodes else 3))
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
-    """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``;
-    (texels,) int32.
+    """Return the rows of the texels of chunks, (texels,) int32:
+    a chunk with ``counts[i]`` texels fills its ``pages[i]`` in order.
     """
     each = [
-        (own[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
-        for own in pages
+        (first[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
+        for first in pages
     ]
     return np.concatenate(
         [np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))]
@@ -302,29 +336,32 @@ def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
 
 
 MAX_SAMPLE_LEVELS = 32
-"""Bound of the number of sample levels."""
+"""Number of codes for a part's sample level in a stamp; there are fewer levels."""
 
 SHOWN_CHECKSUMS = 509
-"""Checksums of light that is only shown: with the levels of three parts, all that single floats
-count exactly.
+"""Number of checksums of light that is shown without samples. Times MAX_SAMPLE_LEVELS³,
+for three parts, it stays below 2^24: single floats hold all stamps exactly.
 """
 
 
 def new_rows(spec: BakeSpec, count: int) -> Rows:
-    """A texel table of ``count`` rows for frames of a ``spec``; memory is taken as it fills."""
+    """Allocate a texel table of ``count`` rows for frames of a ``spec``.
+
+    The system gives memory as it fills.
+    """
     columns = (np.empty(count, np.float32) for _ in range(3))
     return Rows(np.empty((count, spec.channels, spec.columns), np.float32), *columns)
 
 
 def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
-    """Write texels' ``light`` into the rows of these ``numbers`` (m,) int32; returns the entries of
-    the page table.
+    """Write texels' ``light`` into the rows ``numbers`` (m,) int32, and return their entries in the
+    indirection table, (m,) int32.
 
-    An entry is the row; BURIED_ROW where no path of any part ever left; VOID_ROW; or UNLIT_ROW
-    where there is no light to show: reflected light alone is not shown. Scatter is defined in
-    ``bake.noise``. A stamp encodes the sample levels of a texel: MAX_SAMPLE_LEVELS^p times the
-    level of each part p, summed, and above these a checksum of light that is shown without samples,
-    as an earlier plan's light may change too.
+    An entry is the row; BURIED_ROW if no path of any part left the volume; VOID_ROW; or UNLIT_ROW
+    if there is no direct light to show, as reflected light alone is not shown. Scatter is defined
+    in ``bake.noise``. A stamp encodes the sample levels of a texel: the sum over parts p of the
+    level times MAX_SAMPLE_LEVELS^p, and above these a checksum of light that is shown without
+    samples. That light is an earlier plan's, which may change too.
     """
     sums = Sums(
         *(
@@ -332,39 +369,47 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> 
             for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)
         )
     )
+    # Add up the parts of each term, in the columns of the term.
     for at, term in enumerate(spec.terms):
         for number in term.layers:
             if term.node is None:
                 part = light.parts[number]
             else:
                 part = light.parts[number].channel(term.node)
-            own = np.ascontiguousarray(part.coefficients)
+            coefficients = np.ascontiguousarray(part.coefficients)
+            bits = coefficients.view(np.int32)
             role = role_of(number, part.layer, at, spec)
-            add_part(part.samples, part.noise, own, own.view(np.int32), role, numbers, rows, sums)
+            add_part(part.samples, part.noise, coefficients, bits, role, numbers, rows, sums)
     places = np.empty_like(numbers)
+    # When all parts of a row are added, derive scatter, error and stamp from the sums.
     judge_rows(numbers, rows, sums, judge_of(len(light.parts), spec), places)
     return places
 
 
 def reflected_share(light: Light, spec: BakeSpec) -> np.ndarray:
-    """The share of reflected light in texels' variance; (m,) float32."""
+    """Return the share of reflected light in texels' variance; (m,) float32."""
     variances = deviations(light, spec) ** 2
     reflected = variances[[part.layer.kind == "indirect" for part in light.parts]].sum(axis=0)
     return np.asarray(reflected / np.maximum(variances.sum(axis=0), 1e-30), np.float32)
 
 
 def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
-    """The role of a ``layer`` in a bake spec, as part ``number`` and in the term number ``at``.
+    """Return the role of a ``layer`` in a bake spec, as part ``number`` and in the term number
+    ``at``.
 
-    Irradiance may be dark because of the light alone. Light for several albedos is of the same
-    paths: only the last one counts their noise and number.
+    Irradiance may be 0 because of the light alone, so it does not show that a texel is buried.
+    Light for several albedos comes from the same paths: only the last node counts their noise and
+    number.
     """
     term = spec.terms[at]
     weights = white(layer, spec)
+    if term.node is not None:
+        weights = weights[term.node : term.node + 1]
+    # Only one of the nodes adds noise and sample level to the sums of a row.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
-        weights=weights if term.node is None else weights[term.node : term.node + 1],
+        weights=weights,
         column=int(spec.firsts[at]),
         width=term.order**2,
         first=number == min(term.layers),
@@ -376,7 +421,7 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
 
 
 def judge_of(parts: int, spec: BakeSpec) -> Judge:
-    """The lights of a bake spec, for judging texels of so many ``parts``."""
+    """Return the numbers of a bake spec by which texels of ``parts`` parts are judged."""
     return Judge(
         firsts=spec.firsts,
         widths=np.array([term.order**2 for term in spec.terms]),
@@ -391,8 +436,8 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """``powers`` of each two terms' lights, 0 beyond the lower order; (terms, terms, channels,
-    channels, most n²).
+    """Return ``powers`` of the lights of each two terms, 0 above the lower order;
+    (terms, terms, channels, channels, most n²).
     """
     most = max(term.order for term in spec.terms) ** 2
     count = len(spec.terms)
@@ -404,8 +449,8 @@ def powers_of(spec: BakeSpec) -> np.ndarray:
 
 
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
-    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked;
-    (texels,) int32.
+    """Return the fewest samples of any part of texels with these ``stamps``,
+    0 if a part is not baked; (texels,) int32.
     """
     fewest = np.empty(len(stamps), np.int32)
     find_fewest(stamps, parts, MAX_SAMPLE_LEVELS, SAMPLES_OF, fewest)

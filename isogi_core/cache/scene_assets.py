@@ -1,5 +1,5 @@
-"""Scene assets: the volume and probes that workers on other machines need, kept in the store by
-digest.
+"""Scene assets: the volume, light files and other arrays
+that workers on other machines need, kept in the store by digest.
 """
 
 import hashlib
@@ -37,10 +37,10 @@ Shape = tuple[int, ...]
 
 
 class Asset:
-    """The array under a ``name`` in a ``store``. Methods raise StoreError."""
+    """An array with its facts, under a ``name`` in a ``store``. Methods raise StoreError."""
 
     def __init__(self, store: Store, name: str) -> None:
-        """Touch nothing yet."""
+        """Set up without a request to the store."""
         self.store = store
         self.name = name
 
@@ -50,13 +50,14 @@ class Asset:
 
         Two processes may write the same array at once, as they write the same bytes.
         """
+        # The metadata is written last, so if it is there, the chunks are, too.
         if self.store.get(f"{self.name}/{METADATA_KEY}") is not None:
             return
         sides = tuple(min(most, n) for most, n in zip(chunk, values.shape, strict=True))
         for index in product(
             *(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))
         ):
-            self._put(self._key(index), packed(values, sides, index))
+            self._put(self._key(index), pack_chunk(values, sides, index))
         compressors = [ZstdCodec(level=ZSTD_LEVEL), Crc32cCodec()]
         form: dict[str, Any] = {"shape": values.shape, "chunks": sides, "dtype": values.dtype}
         metadata = description(
@@ -65,11 +66,11 @@ class Asset:
         self._put(f"{self.name}/{METADATA_KEY}", metadata)
 
     def describe(self) -> tuple[Shape, Shape, np.dtype[Any], dict[str, Any]]:
-        """Shape, shape of a chunk, type, and facts."""
+        """Return the shape of the array, the shape of a chunk, the type, and the facts."""
         found = self.store.get(f"{self.name}/{METADATA_KEY}")
         if found is None:
             raise StoreError(
-                f"The workers need {self.name} of {self._where}, which lacks it: restart the "
+                f"The workers need {self.name}, which is missing in {self._where}: restart the "
                 "server."
             )
         try:
@@ -80,10 +81,14 @@ class Asset:
             raise self.damaged(one_line(error)) from error
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """The array, a layer of chunks at a time."""
+        """Yield the array along its first axis,
+        one layer of chunks at a time, so that it need not fit memory.
+        """
         shape, chunk, dtype, _ = self.describe()
         for z in range(-(-shape[0] // chunk[0])):
             slab = np.empty((min(chunk[0], shape[0] - z * chunk[0]), *shape[1:]), dtype)
+            # Fill the slab chunk by chunk; chunks at the array's end are padded, so cut them to
+            # fit.
             for rest in product(
                 *(range(-(-n // side)) for n, side in zip(shape[1:], chunk[1:], strict=True))
             ):
@@ -98,20 +103,22 @@ class Asset:
             yield slab
 
     def damaged(self, why: str) -> StoreError:
-        """The error for an array that is damaged."""
+        """Return the error for a damaged array; ``why`` completes the sentence."""
         return StoreError(
             f"{self.name} in {self._where} is damaged ({why}): delete it, and restart the server."
         )
 
     @property
     def _where(self) -> str:
+        """The store, in words for messages."""
         return f"the store at {self.store.url}"
 
     def _key(self, index: Shape) -> str:
+        """Return the key of a chunk's object, as Zarr names it."""
         return "/".join((self.name, "c", *map(str, index)))
 
     def _put(self, key: str, data: bytes) -> None:
-        """Write an object, also in place of a different one."""
+        """Write an object, even in place of a different one."""
         try:
             self.store.put(key, data, None)
         except ChangedError:
@@ -121,7 +128,7 @@ class Asset:
                     self.store.put(key, data, found)
 
     def _block(self, index: Shape, chunk: Shape, dtype: np.dtype[Any]) -> np.ndarray:
-        """Read a chunk, whole also at the array's end."""
+        """Read a chunk in its full shape, padded at the array's end."""
         found = self.store.get_sound(self._key(index))
         if found is None:
             raise self.damaged(f"chunk {index} is missing")
@@ -131,9 +138,9 @@ class Asset:
             raise self.damaged(f"chunk {index}: {error}") from error
 
 
-def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
-    """The object of a chunk: its values, padded with zeros at the array's end, packed, with a
-    checksum.
+def pack_chunk(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
+    """Return the object of a chunk: its values in little-endian order,
+    padded with zeros at the array's end, compressed, with a checksum.
     """
     part = values[tuple(slice(i * n, (i + 1) * n) for i, n in zip(index, chunk, strict=True))]
     block = np.zeros(chunk, values.dtype.newbyteorder("<"))
@@ -142,7 +149,7 @@ def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
 
 
 VOLUME_OBJECT_VOXELS = (32, 256, 256)
-"""Voxels of a volume in one object: 8 MiB before they are packed."""
+"""Voxels of a volume in one object, 8 MiB of float32 before compression."""
 
 FILE_OBJECT_BYTES = 1 << 23
 """Bytes of a file in one object."""
@@ -150,12 +157,12 @@ FILE_OBJECT_BYTES = 1 << 23
 
 @dataclass(frozen=True)
 class SceneAssets:
-    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their
-    names there.
+    """The digests of a scene's assets, by which another machine finds them in the store.
 
-    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes. ``colours``
-    is the digest of the surface's, ``glow_bits`` that of the masks of what glows, each empty where
-    there are none.
+    ``volume`` is empty for a demo. ``files`` are pairs of the name of a light's file in the scene
+    and its digest. ``colours`` and ``glow_bits`` are of the surface's colours and of the masks of
+    glowing parts, empty if there are none. The ``orientation`` is the volume's: it is not in the
+    digest of the volume, as equal voxels may lie differently in two scenes.
     """
 
     volume: str
@@ -166,13 +173,15 @@ class SceneAssets:
 
 
 def send_assets(scene: Scene, store: Store) -> SceneAssets:
-    """Write the files that a scene was made of to the ``store``, unless they are there.
+    """Write the assets of a ``scene`` to the ``store``, unless they are there, and return their
+    digests.
 
-    Raises StoreError, and LightError where a file of a light is gone.
+    Raises StoreError, and LightError if the file of a light cannot be read.
     """
     source = scene.source
     volume = scene.volume
     files = []
+    # The files of lights.
     for name in files_of(source.document):
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
@@ -187,6 +196,7 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
         bits = send_glow_bits(scene.lighting.glowing.bits, store)
     else:
         bits = ""
+    # A demo is computed on each machine, so its voxels are not sent.
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
     facts = {
@@ -199,8 +209,9 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
 
 
 def send_colours(colours: SurfaceColours, store: Store) -> str:
-    """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises
-    StoreError.
+    """Write the colours of a surface to the ``store``, unless they are there; return their digest.
+
+    Raises StoreError.
     """
     scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
     places = colours.places
@@ -212,11 +223,15 @@ def send_colours(colours: SurfaceColours, store: Store) -> str:
 
 
 def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
-    """The colours among a scene's assets, None where it has none. Raises StoreError."""
+    """Read the colours among a scene's assets; None if it has none.
+
+    Raises StoreError if they are missing or damaged.
+    """
     if not assets.colours:
         return None
     asset = Asset(store, f"colours/{assets.colours}")
     facts = asset.describe()[3]
+    # Read the colours' positions on the colour scale, then build the scale from its facts.
     places = np.concatenate(list(asset.slabs()))
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
@@ -233,8 +248,8 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
 
 
 def send_glow_bits(bits: np.ndarray, store: Store) -> str:
-    """Write the masks of what glows to the ``store``, unless they are there; their digest. Raises
-    StoreError.
+    """Write the masks of glowing parts to the ``store``, unless they are there;
+    return their digest. Raises StoreError.
     """
     digest = digest_of_file(bits.tobytes())
     Asset(store, f"glow/{digest}").put(bits, VOLUME_OBJECT_VOXELS, {})
@@ -242,8 +257,9 @@ def send_glow_bits(bits: np.ndarray, store: Store) -> str:
 
 
 def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
-    """The masks of what glows among a scene's assets, None where there are none. Raises
-    StoreError.
+    """Read the masks of glowing parts among a scene's assets; None if it has none.
+
+    Raises StoreError if they are missing or damaged.
     """
     if not assets.glow_bits:
         return None
@@ -257,26 +273,28 @@ def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
 def receive_assets(
     source: SceneSource, assets: SceneAssets, store: Store
 ) -> tuple[SceneSource, Volume | None]:
-    """Fetch a scene's assets to this machine, where there are no copies yet.
+    """Fetch a scene's volume and light files to this machine, unless there are copies already.
 
-    Returns the source with the paths of the copies, and the volume unless it is a demo. Raises
-    StoreError, and VolumeError where there is no room.
+    Return the source with the paths of the copies, and the volume, None for a demo. Raises
+    StoreError, and VolumeError if there is no room for the volume.
     """
+    # Name the copies of files in the document, in place of the other machine's paths.
     files = {name: str(fetch_file(digest, Path(name).name, store)) for name, digest in assets.files}
     document = dict(source.document)
     if "lights" in document and "environment" not in document:
-        document["lights"] = [moved(light, files) for light in document["lights"]]
+        document["lights"] = [with_copied_file(light, files) for light in document["lights"]]
     if "environment" in document:
         document["environment"] = files.get(document["environment"], document["environment"])
     if not assets.volume:
         return replace(source, document=document), None
+    # The settings of voxels have been applied before the volume was sent.
     kept = {key: value for key, value in document.items() if key not in VOXEL_SETTINGS}
     volume = fetch_volume(assets.volume, store)
     return replace(source, document=kept), replace(volume, orientation=assets.orientation)
 
 
 def files_of(document: Mapping[str, Any]) -> list[str]:
-    """The files of a scene's lights, as its document names them."""
+    """Return the names of the files of a scene's lights, as its ``document`` gives them."""
     if "environment" in document:
         if document["environment"] not in ENVIRONMENTS:
             return [str(document["environment"])]
@@ -284,15 +302,17 @@ def files_of(document: Mapping[str, Any]) -> list[str]:
     return [str(light["file"]) for light in document.get("lights", ()) if "file" in light]
 
 
-def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
-    """A light's table with the path of its file's copy."""
+def with_copied_file(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
+    """Return the table of a light with the path of its file's copy."""
     if "file" in light:
         return {**light, "file": files[str(light["file"])]}
     return light
 
 
 def fetch_volume(digest: str, store: Store) -> Volume:
-    """The volume of a digest, mapped from this machine's copy of it."""
+    """Return the volume of a ``digest``,
+    mapped from this machine's copy, which is made if there is none.
+    """
     found = find_copy(digest)
     if found is None:
         asset = Asset(store, f"volumes/{digest}")
@@ -302,10 +322,12 @@ def fetch_volume(digest: str, store: Store) -> Volume:
 
 
 def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
-    """Write the voxels in the store to a ``draft`` and return their facts. StoreError where the
-    digest differs.
+    """Write the voxels in the store to a ``draft`` and return the volume's facts.
+
+    Raises StoreError if their digest differs.
     """
     shape, _, _, facts = asset.describe()
+    # Compute the digest along the way, as voxels pass by only once.
     seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
     for slab in asset.slabs():
         for plane in slab.astype(np.float32, copy=False):
@@ -318,9 +340,13 @@ def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
 
 
 def fetch_file(digest: str, name: str, store: Store) -> Path:
-    """This machine's copy of a file."""
+    """Return the path of this machine's copy of a file, which is fetched if there is none.
+
+    Raises StoreError.
+    """
 
     def fetch() -> bytes:
+        """Read the file from the store, and check its digest."""
         asset = Asset(store, f"files/{digest}")
         data = b"".join(part.tobytes() for part in asset.slabs())
         if digest_of_file(data) != digest:
@@ -331,7 +357,7 @@ def fetch_file(digest: str, name: str, store: Store) -> Path:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a light's file; LightError where it cannot be read."""
+    """Return the bytes of a light's file. Raises LightError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -341,5 +367,5 @@ def read_file(path: Path) -> bytes:
 
 
 def digest_of_file(data: bytes) -> str:
-    """Hex name of a file's bytes."""
+    """Return the digest of a file's bytes, in hexadecimal."""
     return hashlib.blake2b(data, digest_size=16).hexdigest()

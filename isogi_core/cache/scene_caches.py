@@ -1,4 +1,4 @@
-"""The illumination caches of a scene, opened when a frame first reads them.
+"""The caches of a scene's light, opened when a frame first reads them.
 
 A loader brings the chunks that a view reads from the store into the page pool.
 """
@@ -22,23 +22,30 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import REMOTE_READERS, Store, StoreLike
 
 ASK_AGAIN = 1.0
-"""Seconds after which an absent chunk is read again: another machine may have baked it."""
+"""Seconds after which an absent chunk is read again, as another machine may have baked it."""
 
 MAX_BATCHES_AHEAD = 2 * REMOTE_READERS
-"""Most batches of a view that are being read, or wait in memory."""
+"""Most batches of a view that are being read or wait in memory:
+enough to keep all readers busy, while memory stays bounded.
+"""
 
 BATCH_BYTES = 1 << 23
-"""Most bytes of records that are unpacked together: each call is then for thousands of texels."""
+"""Most bytes of records that are unpacked in one call.
+That is thousands of texels, so the cost of the call itself does not matter.
+"""
 
 CHUNKS_OF_ONE_READER = 8
-"""Chunks for fewer of which no further thread is woken, where the store is on this machine."""
+"""Fewest chunks for which another thread is woken, if the store is on this machine."""
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
 class Loader:
-    """Keeps the page pool in step with the store. Safe to use from many threads."""
+    """Loads chunks from the store into the page pool when frames need them.
+
+    Safe to use from many threads.
+    """
 
     def __init__(self, chunk_store: ChunkStore, pool: PagePool) -> None:
         """Load from ``chunk_store`` into ``pool``."""
@@ -51,38 +58,47 @@ class Loader:
     def ensure(self, chunks: Sequence[Index], check: Callable[[], object] = lambda: None) -> None:
         """Load the newest light of ``chunks`` into the pool.
 
-        Calls ``check`` between batches, which may raise Cancelled. Raises StoreError when the store
-        cannot be read, or the pool cannot hold them all at once, and StoreAwayError when a remote
+        Calls ``check`` between batches, which may raise Cancelled. Raises StoreError if the store
+        cannot be read or the pool cannot hold all chunks together, and StoreAwayError if a remote
         store gives nothing for longer than one call may take.
         """
-        missing = [index for index in self.pool.missing(chunks) if self._due(index)]
+        # Read the chunks that the pool lacks or has outdated, but not those that the store lacked a
+        # moment ago.
+        missing = [index for index in self.pool.missing(chunks) if self._is_due(index)]
+        # The chunks of this view must be in the pool together, so none of them is dropped for
+        # another.
         if missing:
             together = frozenset(chunks)
         else:
             together = frozenset()
+        # Light that this process has not written yet is newer than the store's.
         newer = {index: self.chunk_store.fresh.newer(index) for index in missing}
         fresh = [chunk for chunk in newer.values() if chunk is not None]
         stored = [index for index, chunk in newer.items() if chunk is None]
-        with self._reading() as refreshed, closing(self._shown(stored)) as shown:
+        with self._reading() as refreshed, closing(self._read_in_batches(stored)) as shown:
             if fresh:
                 shown_fresh = self.chunk_store.show_fresh(fresh)
-                self._take([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
+                self._insert([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
             for indices, found in shown:
                 check()
-                self._take(indices, found, together, refreshed)
+                self._insert(indices, found, together, refreshed)
 
     def refresh(self, index: Index) -> None:
-        """Note that the store has new light of a chunk, also for those that are reading it now."""
+        """Note that the store has new light of a chunk,
+        even for threads that are reading it now.
+        """
         with self._lock:
             self._absent.pop(index, None)
+            # Reads that are going on may have got the older light.
             for refreshed in self._readers:
                 refreshed.add(index)
         self.pool.outdate(index)
 
     @contextmanager
     def _reading(self) -> Iterator[set[Index]]:
-        """Around a reading: the chunks that are refreshed meanwhile. What was read of them may be
-        older.
+        """Yield a set that collects the chunks refreshed while the block reads.
+
+        Those may have been read just before they changed, and must be read again.
         """
         refreshed = set[Index]()
         with self._lock:
@@ -93,62 +109,68 @@ class Loader:
             with self._lock:
                 self._readers = [each for each in self._readers if each is not refreshed]
 
-    def _due(self, index: Index) -> bool:
-        """Whether an absent chunk should be read again."""
+    def _is_due(self, index: Index) -> bool:
+        """Return True if a chunk may be read:
+        it was not found absent in the last ASK_AGAIN seconds.
+        """
         with self._lock:
             return time.monotonic() - self._absent.get(index, -ASK_AGAIN) >= ASK_AGAIN
 
-    def _shown(
+    def _read_in_batches(
         self, indices: Sequence[Index]
     ) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
-        """Batches of the chunks with the light that the store has of them, in order; several are
-        read at once.
+        """Yield the chunks in batches, in order, each with the light that the store has of them.
+
+        Several batches are read at once.
         """
         batches = self._batches(indices)
         store = self.chunk_store.store
+        # A single batch of a local store is read by this thread, which is faster. Reads of a remote
+        # store go to other threads, so that this one can stop waiting.
         if len(batches) > 1 or (batches and store.url.remote):
             if not store.url.remote:
                 store.check_reachable()
             with closing(
-                ahead(store.readers, self._brought, batches, partial(patiently, store))
-            ) as brought:
-                yield from zip(batches, brought, strict=True)
+                read_ahead(store.readers, self._read_batch, batches, partial(wait_for_read, store))
+            ) as results:
+                yield from zip(batches, results, strict=True)
         elif batches:
-            yield indices, self._brought(indices)
+            yield indices, self._read_batch(indices)
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
-        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than
-        BATCH_BYTES.
+        """Split the chunks into batches for the reading threads.
+
+        There is a batch for each thread, but none of more than BATCH_BYTES, and none of fewer than
+        CHUNKS_OF_ONE_READER chunks if the store is local.
         """
         if self.chunk_store.store.url.remote:
             least = 1
         else:
             least = CHUNKS_OF_ONE_READER
-        size = max(
-            min(
-                BATCH_BYTES // self.chunk_store.chunk_bytes,
-                max(-(-len(indices) // self.chunk_store.store.most_readers), least),
-            ),
-            1,
-        )
+        size = max(-(-len(indices) // self.chunk_store.store.most_readers), least)
+        size = max(min(size, BATCH_BYTES // self.chunk_store.chunk_bytes), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 
-    def _brought(self, indices: Sequence[Index]) -> Chunks:
+    def _read_batch(self, indices: Sequence[Index]) -> Chunks:
         """Read and decode some chunks."""
         return self.chunk_store.show(indices, list(map(self.chunk_store.objects, indices)))
 
-    def _take(
+    def _insert(
         self,
         indices: Sequence[Index],
         found: Chunks,
         together: frozenset[Index],
         refreshed: set[Index],
     ) -> None:
-        """Put the chunks that were found into the pool, and note the absent ones; but for those
-        ``refreshed``.
+        """Put the chunks that were ``found`` into the pool, and note the other ``indices`` as
+        absent.
+
+        Chunks that were ``refreshed`` meanwhile are marked as stale instead.
         """
         if found.indices:
             self.pool.insert(found, together)
+        # Note when chunks were found absent, so that they are not read again soon. A chunk
+        # refreshed during the read may exist by now.
         with self._lock:
             old = refreshed & {*indices}
             absent = {*indices} - {*found.indices} - old
@@ -157,32 +179,37 @@ class Loader:
             self.pool.outdate(index)
 
 
-def patiently(store: Store, reading: Future[Made]) -> Made:
-    """What is read from a ``store``, once it is; StoreAwayError where it is remote and silent for a
-    call's time.
+def wait_for_read(store: Store, reading: Future[Made]) -> Made:
+    """Wait for a ``reading`` of the ``store``, and return its result.
+
+    Raises StoreAwayError if the store is remote, and no read of it by anyone has ended for as long
+    as one call may take. So a long queue of reads does not count as silence.
     """
     while store.url.remote:
         try:
             return reading.result(store.url.seconds)
         except TimeoutError:
-            if store.quiet >= store.url.seconds:
-                raise store.silent() from None
+            # Other reads end, so the store is slow but not silent: keep waiting.
+            if store.seconds_silent >= store.url.seconds:
+                raise store.note_silence() from None
     return reading.result()
 
 
-def ahead(
-    hands: Executor,
+def read_ahead(
+    threads: Executor,
     work: Callable[[Item], Made],
     items: Sequence[Item],
     wait: Callable[[Future[Made]], Made] = lambda reading: reading.result(),
 ) -> Generator[Made, None, None]:
-    """The results of ``work`` for the items, in order; MAX_BATCHES_AHEAD are begun, and cancelled
-    on closing.
+    """Yield the results of ``work`` for the items, in order, computed by ``threads``.
+
+    At most MAX_BATCHES_AHEAD items are begun before their results are taken. Those that wait are
+    cancelled when the generator is closed.
     """
     waiting: deque[Future[Made]] = deque()
     try:
         for item in items:
-            waiting.append(hands.submit(work, item))
+            waiting.append(threads.submit(work, item))
             if len(waiting) >= MAX_BATCHES_AHEAD:
                 yield wait(waiting.popleft())
         while waiting:
@@ -193,21 +220,22 @@ def ahead(
 
 
 PROJECTED_ISOVALUES = 2
-"""Isovalues whose projected texels are held in memory at once: those that were shown last."""
+"""Number of isovalues whose projected texels are in memory at once: those that were shown last."""
 
 
 class Caches:
     """The caches of a ``prepared`` scene in a ``store``, with ``budget`` bytes of memory together.
 
-    Each has room for as many texels; projected ones of an isovalue have half of what the scene's
-    own have. Safe to use from many threads.
+    The budget is divided so that each cache has room for as many texels; projected texels of an
+    isovalue have half of that. Safe to use from many threads.
     """
 
     def __init__(
         self, prepared: PreparedScene, store: StoreLike, budget: int, makes: bool = True
     ) -> None:
-        """Open nothing yet. Layers are made when they are opened; where it ``makes`` none, with
-        their first light.
+        """Open nothing yet.
+
+        If ``makes``, layers are created when they are opened, else with their first light.
         """
         self._makes = makes
         self.prepared = prepared
@@ -220,8 +248,8 @@ class Caches:
         self._lock = threading.RLock()
 
     def spec(self, shading: str) -> BakeSpec:
-        """The bake spec of views of this ``shading``, with larger layers where the store has these
-        already.
+        """Return the bake spec of views of this ``shading``,
+        with larger layers if the store has light of these only.
         """
         name = spec_name(shading)
         with self._lock:
@@ -231,8 +259,9 @@ class Caches:
             return self._specs[name]
 
     def chunk_store(self, shading: str) -> ChunkStore:
-        """The chunk store that views of this ``shading`` read, its layers opened. Raises
-        StoreError.
+        """Return the chunk store that views of this ``shading`` read, with its layers opened.
+
+        Raises StoreError.
         """
         name = spec_name(shading)
         with self._lock:
@@ -244,15 +273,15 @@ class Caches:
             return self._chunk_stores[name]
 
     def chunk_store_of(self, shown: Isovalue | None) -> ChunkStore:
-        """The chunk store of the scene's own light, or of texels projected onto the isosurface
-        ``shown``.
+        """Return the chunk store of the scene's light, or,
+        with ``shown``, of texels projected onto that isosurface.
         """
         if shown is None:
             return self.chunk_store("gi")
         return self.projected(shown).chunk_store
 
     def of(self, shading: str) -> Loader:
-        """The loader of views of this ``shading``. Raises StoreError."""
+        """Return the loader of views of this ``shading``. Raises StoreError."""
         name = spec_name(shading)
         with self._lock:
             if name not in self._loaders:
@@ -262,9 +291,10 @@ class Caches:
             return self._loaders[name]
 
     def projected(self, shown: Isovalue) -> Loader:
-        """The loader of the scene's own spec with texels projected onto the isosurface ``shown``.
+        """Return the loader of the scene's light in texels that are projected onto the isosurface
+        ``shown``.
 
-        Nothing is made in the store before there is light.
+        Nothing is created in the store before there is light.
         """
         with self._lock:
             if shown not in self._projected:
@@ -274,6 +304,7 @@ class Caches:
                     PagePool(spec, self._share("gi") // PROJECTED_ISOVALUES),
                 )
             self._projected.move_to_end(shown)
+            # Drop the caches of isovalues that were shown longest ago.
             while len(self._projected) > PROJECTED_ISOVALUES:
                 self._projected.popitem(last=False)
             return self._projected[shown]
@@ -288,8 +319,8 @@ class Caches:
             )
 
     def refresh(self, name: str, index: Index, shown: Isovalue | None = None) -> None:
-        """Note that the store has new light of a chunk, of a spec or of the isosurface
-        ``shown``.
+        """Note that the store has new light of a chunk:
+        in the spec ``name``, or in texels projected onto ``shown``.
         """
         with self._lock:
             loader = self.of(name) if shown is None else self._projected.get(shown)
@@ -297,9 +328,12 @@ class Caches:
             loader.refresh(index)
 
     def _share(self, name: str) -> int:
-        """Bytes of the budget for a spec; as many again are for projected texels of the scene's
-        own.
+        """Return the bytes of the budget for a spec.
+
+        Projected texels of the scene's light get as many as that light.
         """
         sizes = {each: page_bytes(self.spec(each)) for each in SPECS}
-        whole = sum(sizes.values()) + (sizes["gi"] if self.prepared.scene.projection.any else 0)
+        whole = sum(sizes.values())
+        if self.prepared.scene.projection.any:
+            whole += sizes["gi"]
         return self.budget * sizes[name] // whole

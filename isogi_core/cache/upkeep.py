@@ -1,4 +1,6 @@
-"""The upkeep of a store: its census, its audit with repair, and pruning."""
+"""The upkeep of a store: a census that counts its light,
+an audit that finds damage, repair, and pruning.
+"""
 
 import logging
 import math
@@ -28,21 +30,22 @@ AUDIT_READERS = 8
 """Objects that are read at once, as a remote store answers many at a time."""
 
 LEFT_AFTER = 60.0
-"""Age in seconds from which on a half-written object is a leftover."""
+"""Age in seconds from which a half-written object is taken for a leftover."""
 
 Checked = TypeVar("Checked")
 
 
 class Damage(NamedTuple):
-    """An object that cannot be used, and why."""
+    """An object that cannot be used, by its ``key``, and the reason."""
 
     key: str
     why: str
 
 
 class SharedChunk(NamedTuple):
-    """A chunk, and its objects in all layers of the same lattice, which must agree on the texels
-    that hold light.
+    """A chunk, and its objects in all layers of the same lattice.
+
+    They must agree on the texels that can hold light.
     """
 
     chunk: Index
@@ -51,7 +54,10 @@ class SharedChunk(NamedTuple):
 
 @dataclass(eq=False)
 class Audit:
-    """The result of an audit; ``unread`` chunks are of layers whose metadata is damaged."""
+    """The result of an audit.
+
+    ``whole`` counts sound chunks, ``unread`` those of layers whose metadata is damaged.
+    """
 
     inventory: Inventory
     facts: dict[str, LayerFacts] = field(default_factory=dict)
@@ -61,17 +67,18 @@ class Audit:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is damaged."""
+        """True if nothing is damaged."""
         return not self.damages
 
 
 def audit_store(
     store: Store, found: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress
 ) -> Audit:
-    """Check all objects of a ``store``. It only reads, so it may run beside servers and workers.
-    Raises StoreError.
+    """Check all objects of a ``store``. It only reads, so servers and workers may go on. Raises
+    StoreError.
 
-    ``found`` is called with each damage as soon as it is known.
+    ``found`` is called with each damage as soon as it is known, ``progress`` with the numbers of
+    checked objects and of all.
     """
     result = Audit(inventory_of(store.entries()))
     _audit_facts(store, result)
@@ -79,6 +86,7 @@ def audit_store(
     done = 0
     total = sum(len(each.objects) for each in chunks)
     progress(done, total)
+    # Check chunks on several threads, and report in order.
     with ThreadPoolExecutor(AUDIT_READERS) as pool:
         checked = pool.map(lambda each: check_chunk(store, each, result.facts), chunks)
         for each, damages in zip(chunks, checked, strict=True):
@@ -92,22 +100,27 @@ def audit_store(
 
 
 def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFacts]) -> list[Damage]:
-    """Check the objects of a chunk: each by itself, and then against each other."""
+    """Check the objects of a chunk, each by itself and then against each other;
+    return one damage an object.
+    """
     damages = []
     samples = {}
     for digest, found in shared.objects:
         try:
-            samples[found.key] = twice(
+            samples[found.key] = check_twice(
                 partial(_sound_samples, store, facts[digest], digest, shared.chunk, found.key)
             )
         except DamagedChunkError as error:
             damages.append(Damage(found.key, str(error)))
+    # An object may contradict several others: name it once.
     return list({damage.key: damage for damage in (*damages, *contradictions(samples))}.values())
 
 
-def twice(check: Callable[[], Checked]) -> Checked:
-    """The result of a ``check``; one that finds damage runs again, as the damage may be of one
-    answer of the store and not of the object. Raises DamagedChunkError if it finds damage again.
+def check_twice(check: Callable[[], Checked]) -> Checked:
+    """Return the result of a ``check``, which runs again if it finds damage.
+
+    The damage may be of one answer of the store and not of the object. Raises DamagedChunkError if
+    the check finds damage again.
     """
     try:
         return check()
@@ -116,17 +129,20 @@ def twice(check: Callable[[], Checked]) -> Checked:
 
 
 def _audit_facts(store: Store, result: Audit) -> None:
-    """Read the metadata of all layers."""
+    """Read the metadata of all layers, and count the chunks of those whose metadata is damaged."""
     for digest, files in result.inventory.layers.items():
         try:
-            result.facts[digest] = twice(partial(read_facts, store, digest))
+            result.facts[digest] = check_twice(partial(read_facts, store, digest))
         except DamagedChunkError as error:
             result.damages.append(Damage(f"{digest}/zarr.json", str(error)))
             result.unread += len(files.chunks)
 
 
 def read_facts(store: Store, digest: str) -> LayerFacts:
-    """The facts of a layer; DamagedChunkError where its metadata is missing or damaged."""
+    """Return the facts of a layer.
+
+    Raises DamagedChunkError if its metadata is missing or damaged.
+    """
     stored = store.read(f"{digest}/zarr.json")
     if stored is None:
         raise DamagedChunkError("it is missing")
@@ -136,25 +152,31 @@ def read_facts(store: Store, digest: str) -> LayerFacts:
 def _sound_samples(
     store: Store, facts: LayerFacts, digest: str, index: Index, key: str
 ) -> np.ndarray:
-    """The samples of a chunk's texels in an object, (texels,) int32. Raises DamagedChunkError."""
+    """Return the sample counts of a chunk's texels in an object, (texels,) int32. Raises
+    DamagedChunkError.
+
+    An object that was deleted meanwhile has none.
+    """
     if not facts.holds(index):
         raise DamagedChunkError("there is no such place in its lattice")
     samples = np.zeros(facts.chunk_texels, np.int32)
+    # An object that was deleted meanwhile is not damaged.
     stored = store.read(key)
     if stored is None:
         return samples
+    # Check, in this order, that it unpacks, that it belongs here, and that its numbers make sense.
     record = unwrap(stored, facts.record_size)
     found = unpack(record, facts.layer, facts.chunk_texels, digest, index)
     if found is None:
         raise DamagedChunkError("it was baked for another place")
-    if odd := find_anomaly(record, facts.layer, facts.chunk_texels):
-        raise DamagedChunkError(odd)
+    if fault := find_anomaly(record, facts.layer, facts.chunk_texels):
+        raise DamagedChunkError(fault)
     samples[found[0]] = found[1].samples
     return samples
 
 
 def shared_chunks(audit: Audit) -> list[SharedChunk]:
-    """All chunks of readable layers; objects that must agree are together."""
+    """Return all chunks of readable layers. Objects that must agree are in one SharedChunk."""
     shared: dict[tuple[Any, ...], list[tuple[str, Entry]]] = defaultdict(list)
     for digest, facts in audit.facts.items():
         for index, found in audit.inventory.layers[digest].chunks.items():
@@ -163,25 +185,27 @@ def shared_chunks(audit: Audit) -> list[SharedChunk]:
 
 
 def contradictions(samples: dict[str, np.ndarray]) -> Iterator[Damage]:
-    """Pairs of objects of which one calls a texel void and the other lights it: either may be
-    wrong.
+    """Yield a damage for both objects of each pair of which one calls
+    a texel void and the other lights it: either may be wrong.
     """
     for one, other in combinations(samples, 2):
         both = samples[one], samples[other]
+        # Compare in both directions: void here and lit there.
         if any(((a == VOID) & (b > 0)).any() for a, b in (both, both[::-1])):
             yield Damage(one, f"it does not agree with {other} on which texels can hold light")
             yield Damage(other, f"it does not agree with {one} on which texels can hold light")
 
 
 def leftovers(inventory: Inventory, now: float) -> Sequence[Entry]:
-    """Half-written objects older than LEFT_AFTER seconds: their writers are gone."""
+    """Return the half-written objects older than LEFT_AFTER seconds: their writers are gone."""
     return [found for found in inventory.leftovers if found.age(now) > LEFT_AFTER]
 
 
 @dataclass(eq=False)
 class Repair:
-    """The result of a repair: ``moved`` gives the new key of each damaged object, None where it was
-    deleted.
+    """The result of a repair.
+
+    ``moved`` gives the new key of each damaged object, None if it was deleted.
     """
 
     audit: Audit
@@ -190,18 +214,19 @@ class Repair:
 
 
 def repair_store(store: Store, delete: bool = False, progress: Progress = no_progress) -> Repair:
-    """Audit a store, and move damaged objects to quarantine; with ``delete`` no copy of them is
-    kept.
+    """Audit a ``store``, move damaged objects to quarantine, and delete leftovers. Raises
+    StoreError.
 
-    Leftovers are deleted, too. Raises StoreError.
+    With ``delete``, damaged objects are deleted instead.
     """
     moved: dict[str, str | None] = {}
 
+    # Damaged objects are put away during the audit, so that servers bake them again soon.
     def put_away(damage: Damage) -> None:
+        """Move or delete a damaged object, once."""
         if damage.key in moved:
-            content = None
-        else:
-            content = store.read(damage.key)
+            return
+        content = store.read(damage.key)
         if content is None:
             return
         if delete:
@@ -223,13 +248,15 @@ def repair_store(store: Store, delete: bool = False, progress: Progress = no_pro
 
 
 MOST_LAYERS = 3
-"""Most layers of a bake: direct and indirect light, and glow."""
+"""Most layers of a bake: direct light, indirect light, and glow."""
 
 
 @dataclass(eq=False)
 class Count:
-    """One layer: its ``files`` and ``facts``, and the number of texels by their samples (VOID
-    included).
+    """One layer: its ``files`` and ``facts``, and the number of texels by their number of
+    ``samples``, VOID among them.
+
+    ``damaged`` counts the chunks that cannot be read.
     """
 
     files: LayerFiles
@@ -244,19 +271,19 @@ class Count:
 
     @property
     def void(self) -> int:
-        """Number of texels that can hold no light."""
+        """Number of texels that cannot hold light."""
         return self.samples[VOID]
 
     @property
     def paths(self) -> int:
-        """Number of paths in its light."""
+        """Number of paths in the light."""
         return sum(max(samples, 0) * texels for samples, texels in self.samples.items())
 
 
 @dataclass(eq=False)
 class Census:
-    """The readable layers of a store, and the costs of their bakes by the digests of the bakes'
-    layers.
+    """The readable layers of a store by their digests,
+    and the costs of bakes by the digests of the bakes' layers.
     """
 
     inventory: Inventory
@@ -265,8 +292,9 @@ class Census:
 
 
 def census_of(store: Store, texels: bool = True, progress: Progress = no_progress) -> Census:
-    """Count layers, and with ``texels`` read all chunks and count their texels. Raises
-    StoreError.
+    """Count the layers of a ``store``, and with ``texels`` read all chunks and count their texels.
+
+    Raises StoreError.
     """
     inventory = inventory_of(store.entries())
     counts = dict(each_layer(store, inventory))
@@ -276,30 +304,31 @@ def census_of(store: Store, texels: bool = True, progress: Progress = no_progres
 
 
 def each_layer(store: Store, inventory: Inventory) -> list[tuple[str, Count]]:
-    """The layers with readable metadata."""
+    """Return the digests and empty counts of the layers with readable metadata."""
     found = []
     for digest, files in inventory.layers.items():
         with suppress(DamagedChunkError):
-            found.append((digest, Count(files, twice(partial(read_facts, store, digest)))))
+            found.append((digest, Count(files, check_twice(partial(read_facts, store, digest)))))
     return found
 
 
 def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> None:
-    """Read all chunks, and count their texels."""
+    """Read all chunks of the layers, and add the samples of their texels to ``counts``."""
     chunks = [(count, index) for count in counts for index in count.files.chunks]
+    # Read chunks on several threads, and count them here, in order.
     with ThreadPoolExecutor(AUDIT_READERS) as pool:
         found = pool.map(lambda chunk: samples_in(store, *chunk), chunks)
         for number, ((count, _), samples) in enumerate(zip(chunks, found, strict=True), 1):
-            count.damaged += samples is None
-            values, many = np.unique(
-                np.empty(0) if samples is None else samples, return_counts=True
-            )
-            count.samples.update(dict(zip(map(int, values), map(int, many), strict=True)))
+            if samples is None:
+                count.damaged += 1
+            else:
+                values, texels = np.unique(samples, return_counts=True)
+                count.samples.update(dict(zip(map(int, values), map(int, texels), strict=True)))
             progress(number, len(chunks))
 
 
 def samples_in(store: Store, count: Count, index: tuple[int, int, int]) -> np.ndarray | None:
-    """The samples of a chunk's texels; None where it is damaged."""
+    """Return the sample counts of a chunk's texels; None if it is damaged."""
     found = texels_in(store, count, index)
     if found is None:
         return None
@@ -309,8 +338,8 @@ def samples_in(store: Store, count: Count, index: tuple[int, int, int]) -> np.nd
 def texels_in(
     store: Store, count: Count, index: tuple[int, int, int]
 ) -> tuple[np.ndarray, Part] | None:
-    """Offsets of a chunk's texels, and their part of a layer; none where it is gone, None where it
-    is damaged.
+    """Return the offsets of a chunk's texels and their part of a layer:
+    none if the object is gone, None if it is damaged.
     """
     facts = count.facts
     files = count.files
@@ -327,8 +356,10 @@ def texels_in(
 def costs_of(
     store: Store, inventory: Inventory, counts: dict[str, Count]
 ) -> dict[tuple[str, ...], Cost]:
-    """The costs of bakes. A bake's digest is made of its layers' digests, so bakes are found by
-    trying.
+    """Return the costs of bakes by the digests of their layers.
+
+    The digest of a bake is that of its layers' digests in order. It cannot be inverted, so all
+    combinations of layers are tried.
     """
     found = {}
     for layers in possible_bakes(counts):
@@ -339,7 +370,9 @@ def costs_of(
 
 
 def possible_bakes(counts: dict[str, Count]) -> Iterator[tuple[str, ...]]:
-    """Layers of the same lattice, which may form a bake, in any order."""
+    """Yield the layers of the same lattice,
+    up to MOST_LAYERS in any order, as they may form a bake.
+    """
     by_lattice = defaultdict(list)
     for digest, count in counts.items():
         by_lattice[repr(count.facts.lattice_facts)].append(digest)
@@ -349,7 +382,7 @@ def possible_bakes(counts: dict[str, Count]) -> Iterator[tuple[str, ...]]:
 
 
 def cost_in(stored: bytes) -> Cost:
-    """The sum of the costs in an object; zero where it is damaged."""
+    """Return the sum of the costs in an object; zero if it is damaged."""
     try:
         return reduce(Cost.plus, costs_in(stored).values(), Cost())
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -357,16 +390,16 @@ def cost_in(stored: bytes) -> Cost:
 
 
 BUSY_SECONDS = 60.0
-"""Seconds since its last write for which a layer counts as being written to."""
+"""Seconds after its last write for which a layer counts as being written to."""
 
 
 @dataclass(frozen=True)
 class PruneRule:
-    """Layers to delete: those not used for ``older_than`` seconds, and the longest unused beyond
-    ``keep`` bytes.
+    """A rule for choosing layers to delete.
 
-    With ``scene`` only layers of the scene or volume of that name go. With ``empty`` layers without
-    light go too.
+    Layers go if they were not used for ``older_than`` seconds, and the longest unused go until at
+    most ``keep`` bytes are left. With ``empty``, layers without light go, too. With ``scene``, only
+    layers of the scene or volume of that name go, and all of them if no other condition is given.
     """
 
     older_than: float = math.inf
@@ -377,8 +410,8 @@ class PruneRule:
 
 @dataclass(frozen=True, eq=False)
 class PrunePlan:
-    """The layers to delete, the longest unused first, and ``busy`` ones, which are being written to
-    and stay.
+    """The layers to delete, ``going``, the longest unused first,
+    and ``busy`` ones, which are being written to and stay.
     """
 
     going: tuple[Count, ...]
@@ -391,25 +424,29 @@ class PrunePlan:
 
 
 def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
-    """Choose the layers to delete by a ``rule``. Raises StoreError where the store does not know
-    ages.
+    """Choose the layers to delete by a ``rule``, at the time ``now``.
+
+    Raises StoreError if the store does not know ages.
     """
     counts = sorted(census.counts.values(), key=lambda count: count.files.used)
     if any(math.isnan(count.files.used) for count in counts):
         raise StoreError(
             "This store does not know when its objects were written: name the scene whose "
-            "light goes."
+            "light is to be deleted."
         )
-    wanted = chosen([count for count in counts if is_of(count, rule.scene)], rule, now)
-    busy = [count for count in wanted if now - newest(count.files) <= BUSY_SECONDS]
+    wanted = choose_layers([count for count in counts if is_of_scene(count, rule.scene)], rule, now)
+    # A bake that is going on would write its light again: leave its layers.
+    busy = [count for count in wanted if now - last_write(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
 
 
-def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
-    """The layers, the longest unused first, that a rule deletes."""
+def choose_layers(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
+    """Return the layers that a rule deletes, the longest unused first."""
     total = sum(count.files.size for count in counts)
     going = []
+    # A rule that names a scene and nothing else means all light of the scene.
     everything = rule.scene is not None and rule == PruneRule(scene=rule.scene)
+    # ``counts`` are sorted by last use, and ``total`` is the size that is left so far.
     for count in counts:
         old = now - count.files.used > rule.older_than
         empty = rule.empty and not count.files.chunks
@@ -419,24 +456,25 @@ def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
     return going
 
 
-def is_of(count: Count, name: str | None) -> bool:
-    """Whether a layer is of the scene, or of the volume, of that name; None stands for any."""
+def is_of_scene(count: Count, name: str | None) -> bool:
+    """Return True if a layer is of the scene or volume ``name``; None stands for any."""
     return name is None or name in (
         count.facts.attributes.get("scene"),
         count.facts.attributes.get("volume"),
     )
 
 
-def newest(files: LayerFiles) -> float:
-    """Time of the last write to a layer, stamps of use left out."""
+def last_write(files: LayerFiles) -> float:
+    """Return the time of the last write to a layer. Stamps of use are no writes of light."""
     return max(
         (found.written for found in files.objects if found is not files.stamp), default=-math.inf
     )
 
 
 def delete_layers(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
-    """Delete the layers of a plan, and costs of their bakes; returns the deleted objects. Raises
-    StoreError.
+    """Delete the layers of a plan, and the costs of their bakes; return the deleted objects.
+
+    Raises StoreError.
     """
     gone = [found for count in plan.going for found in count.files.objects] + stale_costs(
         census, plan
@@ -447,7 +485,7 @@ def delete_layers(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
 
 
 def stale_costs(census: Census, plan: PrunePlan) -> list[Entry]:
-    """The costs of bakes that lose a layer."""
+    """Return the cost objects of bakes that lose a layer."""
     going = {count.files.digest for count in plan.going}
     names = [digest_of(list(layers)) for layers in census.costs if going.intersection(layers)]
     return [census.inventory.costs[name] for name in names]
@@ -457,19 +495,19 @@ log = logging.getLogger("isogi.cache")
 
 
 def trim_projected(store: Store, most: int) -> int:
-    """Delete layers for single isovalues, the longest unused first, beyond ``most`` bytes at
-    ``store``; how many went.
+    """Delete layers for single isovalues, the longest unused first, until at most ``most`` bytes of
+    them are left.
 
-    These are of projected texels, and of walls.
-
-    What was written in the last minute stays. A store that knows no ages, or takes no writes now,
-    is left as it is.
+    Such layers are of projected texels and of walls. Layers that were written to in the last minute
+    stay. If the store knows no ages or takes no writes now, nothing is deleted. Return the number
+    of layers deleted.
     """
     try:
         census = census_of(store, texels=False)
+        # Layers with an isovalue of their own are of projected texels or of walls.
         counts = {
-            d: count
-            for d, count in census.counts.items()
+            digest: count
+            for digest, count in census.counts.items()
             if count.facts.attributes.get("shown") is not None
         }
         plan = plan_prune(replace(census, counts=counts), PruneRule(keep=most), store.now())

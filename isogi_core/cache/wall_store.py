@@ -1,9 +1,10 @@
 """The light of walls in a store: layers like all others, whose lattices lie on the walls.
 
-Light of walls has no isosurface of its own, so that there is a layer for each isovalue that it was
-baked for: see ``WallState``. A plane of its lattice has the texels of one half of the paths on a
-side of a wall. Which isovalues have light is noted beside them, for those in between (S3 bakes
-walls at levels of the range, and interpolates).
+Light of walls is that of one isosurface in the room, so there is a layer for each isovalue that it
+was baked for: see ``WallState``. A side of a wall has two planes of its layer's lattice, as its
+paths are kept in two halves, whose difference gives the noise. A note in the store lists the
+isovalues that have light, so that views in between can interpolate (S3 bakes walls at levels of the
+range).
 """
 
 import logging
@@ -26,26 +27,26 @@ from isogi_core.storage.store import Documents, Store
 log = logging.getLogger("isogi.cache")
 
 WALLS_FOLDER = "walls"
-"""The folder of notes of isovalues at the top of a store, and the kind of the layers."""
+"""Folder of the notes of isovalues at the top of a store, and the kind of the layers."""
 
 WALL_CHUNK_SIDE = 64
-"""The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in
-a few.
+"""Side of a chunk in texels and in planes:
+all sides of sixteen walls are then in one object, or in a few.
 """
 
 Side = tuple[int, int]
-"""A wall, by its number, and its side: 1 for its front, -1 for its back."""
+"""A wall by its number, and its side: 1 is the front, -1 the back."""
 
 Planes = tuple[np.ndarray, np.ndarray]
-"""E/π of each half, (planes, across, across, 3) float64, and paths of each half, (planes, across,
-across) int64.
+"""Means of E/π of each half, (planes, across, across, 3) float64,
+and their numbers of paths, (planes, across, across) int64.
 """
 
 
 @dataclass(frozen=True)
 class WallState:
-    """What the light of walls depends on besides its scene: the isovalue, and the albedo and glow
-    of views.
+    """The state that light of walls depends on besides its scene:
+    the isovalue, and the albedo and glow that a view asks for.
     """
 
     isovalue: float
@@ -54,19 +55,21 @@ class WallState:
 
 
 def wall_layer(scene: Scene) -> Layer:
-    """What texels of walls keep: E/π in linear RGB."""
+    """Return the layer that texels of walls keep: E/π in linear RGB."""
     return Layer(WALLS_FOLDER, channels=3, half=False, scale=scene.plan.layers[0].scale)
 
 
 def planes_of(side: Side) -> slice:
-    """The planes of the lattice that hold both halves of a side of a wall."""
+    """Return the planes of the lattice that hold both halves of a side of a wall:
+    four a wall, its front first.
+    """
     first = 4 * side[0] + 2 * int(side[1] < 0)
     return slice(first, first + 2)
 
 
 class WallLayer(LayerStore):
-    """The chunks of the light of all walls in one ``state``, with so many texels ``across`` the
-    longest edge of any.
+    """The chunks of the light of all walls in one ``state``, with ``across`` texels along the
+    longest edge of any wall.
 
     Methods raise StoreError.
     """
@@ -74,7 +77,7 @@ class WallLayer(LayerStore):
     def __init__(
         self, store: Store, prepared: PreparedScene, state: WallState, across: int
     ) -> None:
-        """Touch nothing yet."""
+        """Set up without a request to the store."""
         scene = prepared.scene
         digest = scene.wall_digest(
             state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale
@@ -91,7 +94,7 @@ class WallLayer(LayerStore):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The attributes of its array."""
+        """The attributes of the array."""
         return super().facts | {
             "texels": list(self.shape),
             "chunk": WALL_CHUNK_SIDE,
@@ -99,31 +102,33 @@ class WallLayer(LayerStore):
         }
 
     def planes(self) -> Planes:
-        """All light that is there; without paths elsewhere."""
+        """Read all light that is there; elsewhere the number of paths is 0."""
         means = np.zeros((*self.shape, 3))
         counts = np.zeros(self.shape, np.int64)
         for index in np.ndindex(*self.chunks):
             stored = self.read(index)
             if stored is not None:
                 offsets, part = self.decode(index, stored)
+                # Places in the lattice from offsets in the chunk.
                 z, y, x = (
                     np.unravel_index(offsets, (WALL_CHUNK_SIDE,) * 3)
                     + WALL_CHUNK_SIDE * np.array(index)[:, None]
                 )
                 means[z, y, x] = part.coefficients[:, :, 0]
+                # A part counts the samples of both randomisations, a plane those of one.
                 counts[z, y, x] = part.samples // 2
         return means, counts
 
     def keep(self, planes: Planes) -> None:
-        """Write light beside what is there: for each texel that of more paths stays."""
+        """Write light, merged with what is there: each texel keeps the light of more paths."""
         means, counts = planes
         for index in np.ndindex(*self.chunks):
-            own = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
-            sent = np.nonzero(counts[own])
+            block = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
+            sent = np.nonzero(counts[block])
             if len(sent[0]):
                 part = Part.dark(self.layer, len(sent[0]))
-                part.samples[:] = 2 * counts[own][sent]
-                part.coefficients[:, :, 0] = means[own][sent]
+                part.samples[:] = 2 * counts[block][sent]
+                part.coefficients[:, :, 0] = means[block][sent]
                 self.save(
                     index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part
                 )
@@ -132,17 +137,18 @@ class WallLayer(LayerStore):
 class WallStore:
     """The light of the walls of a ``prepared`` scene in a ``store``.
 
-    What cannot be read or written is named in the log: it is baked again, or is not kept.
+    Failures are logged and not raised: light that cannot be read is baked again, light that cannot
+    be written is not kept.
     """
 
     def __init__(self, store: Store, prepared: PreparedScene) -> None:
-        """Touch nothing yet."""
+        """Set up without a request to the store."""
         self._store = store
         self._prepared = prepared
         self._notes = Documents(store, WALLS_FOLDER)
 
     def planes(self, state: WallState, across: int) -> Planes | None:
-        """The light in a ``state``, with so many texels ``across``; None where there is none."""
+        """Read the light in a ``state`` with ``across`` texels; None if there is none."""
         try:
             means, counts = WallLayer(self._store, self._prepared, state, across).planes()
         except StoreError as error:
@@ -151,7 +157,7 @@ class WallStore:
         return (means, counts) if counts.any() else None
 
     def keep(self, state: WallState, planes: Planes) -> None:
-        """Write light in a ``state`` beside what is there, and note its isovalue."""
+        """Write light in a ``state``, merged with what is there, and note its isovalue."""
         try:
             WallLayer(self._store, self._prepared, state, planes[0].shape[1]).keep(planes)
             self._note(state)
@@ -159,14 +165,15 @@ class WallStore:
             log.info("Light of walls is not kept: %s", error)
 
     def around(self, state: WallState) -> tuple[WallState, WallState] | None:
-        """The states at the nearest isovalues below and above that have light; None where one side
-        has none.
+        """Return the states at the nearest isovalues below and above that have light;
+        None if one side has none.
         """
         try:
             known = self._isovalues(state)
         except StoreError as error:
-            log.info("Which isovalues have light of walls is not known: %s", error)
+            log.info("The isovalues that have light of walls cannot be read: %s", error)
             return None
+        # The isovalue lies between the noted ones k - 1 and k.
         k = bisect_left(known, state.isovalue)
         if not 0 < k < len(known):
             return None
@@ -174,15 +181,16 @@ class WallStore:
         return low, high
 
     def _note(self, state: WallState) -> None:
-        """Note that an isovalue has light. Raises StoreError."""
+        """Note that the isovalue of a ``state`` has light. Raises StoreError."""
         known = self._isovalues(state)
         if state.isovalue not in known:
             self._notes.write(self._name(state), {"isovalues": sorted([*known, state.isovalue])})
 
     def _isovalues(self, state: WallState) -> list[float]:
-        """The isovalues that were noted, ascending. Raises StoreError."""
+        """Return the noted isovalues with light, ascending. Raises StoreError."""
         found: Mapping[str, Any] = self._notes.read(self._name(state)) or {}
         return [float(value) for value in found.get("isovalues", ())]
 
     def _name(self, state: WallState) -> str:
+        """Return the name of the note for views of this albedo and glow."""
         return self._prepared.scene.wall_digest(state.albedo, state.glow)

@@ -1,3 +1,4 @@
-"""Stores of objects by key, in folders and object stores; each object is written whole or not at
-all.
+"""Stores of objects by key, in folders and in object stores.
+
+Each object is written whole or not at all.
 """

@@ -1,4 +1,4 @@
-"""Files and folders that are written whole or not at all, and where a user's own are."""
+"""Files and folders that are written whole or not at all, and the user's cache folder."""
 
 import os
 import shutil
@@ -14,26 +14,31 @@ PARTIAL_SUFFIX = ".partial"
 
 
 def user_cache(name: str) -> Path:
-    """The folder ``isogi/NAME`` in the user's cache folder, ``$XDG_CACHE_HOME`` or ``~/.cache``."""
+    """Return the folder ``isogi/NAME`` in the user's cache folder,
+    ``$XDG_CACHE_HOME`` or ``~/.cache``.
+    """
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "isogi" / name
 
 
 def check_folder(output: Path) -> None:
-    """Raise ViewError where the folder is missing that ``output``, a file or folder, is to be
-    written to.
+    """Raise ViewError if the folder is missing
+    that the file or folder ``output`` is to be written to.
     """
     if not output.parent.is_dir():
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
 
 
 def check_writable(output: Path, size: int) -> None:
-    """Raise UnwritableError if a file of ``size`` bytes cannot be written to ``output``: before
-    work whose result it is to hold. What is there stays.
+    """Raise UnwritableError if a file of ``size`` bytes cannot be written to ``output``.
+
+    Call it before the work whose result goes there. A file that is there stays as it is.
     """
     trial = output.with_name(f"{output.name}.{uuid4().hex}{PARTIAL_SUFFIX}")
     try:
         try:
             with trial.open("xb") as file:
+                # Ask the file system for the room, which is faster than writing, and fails as
+                # writing would.
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(file.fileno(), 0, max(size, 1))
         finally:
@@ -46,8 +51,9 @@ def check_writable(output: Path, size: int) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write the bytes to the file ``path``. A reader sees the former file or the new one, never a
-    part of it.
+    """Write ``data`` to the file ``path``.
+
+    A reader sees the former file or the new one, never a part of it.
     """
     with partial_file(path, data) as written:
         os.replace(written, path)
@@ -55,10 +61,10 @@ def write_whole(path: Path, data: bytes) -> None:
 
 @contextmanager
 def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
-    """Write ``data`` to a new file beside ``path``, for the block to rename; delete it afterwards
-    where it is left.
+    """Write ``data`` to a new file next to ``path``, for the block to rename; if the block leaves
+    it there, delete it.
 
-    ``sync`` brings the data to the disk before the block begins. Raises OSError.
+    With ``sync``, the data are on the disk before the block begins. Raises OSError.
     """
     written = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL_SUFFIX}")
     try:
@@ -74,8 +80,10 @@ def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """A new folder beside ``path`` for the block to fill. It gets that name afterwards; one that
-    failed is deleted.
+    """Yield the path of a folder next to ``path``, for the block to create and fill; then rename it
+    to ``path``.
+
+    If the block fails, the folder is deleted.
     """
     partial = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(partial, ignore_errors=True)
@@ -87,7 +95,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk, so that they survive a loss of power."""
+    """Write the names in a folder to the disk, so that they survive a loss of power."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,5 +1,5 @@
-"""Backends: the operations that every kind of store offers on objects by key, and the meaning of
-its errors.
+"""Backends: the operations that every kind of store offers
+on objects by key, and the meaning of its errors.
 """
 
 import errno
@@ -28,15 +28,16 @@ BUCKET_SCHEMES = frozenset(
 """Schemes of object stores."""
 
 SECRET_PARTS = re.compile(r"://[^/]*@|[?#]")
-"""Parts of a URL that may hold a password, or a key that is as good as one."""
+"""Parts of a URL that may hold a password, or a key that gives the same access."""
 
 
 @dataclass(frozen=True)
 class StoreUrl:
-    """A folder or ``url``, the ``seconds`` that one call to an object store may take, and its
-    ``retries``.
+    """The folder or ``url`` of a store, the ``seconds`` that one call to an object store may take,
+    and its ``retries``.
 
-    Raises StoreUrlError where the URL holds a secret: each process has credentials of its own.
+    Raises StoreUrlError if the URL holds a secret: URLs are logged and passed on, while each
+    process has credentials of its own.
     """
 
     url: str
@@ -48,8 +49,8 @@ class StoreUrl:
             scheme = self.url.partition("://")[0]
             raise StoreUrlError(
                 f"The store's {scheme}:// URL must not hold a password or a key "
-                "(user:password@, or what follows ?):"
-                " put credentials into the environment of the server and of each worker."
+                "(user:password@, or a query after ?): put credentials into the environment of the "
+                "server and of each worker."
             )
 
     def __str__(self) -> str:
@@ -57,7 +58,7 @@ class StoreUrl:
 
     @classmethod
     def of(cls, name: "str | Path | StoreUrl") -> "StoreUrl":
-        """The store URL of this name; a StoreUrl is returned as it is."""
+        """Return the store URL of a folder or URL; a StoreUrl is returned as it is."""
         if isinstance(name, StoreUrl):
             return name
         return cls(str(name))
@@ -75,19 +76,19 @@ class StoreUrl:
 
     @property
     def folder(self) -> Path:
-        """The path of the folder, where it is one."""
+        """The path of the folder, if the store is one."""
         return Path(self.url.removeprefix("file://"))
 
     @property
     def remote(self) -> bool:
-        """Whether it is an object store, where each call is a round trip."""
+        """True if the store is an object store, where each call is a round trip."""
         return self.scheme in BUCKET_SCHEMES
 
 
 @dataclass(frozen=True)
 class StoredObject:
-    """The bytes of an object, and the ``tag`` (ETag) of this content; empty where the store has no
-    tags.
+    """The bytes of an object, and the ``tag`` (ETag) of this content;
+    empty if the store has no tags.
     """
 
     data: bytes
@@ -95,8 +96,8 @@ class StoredObject:
 
 
 class Entry(NamedTuple):
-    """An object in a listing: key, size in bytes, time of writing by the store's calendar (NaN
-    where unknown).
+    """An object in a listing: key, size in bytes, and time of writing by the store's calendar, NaN
+    if unknown.
 
     Ages serve display and cleaning up. They never decide which writer may write.
     """
@@ -106,29 +107,32 @@ class Entry(NamedTuple):
     written: float
 
     def age(self, now: float) -> float:
-        """Seconds since the object was written."""
+        """Return the seconds since the object was written."""
         return now - self.written
 
 
 class Backend(Protocol):
-    """Objects by keys such as ``a/b``. Methods raise OSError, with an errno where the cause is
-    known.
+    """Objects by keys such as ``a/b``.
+
+    Methods raise OSError, with an errno if the cause is known.
     """
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None where there is none. Returns ``known`` itself where the store says
-        it is unchanged.
+        """Read an object; None if there is none.
+
+        Return ``known`` itself if the store says that it is unchanged.
         """
         ...
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``; ChangedError where another was written meanwhile,
-        if detectable.
+        """Write an object in place of ``former``, None if there was none.
+
+        Raises ChangedError if another was written meanwhile and the backend can tell.
         """
         ...
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel; ChangedError where there is one."""
+        """Write the sentinel. Raises ChangedError if there is one."""
         ...
 
     def delete(self, key: str) -> None:
@@ -136,8 +140,8 @@ class Backend(Protocol):
         ...
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; an empty ``folder`` is the top of
-        the store.
+        """List the names of the folders right under ``folder``;
+        an empty ``folder`` is the top of the store.
         """
         ...
 
@@ -154,8 +158,9 @@ class Backend(Protocol):
         ...
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise. ``data`` is the sentinel's content; nothing is
-        changed.
+        """Raise the error that a write would raise, and change nothing.
+
+        ``data`` is the sentinel's content.
         """
         ...
 
@@ -168,8 +173,11 @@ WRITING_VERBS = ("write", "make", "delete")
 
 
 def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAwayError:
-    """Translate a backend's ``error`` into one of ours. ``action`` completes "Cannot …", such as
-    "write a/b to".
+    """Return our error for a backend's ``error``. ``action`` completes "Cannot …", such as "write
+    a/b to".
+
+    It is StoreFullError if there is no room, StoreReadOnlyError if a write is not permitted, else
+    StoreAwayError.
     """
     if isinstance(error, OSError):
         number = error.errno
@@ -178,15 +186,16 @@ def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAway
     sentence = f"Cannot {action} the store at {store_url}: {one_line(error)}"
     if number in FULL_ERRNOS:
         return StoreFullError(f"{sentence}; the store is full: make room, and baking goes on.")
+    # A refused read does not mean that the store is read-only.
     if number in READ_ONLY_ERRNOS and action.startswith(WRITING_VERBS):
         return StoreReadOnlyError(
-            f"{sentence}; what is there is served, and nothing more is baked."
+            f"{sentence}; the light that is there is served, and nothing more is baked."
         )
     return StoreAwayError(f"{sentence}.")
 
 
 def one_line(error: Exception) -> str:
-    """The message of a foreign error on one line, without full stop and errno."""
+    """Return the message of a foreign error on one line, without full stop and errno."""
     if isinstance(error, OSError) and error.strerror:
         message = error.strerror
     else:

@@ -1,4 +1,4 @@
-"""Calls to a store, counted by what they do: how many, the time they took, and how many failed."""
+"""Statistics of the calls to a store by kind: their number, their time, and how many failed."""
 
 import threading
 import time
@@ -11,12 +11,13 @@ from isogi_core.storage.backend import Backend, Entry, StoredObject
 
 
 class Calls:
-    """Counts of calls by kind: ``get``, ``put``, ``delete``, ``move`` and ``list``. Any thread may
-    use it.
+    """Statistics of calls by kind: ``get``, ``put``, ``delete``, ``move`` and ``list``.
+
+    ``seconds`` is the sum of their times. Safe to use from many threads.
     """
 
     def __init__(self) -> None:
-        """None yet."""
+        """Begin at zero."""
         self.count: Counter[str] = Counter()
         self.failed: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
@@ -24,9 +25,9 @@ class Calls:
 
     @contextmanager
     def counting(self, kind: str) -> Iterator[None]:
-        """Count the block as a call of a ``kind``, failed if it raises.
+        """Count the block as a call of a ``kind``, which has failed if the block raises.
 
-        One that finds that somebody else has written is none that failed.
+        A ChangedError is no failure: the store has answered that another writer was faster.
         """
         begun = time.perf_counter()
         failed = 0
@@ -39,6 +40,7 @@ class Calls:
             raise
         finally:
             seconds = time.perf_counter() - begun
+            # Counters are not atomic.
             with self._lock:
                 self.count[kind] += 1
                 self.failed[kind] += failed
@@ -46,10 +48,10 @@ class Calls:
 
 
 class CountedBackend:
-    """A ``backend`` whose ``calls`` are counted."""
+    """A backend that counts the calls to another ``backend`` in ``calls``."""
 
     def __init__(self, backend: Backend, calls: Calls) -> None:
-        """Pass all calls on to a backend."""
+        """Pass all calls on to ``backend``."""
         self._backend = backend
         self._calls = calls
 

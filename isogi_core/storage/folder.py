@@ -1,8 +1,8 @@
 """Folders as backends of a store: on a local disk, on a network drive, or behind an fsspec file
 system.
 
-A folder of this machine also keeps copies of a remote store's objects: what is read again is not
-sent again.
+A folder of this machine also keeps copies of a remote store's objects, so that unchanged objects
+are not sent again.
 """
 
 import fcntl
@@ -33,27 +33,27 @@ from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
 TRIAL_OBJECT = bytes(1 << 16)
-"""Bytes that are written, and deleted, to see whether there is room."""
+"""Bytes that are written and deleted to see whether there is room."""
 
 FOLDER_TRIES = 9
-"""Times that a folder is made for an object while others delete it."""
+"""Tries of making a folder for an object while others delete it as empty."""
 
 
 class Folder:
-    """Objects as files under ``path``. Each is written beside its path and then renamed: it is
+    """Objects as files under ``path``. Each is written to a partial file and then renamed, so it is
     whole or absent.
 
-    A writer locks the file ``sentinel`` while it compares and replaces, so that nobody writes in
-    between.
+    A writer locks the file ``sentinel`` while it compares and replaces an object, so that no other
+    writes in between.
     """
 
     def __init__(self, path: Path, sentinel: str) -> None:
-        """Touch nothing yet."""
+        """Set up without touching the disk."""
         self.path = path
         self.sentinel = sentinel
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None where there is none."""
+        """Read an object; None if there is none."""
         try:
             with open(f"{self.path}/{key}", "rb", buffering=0) as file:
                 return StoredObject(file.read())
@@ -61,10 +61,13 @@ class Folder:
             return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``; ChangedError where another was written
-        meanwhile.
+        """Write an object in place of ``former``.
+
+        Raises ChangedError if another was written meanwhile.
         """
         path = self.path / key
+        # Write the data before taking the lock, as that takes long: under the lock are one read and
+        # one rename.
         with (
             open_descriptor(self.path / self.sentinel, os.O_RDWR) as lock,
             self._partial(path, data) as written,
@@ -76,8 +79,9 @@ class Folder:
 
     @contextmanager
     def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
-        """A partial file for ``path``; its folder is made, and made again where a deleter removes
-        it meanwhile.
+        """Yield a partial file for ``path``, in its folder, which is made if it is missing.
+
+        If a deleter removes the folder as empty in between, make it again.
         """
         for left in reversed(range(FOLDER_TRIES)):
             with ExitStack() as stack:
@@ -92,27 +96,33 @@ class Folder:
                 return
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel, and bring it to the disk before anything else; ChangedError where
-        there is one.
+        """Write the sentinel, and bring it to the disk before anything else.
+
+        Raises ChangedError if there is one.
         """
+        # The sentinel marks the store as present, so it must survive a loss of power if light does.
         self.path.mkdir(parents=True, exist_ok=True)
         with partial_file(self.path / self.sentinel, data, sync=True) as written:
             try:
+                # Unlike a rename, a hard link fails if the name is taken.
                 os.link(written, self.path / self.sentinel)
             except FileExistsError:
-                raise ChangedError(f"There is a {self.sentinel} by now.") from None
+                raise ChangedError(
+                    f"Another process has written {self.sentinel} meanwhile."
+                ) from None
             except OSError:  # a file system without hard links
                 os.replace(written, self.path / self.sentinel)
         sync_folder(self.path)
 
     def delete(self, key: str) -> None:
-        """Delete an object, if it is there, and the folders that are empty then."""
+        """Delete an object, if it is there, and folders that become empty."""
         (self.path / key).unlink(missing_ok=True)
         self._remove_empty((self.path / key).parent)
 
     def _remove_empty(self, folder: Path) -> None:
-        """Remove empty folders from here up to the top, which stays; a writer makes its folder
-        again.
+        """Remove empty folders from ``folder`` up to the store's top, which stays.
+
+        A writer makes its folder again.
         """
         with suppress(OSError):
             while folder != self.path:
@@ -128,14 +138,14 @@ class Folder:
             return []
 
     def keys(self, folder: str) -> Iterator[str]:
-        """List the keys of all objects under ``folder``, but for half-written ones."""
+        """List the keys of all objects under ``folder``, without half-written ones."""
         for base, _, files in os.walk(self.path / folder):
             for name in files:
                 if not name.endswith(PARTIAL_SUFFIX):
                     yield Path(base, name).relative_to(self.path).as_posix()
 
     def entries(self) -> Iterator[Entry]:
-        """List all files, but for those that vanish meanwhile; links are not followed."""
+        """List all files, without those that vanish meanwhile. Links are not followed."""
         for base, _, files in os.walk(self.path):
             for path in (Path(base, name) for name in files):
                 with suppress(FileNotFoundError):
@@ -151,8 +161,9 @@ class Folder:
             os.replace(self.path / key, self.path / to)
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise. The file that is written for this is deleted
-        again.
+        """Raise the error that a write would raise.
+
+        The file that is written for this is deleted again.
         """
         with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
@@ -160,7 +171,7 @@ class Folder:
 
 @contextmanager
 def open_descriptor(path: Path, flags: int) -> Iterator[int]:
-    """Open a file for the block and yield its descriptor; closing it gives its lock back."""
+    """Open a file for the block and yield its descriptor. Closing it releases its lock."""
     descriptor = os.open(path, flags)
     try:
         yield descriptor
@@ -169,7 +180,7 @@ def open_descriptor(path: Path, flags: int) -> Iterator[int]:
 
 
 class FileSystem:
-    """Objects under a store URL that Zarr opens."""
+    """Objects under a store URL that Zarr opens, such as those of fsspec."""
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
         """Open the store as Zarr does."""
@@ -177,20 +188,23 @@ class FileSystem:
         self._store: Store = sync(make_store(store_url.url, mode="a"))
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None where there is none."""
+        """Read an object; None if there is none."""
         stored = sync(self._store.get(key, default_buffer_prototype()))
         if stored is None:
             return None
         return StoredObject(stored.to_bytes())
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object; ChangedError where another is found right before."""
+        """Write an object.
+
+        Raises ChangedError if another is found right before; a later one is overwritten.
+        """
         if self.get(key) != former:
             raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
         self._set(key, data)
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel; ChangedError where there is one."""
+        """Write the sentinel. Raises ChangedError if there is one."""
         self.put(self.sentinel, data, None)
 
     def delete(self, key: str) -> None:
@@ -198,8 +212,8 @@ class FileSystem:
         sync(self._store.delete(key))
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; names with a dot are objects
-        here.
+        """List the names of the folders right under ``folder``;
+        names with a dot are objects here.
         """
         names = {name.partition("/")[0] for name in sync(listed(self._store.list_dir(folder)))}
         return sorted(name for name in names if "." not in name)
@@ -209,7 +223,7 @@ class FileSystem:
         yield from sync(listed(self._store.list_prefix(folder)))
 
     def entries(self) -> Iterator[Entry]:
-        """List all objects; the times of writing are unknown."""
+        """List all objects. Their times of writing are unknown."""
         for key in self.keys(""):
             yield Entry(key, sync(self._store.getsize(key)), math.nan)
 
@@ -221,35 +235,37 @@ class FileSystem:
             self.delete(key)
 
     def check_writable(self, data: bytes) -> None:
-        """Write the sentinel once more."""
+        """Write the sentinel once more, unchanged."""
         self._set(self.sentinel, data)
 
     def _set(self, key: str, data: bytes) -> None:
-        """Write the object ``key``, whatever is there."""
+        """Write the object ``key``, regardless of a former one."""
         sync(self._store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
 
 
 async def listed(names: AsyncIterator[str]) -> list[str]:
-    """Collect the names."""
+    """Return the names as a list."""
     return [name async for name in names]
 
 
 log = logging.getLogger("isogi.cache")
 
 ROOM_MADE = 0.9
-"""Share of the room that stays filled when the oldest copies are deleted."""
+"""Share of the room that stays filled when the oldest copies are deleted,
+so that a scan serves many writes.
+"""
 
 
 class Copies:
-    """At most ``most`` bytes of objects of the store ``url`` in ``folder``; the oldest of any store
-    are deleted first.
+    """Copies of objects of the store ``url`` in ``folder``, at most ``most`` bytes together with
+    other stores' there.
 
-    Several processes may share the folder. A copy that cannot be written is left out, and a damaged
-    one is not used. Safe to use from many threads.
+    The longest unused are deleted first. Several processes may share the folder. A copy that cannot
+    be written is left out, and a damaged one is not used. Safe to use from many threads.
     """
 
     def __init__(self, url: str, most: int, folder: Path | None = None) -> None:
-        """Touch nothing yet."""
+        """Set up without touching the disk."""
         self._url = url
         self._most = most
         self._folder = folder or user_cache("chunks")
@@ -257,13 +273,15 @@ class Copies:
         self._grown = most  # as if full: the first put scans the folder
 
     def get(self, key: str) -> StoredObject | None:
-        """Read the copy of an object; None where there is none."""
+        """Read the copy of an object; None if there is none, or if it is damaged."""
         path = self._path(key)
         try:
             kept = path.read_bytes()
+            # The time of the file orders copies by their last use.
             os.utime(path)
         except OSError:
             return None
+        # A copy is a line with the checksum, a line with the tag, and the data.
         checksum, _, rest = kept.partition(b"\n")
         tag, _, data = rest.partition(b"\n")
         if checksum == checksum_of(rest):
@@ -271,7 +289,7 @@ class Copies:
         return None
 
     def put(self, key: str, found: StoredObject) -> None:
-        """Write a copy. An object without a tag gets none: it could never be used."""
+        """Write a copy. An object without a tag gets none, as the store could not confirm it."""
         if not found.tag:
             return
         rest = found.tag.encode() + b"\n" + found.data
@@ -280,19 +298,22 @@ class Copies:
             write_whole(self._path(key), checksum_of(rest) + b"\n" + rest)
             self._make_room(len(rest))
         except OSError as error:
-            log.info("A copy of light cannot be kept at %s: %s", self._folder, error)
+            log.info("A copy of light cannot be written to %s: %s", self._folder, error)
 
     def _path(self, key: str) -> Path:
+        """Return the file of a copy, named by a digest of the store's URL and the key."""
         return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()
 
     def _make_room(self, size: int) -> None:
-        """Delete the oldest copies, each time that a tenth of the room was filled since the last
-        scan.
+        """Delete the longest unused copies, but only each time
+        that a tenth of the room was filled since the last scan.
         """
         with self._lock:
             self._grown += size
             if self._grown <= (1.0 - ROOM_MADE) * self._most:
                 return
+            # Scan the folder, which other processes may share, and delete the longest unused copies
+            # of any store.
             self._grown = 0
             with os.scandir(self._folder) as entries:
                 files = sorted(
@@ -307,5 +328,5 @@ class Copies:
 
 
 def checksum_of(data: bytes) -> bytes:
-    """The checksum that a copy begins with."""
+    """Return the checksum that a copy begins with."""
     return b"%08x" % google_crc32c.value(data)

@@ -1,4 +1,6 @@
-"""A bucket of an object store (S3, Google, Azure, or read by HTTP) as a backend, by obstore."""
+"""A bucket of an object store (S3, Google, Azure, or read by HTTP)
+as a backend, by means of obstore.
+"""
 
 import errno
 import os
@@ -12,7 +14,7 @@ from isogi_core.errors import ChangedError, StoreError
 from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 CONNECT_SECONDS = 2.0
-"""Seconds within which a connection must be made; less where the whole call has less."""
+"""Seconds within which a connection must be made, or less if the whole call has less."""
 
 FIRST_PAUSE = timedelta(milliseconds=100)
 LONGEST_PAUSE = timedelta(seconds=1)
@@ -28,28 +30,30 @@ CALL_VARIABLES = (
     "PROXY_CA_CERTIFICATE",
     "PROXY_EXCLUDES",
 )
-"""Environment variables, without their prefix, that say how calls are made; obstore reads the
-others by itself.
+"""Environment variables, without their prefix, of options of calls;
+obstore reads the others by itself.
 """
 
 FULL_ANSWERS = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
 """Words in the answers of object stores that have no room."""
 
 NOT_IMPLEMENTED = "status code: 501"
-"""The answer to a conditional write where a store has none."""
+"""Words in the answer to a conditional write from a store that has none."""
 
 READ_ONLY_ANSWERS = ("status code: 405", NOT_IMPLEMENTED)
-"""Answers of HTTP servers that are read-only."""
+"""Words in the answers of HTTP servers that are read-only."""
 
 
 class Bucket:
-    """Objects under a bucket's prefix. Raises OSError with EACCES, ENOSPC or EROFS, and with EIO
-    for all else.
+    """Objects under a bucket's prefix.
+
+    Methods raise OSError with EACCES, ENOSPC or EROFS, and with EIO for all other causes.
     """
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
-        """Connect to nothing yet. StoreError where obstore is missing, or the environment is not
-        enough.
+        """Set up without a connection.
+
+        Raises StoreError if obstore is not installed, or rejects the URL or the environment.
         """
         try:
             import obstore  # noqa: PLC0415 (an extra)
@@ -61,6 +65,7 @@ class Bucket:
             ) from None
         self.sentinel = sentinel
         self._obstore: Any = obstore
+        # This checks the URL and the environment, and opens no connection.
         try:
             connect: Any = from_url
             self._store = connect(
@@ -74,10 +79,14 @@ class Bucket:
             ) from None
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None where it, or the bucket, is not there."""
+        """Read an object; None if it or the bucket does not exist.
+
+        Return ``known`` if its tag is still that of the object.
+        """
         errors = self._obstore.exceptions
         with self._translated_errors():
             try:
+                # Ask the store to send the object only if its tag is another one.
                 if known is not None and known.tag:
                     options = {"if_none_match": known.tag}
                 else:
@@ -90,13 +99,18 @@ class Bucket:
                 return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``. A store without conditional writes takes it in
-        any case.
+        """Write an object in place of ``former``. Raises ChangedError if another was written
+        meanwhile.
+
+        A store without conditional writes takes the object in any case.
         """
         errors = self._obstore.exceptions
-        mode: Any = (
-            "create" if former is None else {"e_tag": former.tag} if former.tag else "overwrite"
-        )
+        # Write only if there is no object, or only if its tag is that of ``former``.
+        mode: Any = "overwrite"
+        if former is None:
+            mode = "create"
+        elif former.tag:
+            mode = {"e_tag": former.tag}
         with self._translated_errors():
             try:
                 self._put(key, data, mode)
@@ -106,15 +120,19 @@ class Bucket:
                 ) from None
 
     def _put(self, key: str, data: bytes, mode: Any) -> None:
+        """Write an object, without the condition ``mode``
+        if the store has no conditional writes.
+        """
         try:
             self._obstore.put(self._store, key, data, mode=mode, use_multipart=False)
         except (self._obstore.exceptions.GenericError, NotImplementedError) as error:
+            # Only a store without conditional writes is written to without the condition.
             if not isinstance(error, NotImplementedError) and NOT_IMPLEMENTED not in str(error):
                 raise
             self._obstore.put(self._store, key, data, use_multipart=False)
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel; ChangedError where there is one."""
+        """Write the sentinel. Raises ChangedError if there is one."""
         self.put(self.sentinel, data, None)
 
     def delete(self, key: str) -> None:
@@ -155,7 +173,7 @@ class Bucket:
             self._obstore.delete(self._store, key)
 
     def check_writable(self, data: bytes) -> None:
-        """Write the sentinel once more, unchanged: nobody has to delete it then."""
+        """Write the sentinel once more, unchanged: there is nothing to delete afterwards."""
         found = self.get(self.sentinel)
         if found is not None:
             with suppress(ChangedError):
@@ -171,19 +189,18 @@ class Bucket:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
             message = str(error)
-            full, closed = (
-                any(word in message for word in words)
-                for words in (FULL_ANSWERS, READ_ONLY_ANSWERS)
-            )
-            raise OSError(
-                errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)
-            ) from None
+            number = errno.EIO
+            if any(words in message for words in FULL_ANSWERS):
+                number = errno.ENOSPC
+            elif any(words in message for words in READ_ONLY_ANSWERS):
+                number = errno.EROFS
+            raise OSError(number, sentence(error)) from None
 
 
 def call_options(store_url: StoreUrl) -> dict[str, Any]:
-    """Options of calls: time limits from the store URL, all else from the environment.
+    """Return the options of calls: time limits from the store URL, all others from the environment.
 
-    Plain HTTP is used for http:// URLs, and where AWS_ALLOW_HTTP is set.
+    Plain HTTP is used for http:// URLs, and if AWS_ALLOW_HTTP is set.
     """
     connecting = timedelta(seconds=min(CONNECT_SECONDS, store_url.seconds))
     prefix = VARIABLE_PREFIXES.get(store_url.scheme, "AZURE")
@@ -196,6 +213,8 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
         plain = {"allow_http": "true"}
     else:
         plain = {}
+    # Options from the environment win over the default for http://, and the store URL's time limits
+    # over both.
     return {
         **plain,
         **given,
@@ -205,7 +224,9 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
 
 
 def retry_options(store_url: StoreUrl) -> dict[str, Any]:
-    """Options of retries: how often a failed call is tried again, and after which pauses."""
+    """Return the options of retries:
+    how often a failed call is tried again, and after which pauses.
+    """
     return {
         "max_retries": store_url.retries,
         "retry_timeout": timedelta(seconds=store_url.seconds * (1 + store_url.retries)),
@@ -219,16 +240,17 @@ CONNECTION_FAULTS = {
     "error decoding response body": "the connection broke in the middle of an answer",
     "operation timed out": "no answer came in time",
 }
-"""What calls without a whole answer say of themselves, and what a person reads instead."""
+"""Words in errors of calls without a whole answer, and the sentence that a person reads instead."""
 
 
 def sentence(error: Exception) -> str:
-    """The server's answer in an error of obstore, without addresses, queries, documents and debug
-    text.
+    """Return the server's answer in an error of obstore,
+    without addresses, queries, documents and debug text.
     """
     if broken := next(
         (said for words, said in CONNECTION_FAULTS.items() if words in str(error)), None
     ):
         return broken
+    # The answer is on the first line, after the last dash and before a document or a nested error.
     first = re.split(r": [<{]", str(error).partition("\n")[0])[0].rpartition(" - ")[2]
     return re.sub(r"\?\S+", "?…", first).strip().rstrip(".") or type(error).__name__

@@ -1,6 +1,7 @@
-"""The store: objects by key at one URL, and whether the store can be reached and written to.
+"""The store: objects by key at one URL, and checks that the store can be reached and written to.
 
-Beside the light there are small JSON documents.
+A store is recognised by its sentinel. If a drive is not mounted or a bucket is gone, the sentinel
+is missing, too: absent objects are then reported as an absent store, and not as light to be baked.
 """
 
 import json
@@ -43,8 +44,8 @@ SENTINEL_CONTENT = json.dumps({"kind": "isogi light", "format": STORE_FORMAT}).e
 """The sentinel's content."""
 
 CHECKED = 1.0
-"""Seconds for which a check of the sentinel stands, and after which an unreachable store is checked
-again.
+"""Seconds for which a check of the sentinel stands,
+and after which an unreachable store is checked again.
 """
 
 CHECK_SECONDS = 0.5
@@ -57,7 +58,7 @@ LOCAL_READERS = 4
 """Reads at once from a store on this machine, where unpacking takes the time."""
 
 LOG_SECONDS = 600.0
-"""Seconds in which news of an object is logged once."""
+"""Seconds in which the same message of an object is logged once."""
 
 WRITE_RETRY_SECONDS = 10.0
 """Seconds after which a read-only store is tested again for writing."""
@@ -69,7 +70,7 @@ SENTINEL_GONE = (
 
 
 def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
-    """Raise StoreError where a store's sentinel is damaged, or of another format."""
+    """Raise StoreError if a store's sentinel is damaged or of another format."""
     try:
         version = json.loads(sentinel)["format"]
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -87,9 +88,9 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
 class Store:
     """All objects at a ``url``. Safe to use from many threads.
 
-    ``make`` is whether a place without a sentinel is taken for a new store and gets one; workers do
-    not make stores. ``copies`` are local copies of remote objects. ``readers``, ``most_readers``
-    threads, read for all scenes and their variants together. A pickled store holds its URL alone:
+    If ``make``, a place without a sentinel is taken for a new store and gets one; workers do not
+    make stores. ``copies`` are local copies of remote objects. ``readers``, ``most_readers``
+    threads, read for all scenes and their variants together. A pickled store holds only its URL:
     the other process connects with its own credentials.
     """
 
@@ -100,7 +101,7 @@ class Store:
         copies: Copies | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Connect to nothing yet. Raises StoreUrlError for a URL that holds a secret."""
+        """Set up without a connection. Raises StoreUrlError for a URL that holds a secret."""
         self.url = StoreUrl.of(url)
         self.make = make
         self.copies = copies
@@ -112,6 +113,8 @@ class Store:
         self.readers: Executor = ThreadPoolExecutor(self.most_readers, "loader")
         self.calls = Calls()
         self._clock = clock
+        # The state of the connection: the backend, once made; the sentinel, once seen; and the
+        # error of the last check, which stands until a time.
         self._made: Backend | None = None
         self._seen = False
         self._without_sentinel = False
@@ -120,9 +123,9 @@ class Store:
         self._tried = 0.0
         self._lock = threading.RLock()
         self._opening = threading.Lock()
-        self._looking: threading.Thread | None = None
-        self._told: dict[str, float] = {}
-        self._answered = 0.0
+        self._checker: threading.Thread | None = None
+        self._logged: dict[str, float] = {}
+        self._last_answer = 0.0
 
     def __repr__(self) -> str:
         return f"Store({self.url.url!r})"
@@ -132,7 +135,7 @@ class Store:
 
     @classmethod
     def of(cls, store: "StoreLike") -> "Store":
-        """The store at a URL; a Store is returned as it is."""
+        """Return the store at a URL; a Store is returned as it is."""
         if isinstance(store, Store):
             return store
         return cls(store)
@@ -142,29 +145,29 @@ class Store:
         self.check_reachable()
 
     def get(self, key: str) -> StoredObject | None:
-        """Read an object from the store; None where there is none. Raises StoreError."""
+        """Read an object from the store; None if there is none. Raises StoreError."""
         return self._get(key, None)
 
     def read(self, key: str) -> bytes | None:
-        """Read the bytes of an object from the store; None where there is none. Raises
-        StoreError.
-        """
+        """Read the bytes of an object from the store; None if there is none. Raises StoreError."""
         found = self.get(key)
         return None if found is None else found.data
 
     def now(self) -> float:
-        """The time of this machine's calendar, which is taken to be near the one that objects are
-        dated by.
+        """Return the time of this machine's calendar,
+        which is taken to agree with the one that dates objects.
         """
         return time.time()
 
     def view(self, key: str) -> bytes | None:
-        """Read the bytes of an object that ends with a checksum, from a local copy where the store
+        """Read the bytes of an object that ends with a checksum, from a local copy if the store
         confirms that it is unchanged.
 
-        A damaged object is read once more, without the copy, and is never kept as one: the store
-        would confirm it for ever by the tag of the sound object.
+        A damaged object is read once more, without the copy. Only sound objects are copied: the
+        store would confirm a damaged copy for ever by the tag of the sound object.
         """
+        # Send the tag of a sound copy along, so that the store sends an object only if it is
+        # another one.
         if self.copies is None:
             known = None
         else:
@@ -172,29 +175,29 @@ class Store:
         if known is not None and not is_sound(known.data):
             known = None
         found = self._get(key, known)
-        if found is None or found is known:
-            return None if found is None else found.data
-        found = self._sound(key, found)
-        if self.copies is not None and found is not None and is_sound(found.data):
-            self.copies.put(key, found)
+        if found is not None and found is not known:
+            found = self._sound(key, found)
+            if self.copies is not None and found is not None and is_sound(found.data):
+                self.copies.put(key, found)
         return None if found is None else found.data
 
     def get_sound(self, key: str) -> StoredObject | None:
-        """Read an object that ends with a checksum from the store, as ``get`` does; once more if
-        what came is damaged, as the damage may be of the answer alone.
+        """Read an object that ends with a checksum from the store, as ``get`` does.
+
+        A damaged one is read once more, as the damage may be of the answer alone.
         """
         return self._sound(key, self.get(key))
 
     def _sound(self, key: str, found: StoredObject | None) -> StoredObject | None:
-        """What was found of a remote object, read again if it is damaged."""
+        """Return an object that was read; if it is remote and damaged, read it again."""
         if found is None or not self.url.remote or is_sound(found.data):
             return found
         return self._get(key, None)
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``, which is None where there was none.
+        """Write an object in place of ``former``, which is None if there was none.
 
-        Raises StoreError, and ChangedError where another was written meanwhile, if the store can
+        Raises StoreError, and ChangedError if another was written meanwhile and the store can
         detect that.
         """
         with self._writing(f"write {key} to"):
@@ -211,7 +214,7 @@ class Store:
             self._backend.move(key, to)
 
     def entries(self) -> list[Entry]:
-        """List all objects with sizes and dates, half-written ones included, by key."""
+        """List all objects with sizes and dates, half-written ones included, sorted by key."""
         self._check_after_failure()
         with self._translated_errors("list what is in"):
             return sorted(self._backend.entries())
@@ -221,12 +224,14 @@ class Store:
         return self.folders("")
 
     def folders(self, folder: str) -> list[str]:
-        """List the folders right under ``folder``. The list is empty only where the store is there
-        to say so.
+        """List the folders right under ``folder``.
+
+        An empty list means that the store is there and has none.
         """
         self._check_after_failure()
         with self._translated_errors(f"list {folder or 'all'} in"):
             names = self._backend.folders(folder)
+        # A store that is gone lists nothing either: make sure that it is there.
         if not names:
             self.check_reachable()
         return names
@@ -240,16 +245,18 @@ class Store:
     def check_reachable(self) -> None:
         """Raise StoreAwayError unless the sentinel can be read; a check stands for CHECKED seconds.
 
-        While one thread checks a store that was away, the others get the former error at once; so
-        does the one that asks, where a remote store does not answer soon.
+        While one thread checks a store that was away, other threads get the former error without
+        waiting. If the store is remote and does not answer soon, so does the thread that asked.
         """
+        # A remote store that was away is checked by a thread, as a call may take seconds.
         away = self._away
         if away is not None and self.url.remote:
-            self._look_again()
+            self._check_in_thread()
             away = self._away
             if away is not None:
                 raise type(away)(str(away))
             return
+        # Threads wait for a first check, but not for one of a store that was away.
         if not self._lock.acquire(blocking=away is None):
             raise StoreAwayError(str(away))
         try:
@@ -262,27 +269,34 @@ class Store:
             self._lock.release()
 
     @property
-    def quiet(self) -> float:
+    def seconds_silent(self) -> float:
         """Seconds since an object was last read."""
-        return self._clock() - self._answered
+        return self._clock() - self._last_answer
 
-    def silent(self) -> StoreAwayError:
-        """Note that the store does not answer; the error for whoever waited for it."""
+    def note_silence(self) -> StoreAwayError:
+        """Note that the store does not answer,
+        and return the error for callers that wait for it.
+        """
         self._away = StoreAwayError(f"The store at {self.url} does not answer.")
         self._checked_until = self._clock() + CHECKED
         return self._away
 
-    def is_news(self, text: str) -> bool:
-        """Whether this was not logged of an object in the last LOG_SECONDS: it is logged now."""
+    def is_new_message(self, text: str) -> bool:
+        """Return True, and remember the message,
+        if ``text`` was not logged in the last LOG_SECONDS.
+        """
         now = self._clock()
         with self._opening:
-            self._told = {each: at for each, at in self._told.items() if now - at < LOG_SECONDS}
-            return self._told.setdefault(text, now) == now
+            recent = {each: at for each, at in self._logged.items() if now - at < LOG_SECONDS}
+            self._logged = recent
+            return recent.setdefault(text, now) == now
 
     def check_writable(self) -> None:
-        """Check that the store is there and takes writes; sets ``read_only``. Raises StoreAwayError
-        and its kinds.
+        """Check that the store is there and takes writes, and set ``read_only``.
+
+        Raises StoreAwayError, StoreFullError or StoreReadOnlyError if not.
         """
+        # Do not rely on an earlier check.
         self._checked_until = -1.0
         self.check_reachable()
         try:
@@ -294,8 +308,9 @@ class Store:
             raise trouble from None
 
     def only_read(self) -> bool:
-        """Whether the store is read-only. One that was is tested again every
-        WRITE_RETRY_SECONDS.
+        """Return True if the store is read-only.
+
+        A store that was is tested again every WRITE_RETRY_SECONDS.
         """
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
@@ -303,21 +318,22 @@ class Store:
                 self.check_writable()
         return self.read_only
 
-    def _look_again(self) -> None:
-        """Have a thread check the store, unless one does or has just done so, and wait a little for
-        what it finds.
+    def _check_in_thread(self) -> None:
+        """Start a thread that checks the store, unless one is running
+        or the last check still stands, and wait CHECK_SECONDS for it.
         """
         with self._opening:
             if self._clock() < self._checked_until or (
-                self._looking is not None and self._looking.is_alive()
+                self._checker is not None and self._checker.is_alive()
             ):
                 return
-            self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
-            looking.start()
-        looking.join(CHECK_SECONDS)
+            checker = threading.Thread(target=self._check_and_note, name="store", daemon=True)
+            checker.start()
+            self._checker = checker
+        checker.join(CHECK_SECONDS)
 
-    def _look(self) -> None:
-        """Note whether the store is away."""
+    def _check_and_note(self) -> None:
+        """Check the store, and note the result."""
         with self._lock:
             try:
                 self._away = self._check()
@@ -334,22 +350,26 @@ class Store:
             return self._made
 
     def _get(self, key: str, known: StoredObject | None) -> StoredObject | None:
+        """Read an object, unless the store holds the ``known`` one; None if there is none."""
         self._check_after_failure()
         with self._translated_errors(f"read {key} from"):
             found = self._backend.get(key, known)
-        self._answered = self._clock()
+        self._last_answer = self._clock()
+        # An absent object may mean an absent store: make sure that the store is there.
         if found is None:
             self.check_reachable()
         return found
 
     def _check_after_failure(self) -> None:
-        """Check the store before its first use, and where the last check failed."""
+        """Check the store before its first use, and if the last check has failed."""
         if self._away is not None or not self._seen:
             self.check_reachable()
 
     @contextmanager
     def _writing(self, action: str) -> Iterator[None]:
-        """Check before a write, and translate its errors."""
+        """Raise StoreReadOnlyError if the store is read-only,
+        run the block, and translate its errors.
+        """
         self._check_after_failure()
         if self.read_only:
             raise StoreReadOnlyError(
@@ -359,7 +379,10 @@ class Store:
             yield
 
     def _check(self) -> StoreAwayError | None:
-        """Read the sentinel, and make it in a new store; returns why that failed, or None."""
+        """Read the sentinel, and make it in a new store.
+
+        Return the reason if that fails, else None.
+        """
         try:
             found = self._backend.get(SENTINEL_KEY)
         except StoreError:
@@ -372,13 +395,15 @@ class Store:
             return None
         if self._without_sentinel:
             return None
+        # A store that was there before, or that is not ours to make, has vanished.
         if self._seen or not self.make:
             return StoreAwayError(f"The store at {self.url} is gone: {SENTINEL_GONE}.")
         return self._create_sentinel()
 
     def _create_sentinel(self) -> StoreAwayError | None:
-        """Write the sentinel; returns why that failed, or None. A read-only place is used without
-        one.
+        """Write the sentinel, and return the reason if that fails, else None.
+
+        A read-only place is used without one.
         """
         try:
             self._backend.create_sentinel(SENTINEL_CONTENT)
@@ -394,10 +419,10 @@ class Store:
 
     @contextmanager
     def _translated_errors(self, action: str, writing: bool = False) -> Iterator[None]:
-        """Raise a backend's error as StoreAwayError where the store is away too, else as StoreError
-        of this object.
+        """Raise a backend's error as StoreAwayError if the store is away, else as StoreError of
+        this object.
 
-        A write that failed for want of room or of permission raises StoreFullError or
+        A write that fails for lack of room or of permission raises StoreFullError or
         StoreReadOnlyError.
         """
         try:
@@ -408,10 +433,15 @@ class Store:
             trouble = store_error(action, self.url, error)
             if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
                 raise trouble from error
+            # Check the store immediately: if it is gone, this raises, and later calls need not
+            # fail one by one.
             self._checked_until = -1.0
             if self.url.remote:
                 self._away = self._away or trouble
-            (self.check_writable if writing else self.check_reachable)()
+            if writing:
+                self.check_writable()
+            else:
+                self.check_reachable()
             raise StoreError(str(trouble)) from error
 
 
@@ -420,7 +450,7 @@ StoreLike = str | Path | StoreUrl | Store
 
 
 def backend_at(url: StoreUrl) -> Backend:
-    """The backend of a URL, by its scheme. Raises StoreError where a library is missing."""
+    """Return the backend of a URL, by its scheme. Raises StoreError if a library is missing."""
     if url.remote:
         return Bucket(url, SENTINEL_KEY)
     if url.scheme == "file":
@@ -429,10 +459,12 @@ def backend_at(url: StoreUrl) -> Backend:
 
 
 METADATA_KEY = "zarr.json"
+"""Name of the object that describes a Zarr array."""
 
 
 def description(**array: Any) -> bytes:
-    """The ``zarr.json`` of an array made with these arguments of ``zarr.create_array``."""
+    """Return the ``zarr.json`` of an array made with these arguments of ``zarr.create_array``."""
+    # Let Zarr write the metadata to memory, so that it is Zarr's in all details.
     store = MemoryStore()
     zarr.create_array(store, zarr_format=3, **array)
     return store._store_dict[METADATA_KEY].to_bytes()
@@ -440,17 +472,18 @@ def description(**array: Any) -> bytes:
 
 @lru_cache(maxsize=64)
 def described_array(document: bytes) -> "zarr.Array[Any]":
-    """The array that a ``zarr.json`` describes, without its chunks. Raises errors of many kinds for
-    other documents.
+    """Return the array that a ``zarr.json`` describes, without chunks. Raises errors of many kinds
+    for other documents.
 
-    Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its
-    light.
+    The result is cached: metadata is read before each new chunk, and parsing it takes Zarr as long
+    as a small task takes to bake.
     """
     store = MemoryStore({METADATA_KEY: default_buffer_prototype().buffer.from_bytes(document)})
     return zarr.open_array(store, mode="r", zarr_format=3)
 
 
 CRC_BYTES = 4
+"""Bytes of the checksum, crc32c, at the end of an object."""
 
 ZSTD_LEVEL = 1
 """Compression level of Zstandard."""
@@ -463,16 +496,20 @@ def wrap(record: np.ndarray) -> bytes:
 
 
 def unwrap(stored: bytes, size: int) -> np.ndarray:
-    """The record in an object, (``size``,) uint8. Raises DamagedChunkError."""
+    """Return the record in an object, (``size``,) uint8.
+
+    Raises DamagedChunkError if it is damaged.
+    """
     return unwrap_all([stored], size)[0]
 
 
 def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
-    """The records in objects, (objects, ``size``) uint8. Raises DamagedChunkError where any is
+    """Return the records in objects, (objects, ``size``) uint8. Raises DamagedChunkError if any is
     damaged.
 
     The bodies are decoded as one stream, so that Zstandard is set up once.
     """
+    # Zstandard decodes frames in a row to their contents in a row.
     bodies = b"".join(map(body_of, stored))
     try:
         records = np.frombuffer(Zstd().decode(bodies) if stored else b"", np.uint8)
@@ -484,7 +521,7 @@ def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
 
 
 def body_of(stored: bytes) -> bytes:
-    """An object without its checksum; DamagedChunkError where the checksum is wrong."""
+    """Return an object without its checksum. Raises DamagedChunkError if the checksum is wrong."""
     body = stored[:-CRC_BYTES]
     checksum = stored[-CRC_BYTES:]
     if len(stored) <= CRC_BYTES or checksum_of(body) != checksum:
@@ -493,7 +530,7 @@ def body_of(stored: bytes) -> bytes:
 
 
 def is_sound(stored: bytes) -> bool:
-    """Whether the checksum at the end of an object is right."""
+    """Return True if the checksum at the end of an object is right."""
     try:
         body_of(stored)
     except DamagedChunkError:
@@ -502,7 +539,7 @@ def is_sound(stored: bytes) -> bool:
 
 
 def checksum_of(body: bytes) -> bytes:
-    """The checksum at the end of an object."""
+    """Return the checksum that ends an object with this ``body``."""
     return google_crc32c.value(body).to_bytes(CRC_BYTES, "little")
 
 
@@ -511,21 +548,22 @@ MAX_TRIES = 5
 
 
 class Documents:
-    """The documents in one ``folder`` of a ``store``. Methods block: do not call them in an event
-    loop.
+    """The JSON documents in one ``folder`` of a ``store``.
+
+    Methods block: do not call them in an event loop.
     """
 
     def __init__(self, store: StoreLike, folder: str) -> None:
-        """Touch nothing yet."""
+        """Set up without a request to the store."""
         self.store = Store.of(store)
         self.folder = folder
 
     def path_of(self, name: str) -> str:
-        """The path or URL of a document, for messages."""
+        """Return the path or URL of a document, for messages."""
         return f"{self.store.url.name}/{self._key(name)}"
 
     def read(self, name: str) -> dict[str, Any] | None:
-        """Read a document; None where there is none. StoreError where it is no JSON object."""
+        """Read a document; None if there is none. Raises StoreError if it is not a JSON object."""
         found = self.store.get(self._key(name))
         try:
             if found is None:
@@ -539,12 +577,14 @@ class Documents:
         return document
 
     def write(self, name: str, document: dict[str, Any]) -> None:
-        """Write a document in place of the former one. StoreError where others keep writing it at
-        the same time.
+        """Write a document in place of the former one.
+
+        Raises StoreError if others write it at the same time, again and again.
         """
         key = self._key(name)
         content = json.dumps(document, indent=1, allow_nan=False).encode()
         for _ in range(MAX_TRIES):
+            # Replace the document that is there; if another process was faster, replace that one.
             with suppress(ChangedError):
                 return self.store.put(key, content, self.store.get(key))
         raise StoreError(f"Others keep writing {self.path_of(name)}; it is tried again later.")
@@ -555,4 +595,5 @@ class Documents:
         return sorted(name.removesuffix(".json") for name in found if name.endswith(".json"))
 
     def _key(self, name: str) -> str:
+        """Return the key of a document's object."""
         return f"{self.folder}/{name}.json"

@@ -1,3 +1,3 @@
-"""Prewarming: light of many views, or of whole isosurfaces, baked ahead; from the command line and
-over HTTP.
+"""Prewarming: baking the light of many views, or of whole isosurfaces,
+before somebody looks; for the command line and over HTTP.
 """

@@ -1,7 +1,7 @@
-"""The baking of a prewarm: what it works with, a few chunks at a time, and the rehearsal that
-forecasts its cost.
+"""The baking of a prewarm, a few chunks at a time, and the rehearsal that forecasts its cost.
 
-Of what is rehearsed nothing is kept: it measures what ``worker.progress`` estimates by.
+A rehearsal bakes some chunks in this process without keeping their light, to measure the costs from
+which ``worker.progress`` estimates the whole.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ from worker.tasks import BakeTask, cost_of, load_kernels, results_of, sample_tex
 
 @dataclass(frozen=True)
 class Step:
-    """How far a prewarm is: ``done`` of ``total`` ``unit``s of ``what`` it does now, and the time
-    that the rest takes.
+    """A report of progress: ``done`` of ``total`` ``unit``s of ``what`` the prewarm does now, and
+    the time that the rest takes.
 
     ``share`` is the share of all its work that is done.
     """
@@ -72,17 +72,18 @@ class Step:
     left: TimeLeft | None = None
 
     def __str__(self) -> str:
-        """For a person."""
+        """Return the report as a sentence."""
         return f"{self.what}: {self.done:,} of {self.total:,} {self.unit}s."
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What is baked together: texels of one bake, until they have ``enough`` samples.
+    """A set of texels that are baked together, until they have ``enough`` samples.
 
-    They are projected onto an isosurface where one is ``shown``, finer than the plan's by
-    ``fineness`` steps, and of the ``side`` of several surfaces whose light has this digest, kept in
-    ``caches``; of the scene's own where it is empty.
+    - ``shown``: if given, texels are projected onto that isosurface.
+    - ``fineness``: steps by which the lattice is finer than the plan's.
+    - ``side``, ``caches``: digest and caches of the light of one side of several surfaces; empty
+      for the scene's light.
     """
 
     shown: Isovalue | None
@@ -93,7 +94,9 @@ class Batch:
 
     @property
     def order(self) -> tuple[bool, float, int, str, int]:
-        """Sorts batches: texels on their own isosurfaces first, and the fewest samples first."""
+        """Key that sorts batches:
+        texels on their own isosurfaces come first, and fewer samples before more.
+        """
         return (
             self.shown is not None,
             float(self.shown or 0.0),
@@ -104,21 +107,24 @@ class Batch:
 
     @property
     def usual(self) -> bool:
-        """Whether the texels are the scene's own."""
+        """True if the texels are those of the scene's light."""
         return not (self.fineness or self.side)
 
 
 @dataclass(eq=False)
 class PrewarmContext:
-    """What a prewarm of one ``scene`` to a ``target`` error works with, for a ``viewer``.
+    """The things that a prewarm of one ``scene`` to a ``target`` error works with, for a
+    ``viewer``.
 
-    ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of
-    the check of its picture, which weighs its ways at given prices, and says whether there was one;
-    it raises Cancelled once an event is set.
-    ``report`` takes each step, and ``cancelled`` stops it. Baking ends at ``deadline``, and the
-    workers are taken for broken after ``patience`` seconds without anything new. Texels of whole
-    isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is told when they are
-    to have more.
+    - ``frame_of``: return the frame of a view with the light baked so far.
+    - ``refine``: take one step of the check of a view's picture, at given prices; return False if
+      there is none to take. Raises Cancelled once the event is set.
+    - ``report``: called with each step of progress.
+    - ``deadline``: monotonic time at which baking ends.
+    - ``patience``: seconds without anything new after which the workers are taken for broken.
+    - ``cancelled``: stops the prewarm when it is set.
+    - ``rung``: samples that texels of whole isosurfaces are to have at least; ``climbed`` is called
+      when it grows.
     """
 
     engine: RenderEngine
@@ -141,58 +147,59 @@ class PrewarmContext:
         return self.engine.renderer(self.scene.id)
 
     def store_of(self, batch: Batch) -> ChunkStore:
-        """The chunk store that a batch is baked into."""
+        """Return the chunk store that a batch is baked into."""
         caches = batch.caches or self.engine.renderer(self.scene.id, batch.fineness).caches
         return caches.chunk_store_of(batch.shown)
 
     def bake_of(self, batch: Batch, demands: Iterable[Demand]) -> tuple[str, Stage]:
-        """The name of the bake that a batch is of, and the stage that has these ``demands`` of it
-        baked.
-        """
+        """Return the name of the bake of a batch, and a stage with these ``demands`` of it."""
         stage = Stage(tuple(demands), self.target, batch.enough, batch.caches)
         return self.engine.bake_at(self.scene.id, "gi", stage, batch.fineness), stage
 
     @property
     def seconds(self) -> float:
-        """Seconds since it began."""
+        """Seconds since the prewarm began."""
         return time.monotonic() - self.begun
 
     @property
     def left(self) -> float:
-        """Seconds until the deadline, none once it is over."""
+        """Seconds until the deadline, 0 after it."""
         return max(self.deadline - time.monotonic(), 0.0)
 
     def late(self, end: float) -> bool:
-        """Whether the monotonic clock is at the ``end``. Raises Cancelled where it was stopped."""
+        """Return True if the monotonic clock has reached ``end``.
+
+        Raises Cancelled if the prewarm was stopped.
+        """
         self.check()
         return time.monotonic() >= end
 
     def check(self) -> None:
-        """Raises Cancelled where it was stopped."""
+        """Raise Cancelled if the prewarm was stopped."""
         if self.cancelled.is_set():
             raise Cancelled("This prewarm was stopped.")
 
 
 REPORT_SECONDS = 1.0
-"""Seconds between two reports of how far the baking is."""
+"""Seconds between two reports of progress."""
 
 CHUNKS_PER_PART = 64
 PARTS_AT_ONCE = 3
-"""Chunks that are asked for together, at least, and how many such parts at once."""
+"""Least number of chunks that are requested together, and most of such parts at a time."""
 
 ASSUMED_TIME_RATIOS = (0.6, 0.8, 1.0, 1.25, 1.6)
-"""Times that baking takes over those forecast, before any is known."""
+"""Assumed ratios of true to forecast times of baking, before any is measured."""
 
 Wish = tuple[Batch, Demand]
-"""A chunk's texels that are to be baked, and the batch that they are of."""
+"""Texels of a chunk that are to be baked, with the batch that they belong to."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """How long a round of baking is expected to take, and the rounds ``later``: seconds of all
-    workers together.
+    """The forecast of a round of baking, in ``seconds`` of all workers together, and of the rounds
+    ``later``.
 
-    ``span`` is where in all of the work the round begins and ends, as shares of it.
+    ``span`` are the shares of all work at which the round begins and ends.
     """
 
     seconds: float
@@ -201,16 +208,17 @@ class Expected:
 
 
 class Baking:
-    """One round: has what is wanted baked, chunks first of which most is seen, batch after batch.
+    """One round of baking: all ``wishes``, batch by batch, in each batch the chunks first of which
+    most is seen.
 
-    It ends at ``end``, by the monotonic clock; ``done`` chunks are baked or given up by then, and
-    ``failures`` says why the latter were.
+    It ends at ``end`` by the monotonic clock. By then ``done`` chunks are baked or given up, the
+    latter for the reasons in ``failures``.
     """
 
     def __init__(
         self, context: PrewarmContext, wishes: Iterable[Wish], expected: Expected, end: float
     ) -> None:
-        """Ask for nothing yet."""
+        """Set up without requesting light."""
         self.wishes = sorted(wishes, key=lambda wish: (wish[0].order, -wish[1].weight))
         self.failures: dict[Index, str] = {}
         self.done = 0
@@ -227,23 +235,24 @@ class Baking:
 
     @property
     def late(self) -> bool:
-        """Whether the time is over, and not all chunks are baked or given up."""
+        """True if the time is over before all chunks are baked or given up."""
         return self.done < len(self.wishes) and time.monotonic() >= self._end
 
     @property
     def spent(self) -> Cost:
-        """The paths and the seconds of the processor that these chunks took meanwhile."""
+        """Paths and processor seconds spent on these chunks since the round began."""
         now = self._cost()
         before = self._before
         return Cost(now.seconds - before.seconds, now.paths - before.paths)
 
     def run(self) -> None:
-        """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError,
-        and Cancelled.
+        """Bake until everything is done or the time is over, then withdraw all requests.
+
+        Raises WorkersError, and Cancelled.
         """
         self._waiting.extend(self._parts())
         try:
-            while not self.late and self._filled():
+            while not self.late and self._request_parts():
                 self._report()
                 self._wait()
                 self._settle()
@@ -252,16 +261,17 @@ class Baking:
             self._context.engine.leave(self._context.viewer)
 
     def _parts(self) -> Iterator[tuple[Batch, list[Demand]]]:
+        """Yield the wishes in parts of one batch each."""
         size = max(CHUNKS_PER_PART, 2 * self._context.engine.baker.workers)
         for batch, group in groupby(self.wishes, lambda wish: wish[0]):
             while part := [demand for _, demand in islice(group, size)]:
                 yield batch, part
 
-    def _filled(self) -> bool:
-        """Ask for more where there is room; whether anything is asked for.
+    def _request_parts(self) -> bool:
+        """Request more parts if there is room; return True if any part is requested.
 
-        A batch begins when the one before has ended: together, texels of a chunk would be taken to
-        the samples of that which wants more.
+        A batch begins when the one before has ended. If they overlapped, texels of a chunk would
+        all be taken to the samples of the batch that wants more.
         """
         context = self._context
         waiting = self._waiting
@@ -276,8 +286,8 @@ class Baking:
         return bool(self._open)
 
     def _wait(self) -> None:
-        """Wait for the oldest part, not long. Raises Cancelled, and WorkersError where nothing
-        comes.
+        """Wait for the oldest part, at most REPORT_SECONDS.
+        Raises Cancelled, and WorkersError if no light comes.
         """
         context = self._context
         now = time.monotonic()
@@ -289,25 +299,26 @@ class Baking:
         self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
 
     def _settle(self) -> None:
-        """Count what is baked or given up."""
+        """Count the parts that are baked or given up."""
         for part in [each for each in self._open if not each[1].waiting()]:
             self._open.remove(part)
             self.done += len(part[1].chunks)
             self.failures |= part[1].failures()
 
     def _report(self) -> None:
-        """Say how far it is, and what the rest takes."""
+        """Report progress, and the time that the rest takes."""
         total = len(self.wishes)
         open_now = [baking for _, baking in self._open]
         done = self.done + sum(len(each.chunks) - each.waiting() for each in open_now)
-        (first, last) = self._expected.span
         share = done / max(total, 1)
-        self._context.report(
-            Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share))
-        )
+        first, last = self._expected.span
+        overall = first + (last - first) * share
+        self._context.report(Step("Baking", "chunk", done, total, overall, self._left(share)))
 
     def _left(self, share: float) -> TimeLeft:
-        """The time that the rest takes once a ``share`` is done, at the pace of late."""
+        """Return the time that the rest takes once a ``share`` is done,
+        at the pace measured lately.
+        """
         workers = self._context.engine.baker.workers
         round_seconds = self._expected.seconds / workers
         later = self._expected.later / workers
@@ -320,7 +331,9 @@ class Baking:
         )
 
     def _cost(self) -> Cost:
+        """Return the cost of all tasks on these chunks so far."""
         chunks: dict[str, set[Index]] = {}
+        # Batches of one bake may share chunks: count each chunk once.
         for batch, group in groupby(self.wishes, lambda wish: wish[0]):
             demands = [demand for _, demand in group]
             bake, _ = self._context.bake_of(batch, demands)
@@ -335,33 +348,40 @@ UNREACHED_ERROR = 1e-9
 """A target error that the first paths do not reach."""
 
 SCHEDULED = Path("/proc/thread-self/schedstat")
-"""Where Linux counts the nanoseconds that a thread ran, and those that it could have run but had no
-core.
+"""File in which Linux counts the nanoseconds that a thread ran,
+and those for which it was ready but had no core.
 """
 
 
 def rehearse(
     renderer: Renderer, demand: Demand, until: Until, most: float, cancelled: threading.Event
 ) -> ChunkCost:
-    """Bake what a chunk lacks ``until`` then, and measure it; beyond ``most`` seconds the cost is
-    extrapolated.
+    """Bake a chunk's texels to ``until`` without keeping their light, and return the measured cost.
+
+    After ``most`` seconds, or once ``cancelled`` is set, the cost of the rest is extrapolated by
+    paths.
     """
     store = renderer.caches.chunk_store_of(demand.shown)
     spec = store.spec
     texels = spec.prepared.lattice.positions(demand.index, demand.offsets)
-    maps = first_light(spec, texels) - first_light(spec, texels)
+    # The first call makes the maps of active cells that the second one finds: the difference is
+    # their cost.
+    maps = seconds_of_first_light(spec, texels) - seconds_of_first_light(spec, texels)
     chunk = store.load(demand.index).with_texels(demand.offsets)
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
+    # Measure the tasks of the chunk.
     begun = ready_time()
     processor = time.thread_time()
-    tasks, paths = climb_all(
+    tasks, paths = do_tasks(
         light, texels, spec, demand, until, (time.perf_counter() + most, cancelled)
     )
+    # If they ended early, the paths left cost as much as those taken.
     more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *until).left / max(paths, 1)
     seconds = ready_time() - begun
     processor = time.thread_time() - processor
     chunk.light.put(rows, light)
+    # Each task also encodes the chunk once, to write it.
     begun = ready_time()
     stored = stored_size(store, chunk)
     seconds += tasks * (ready_time() - begun)
@@ -371,8 +391,8 @@ def rehearse(
 
 
 def ready_time() -> float:
-    """Seconds that this thread ran, or could have run; on systems that do not say, those by the
-    clock.
+    """Return the seconds that this thread ran or was ready to run;
+    on systems that do not count them, the time.
     """
     try:
         ran, waited, *_ = SCHEDULED.read_text(encoding="ascii").split()
@@ -381,7 +401,7 @@ def ready_time() -> float:
     return (int(ran) + int(waited)) * 1e-9
 
 
-def climb_all(
+def do_tasks(
     light: Light,
     texels: np.ndarray,
     spec: BakeSpec,
@@ -389,31 +409,44 @@ def climb_all(
     until: Until,
     limit: tuple[float, threading.Event],
 ) -> tuple[int, int]:
-    """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its
-    ``limit``.
+    """Do the tasks of a chunk to its ``light``, in place, as the queue would. Return their number,
+    and their paths.
+
+    ``limit`` is a time of the performance counter and an event; either ends it after the task at
+    work.
     """
     effort = demand.effort
     tasks = 0
     paths = 0
     while True:
-        place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
-        what = demand.offsets, demand.footprints, next_until(effort), until.target
-        task = BakeTask(*place, *what, enough=until.enough)
+        task = BakeTask(
+            spec.prepared.scene.source,
+            spec.plan,
+            spec.digest,
+            StoreUrl(""),
+            demand.index,
+            demand.offsets,
+            demand.footprints,
+            next_until(effort),
+            until.target,
+            enough=until.enough,
+        )
         before = light.samples
         since = time.thread_time()
         sample_texels(light, texels, spec, task)
         cost = cost_of(light.samples, before, time.thread_time() - since)
         result = replace(results_of(light, spec, [task])[0], cost=cost)
-        tasks = tasks + 1
-        paths = paths + cost.paths
+        tasks += 1
+        paths += cost.paths
         if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
             return tasks, paths
+        # The effort left decides how many samples the next task takes.
         effort = result.effort
 
 
-def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
-    """Seconds that the first paths of texels take; maps that they need are made, where they are not
-    kept.
+def seconds_of_first_light(spec: BakeSpec, texels: np.ndarray) -> float:
+    """Return the seconds that the first paths of texels take,
+    including maps that are not kept yet.
     """
     begun = ready_time()
     refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_ERROR)
@@ -421,23 +454,23 @@ def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
 
 
 def stored_size(store: ChunkStore, chunk: Chunk) -> int:
-    """Bytes that a chunk's objects would take."""
+    """Return the bytes that a chunk's objects would take."""
     pairs = zip(store.layers, chunk.light.parts, strict=True)
     return sum(len(layer.encode(chunk.index, chunk.offsets, part)) for layer, part in pairs)
 
 
 MOST_TRIED = 48
 FEWEST_TRIED = 8
-"""Chunks that are rehearsed, at most, and before it may be called enough."""
+"""Most chunks that are rehearsed, and least number that may suffice."""
 
 SUFFICIENT_RELATIVE_ERROR = 0.04
-"""Standard error of the mean, over the mean, at which it is enough."""
+"""Relative standard error of the mean at which the rehearsed chunks suffice."""
 
 DISPATCH = 0.006
-"""Processor seconds of a task that the process which hands it out takes; it needs a core too."""
+"""Processor seconds that the process which hands out a task spends on it; it needs a core, too."""
 
 WORKER_START_SECONDS = 1.5
-"""Seconds until workers have come, and have their kernels, beyond the time of the survey."""
+"""Seconds that workers take to start and load kernels, beyond the time of the survey."""
 
 
 def forecast(
@@ -448,76 +481,89 @@ def forecast(
     budget: float,
     cancelled: threading.Event,
 ) -> CostEstimate:
-    """Estimate the cost of the demands, baked ``until`` then, within about ``budget`` seconds.
+    """Estimate the cost of baking the ``demands`` to ``until``, within about ``budget`` seconds.
 
-    As many chunks are rehearsed at once as there are workers, for these share what a core has.
+    As many chunks are rehearsed at a time as there are workers, as these slow each other down in
+    the same way.
     """
     if not demands:
         return CostEstimate()
     load_kernels(renderer.caches.spec("gi").kinds)
     threads = min(workers, cores())
     chosen = stratified(demands)
-    tried = Tried(budget, cancelled)
+    rehearsals = Rehearsals(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
-        for ended in [
-            pool.submit(tried.go_through, renderer, chosen, until) for _ in range(threads)
-        ]:
-            ended.result()
+        futures = [pool.submit(rehearsals.run, renderer, chosen, until) for _ in range(threads)]
+        for future in futures:
+            future.result()
     texels = sum(len(demand.offsets) for demand in demands)
-    per_task = PER_TASK + DISPATCH * (workers >= cores())
-    return extrapolated(tried.all, texels, len(tried.all) == len(demands), per_task)
+    # Dispatch costs extra time only if the workers leave no core free.
+    if workers >= cores():
+        per_task = PER_TASK + DISPATCH
+    else:
+        per_task = PER_TASK
+    return extrapolated(rehearsals.all, texels, len(rehearsals.all) == len(demands), per_task)
 
 
-class Tried:
-    """Rehearsals, of as many chunks as it takes; ``budget`` seconds are for all of them."""
+class Rehearsals:
+    """The rehearsals of a forecast, within ``budget`` seconds together."""
 
     def __init__(self, budget: float, cancelled: threading.Event) -> None:
-        """Have tried nothing yet."""
+        """Begin without rehearsals. One of them may take a quarter of the budget."""
         self.all: list[ChunkCost] = []
         self._each = budget / 4.0
         self._end = time.monotonic() + budget
         self._cancelled = cancelled
         self._lock = threading.Lock()
 
-    def go_through(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
-        """Rehearse what comes next until it is enough; several threads may."""
+    def run(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
+        """Rehearse one demand after the other until enough is known.
+
+        Several threads may do so at once.
+        """
         while not self._enough() and (demand := self._next(demands)):
             one = rehearse(renderer, demand, until, self._each, self._cancelled)
             with self._lock:
                 self.all.append(one)
 
     def _next(self, demands: Iterator[Demand]) -> Demand | None:
+        """Take the next demand; None if there is none."""
         with self._lock:
             return next(demands, None)
 
     def _enough(self) -> bool:
-        """Whether the time is over, or the mean is known well enough."""
+        """Return True if the mean cost is known well enough,
+        the time is over, or the forecast was cancelled.
+        """
         with self._lock:
             known = (
                 len(self.all) >= FEWEST_TRIED
                 and relative_standard_error(seconds_per_texel(self.all))
                 <= SUFFICIENT_RELATIVE_ERROR
             )
-        return (
-            known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
-        )
+        late = bool(self.all) and time.monotonic() > self._end
+        return known or late or self._cancelled.is_set()
 
 
 def stratified(demands: Sequence[Demand]) -> Iterator[Demand]:
-    """At most MOST_TRIED demands, spread evenly over all texels, so that large chunks come more
-    often than small ones.
+    """Return at most MOST_TRIED demands, spread evenly over all texels; all demands if they are
+    few.
 
-    All of them where they are few.
+    So a chunk is chosen with a probability in proportion to its texels.
     """
     if len(demands) <= FEWEST_TRIED:
         return iter(demands)
     ordered = sorted(demands, key=lambda demand: demand.index)
     ends = np.cumsum([len(demand.offsets) for demand in ordered])
+    # Points of a low-discrepancy sequence on the texels in order; chunks that are hit again are
+    # skipped.
     places = (radical_inverse(n) * ends[-1] for n in range(1, 8 * MOST_TRIED))
     taken = dict.fromkeys(int(np.searchsorted(ends, place, "right")) for place in places)
     return islice((ordered[number] for number in taken), MOST_TRIED)
 
 
 def radical_inverse(number: int) -> float:
-    """Van der Corput's sequence to base 2: each part of it is spread evenly over [0, 1)."""
+    """Return element ``number`` of van der Corput's sequence to base 2:
+    each of its parts is spread evenly over [0, 1).
+    """
     return int(f"{number:032b}"[::-1], 2) / 2.0**32

@@ -1,5 +1,5 @@
-"""What is asked of a prewarm: isovalues, directions and target, from the command line, HTTP or a
-file.
+"""The order of a prewarm: isovalues, directions and target,
+from the command line, HTTP or a file.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from server.values import LONGEST_SECONDS, Span, finite, shown
 from server.views import isovalue_of, view_of
 
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
-"""The golden angle, degrees."""
+"""The golden angle, in degrees."""
 
 Direction = tuple[float, float]
-"""Azimuth and elevation, degrees."""
+"""Azimuth and elevation, in degrees."""
 
 
 def all_sides(count: int) -> list[Direction]:
-    """``count`` points spread evenly over a sphere: a Fibonacci lattice."""
+    """Return ``count`` directions spread evenly over a sphere, by a Fibonacci lattice."""
     heights = (1.0 - (2 * n + 1) / count for n in range(count))
     return [
         (n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)
@@ -44,26 +44,26 @@ def all_sides(count: int) -> list[Direction]:
 
 
 def orbit(count: int, elevation: float) -> list[Direction]:
-    """``count`` azimuths around the object, from 0 on, at one elevation."""
+    """Return ``count`` azimuths around the object, from 0 on, at one elevation."""
     return [(360.0 * n / count, elevation) for n in range(count)]
 
 
 MOST_ISOVALUES = 10_000
-"""Isovalues that are given with a step or one by one, at most."""
+"""Most isovalues of an order, given with a step or one by one."""
 
 VALUES_EXPECTED = (
     f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of "
-    "them, first:last for"
-    " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
+    "them, first:last for all between, or a number of levels of the scene's range, adaptive:20 or "
+    "uniform:20"
 )
 
 
 @dataclass(frozen=True)
 class Levels:
-    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one
-    to another.
+    """The isovalues of an order: ``single`` ones, each once, and ``ranges`` of all isovalues from
+    one to another.
 
-    And how many are to be ``sampled`` from a scene's own range, by which of SAMPLINGS.
+    ``sampled`` are numbers of isovalues to choose from a scene's range, each by one of SAMPLINGS.
     """
 
     single: tuple[float, ...] = ()
@@ -71,7 +71,7 @@ class Levels:
     sampled: tuple[tuple[str, int], ...] = ()
 
     def found_in(self, scene: Scene) -> Levels:
-        """The levels, with the isovalues that are to be sampled from the range of a ``scene``."""
+        """Return the levels, with the sampled isovalues chosen from the range of a ``scene``."""
         volume = scene.volume
         ends = scene.isovalues
         sets = (
@@ -83,21 +83,25 @@ class Levels:
 
     @property
     def all(self) -> tuple[float, ...]:
-        """The single ones, and the ends of the ranges."""
+        """The single isovalues, and the ends of the ranges."""
         return (*self.single, *(end for ends in self.ranges for end in ends))
 
     @property
     def spans(self) -> tuple[tuple[float, float], ...]:
-        """All of it as ranges: a single one goes from itself to itself."""
+        """All levels as ranges; a single isovalue is a range of length 0."""
         return (*((level, level) for level in self.single), *self.ranges)
 
 
 def levels_of(texts: Sequence[str]) -> Levels:
-    """The isovalues that the texts name; ParameterError for a text that names none."""
+    """Return the isovalues that the texts name.
+
+    Raises ParameterError if a text names none, or if they are too many.
+    """
     single: dict[float, None] = {}
     ranges: dict[tuple[float, float], None] = {}
     sampled: dict[tuple[str, int], None] = {}
     for text in texts:
+        # A text is a number of isovalues to sample, a range of two numbers, or single isovalues.
         if (way := text.partition(":")[0]) in SAMPLINGS:
             sampled[way, sampled_count(text)] = None
             continue
@@ -114,8 +118,9 @@ def levels_of(texts: Sequence[str]) -> Levels:
 
 
 def sampled_count(text: str) -> int:
-    """How many isovalues a text such as adaptive:20 asks for; ParameterError where it does not
-    say.
+    """Return the number of isovalues in a text such as adaptive:20.
+
+    Raises ParameterError if there is none.
     """
     count = text.partition(":")[2]
     if not re.fullmatch(r"[1-9]\d{0,4}", count, re.ASCII) or int(count) > MOST_ISOVALUES:
@@ -124,7 +129,10 @@ def sampled_count(text: str) -> int:
 
 
 def numbers_in(text: str) -> list[float]:
-    """The one, two or three numbers in a text; ParameterError where they mean nothing."""
+    """Return the one, two or three numbers in a text.
+
+    Raises ParameterError if they are not an isovalue or a range.
+    """
     numbers = [finite(part) for part in text.split(":")]
     if all(map(math.isfinite, numbers)) and sensible(numbers):
         return numbers
@@ -132,7 +140,7 @@ def numbers_in(text: str) -> list[float]:
 
 
 def sensible(numbers: Sequence[float]) -> bool:
-    """Whether the numbers are in order, and not too many isovalues."""
+    """Return True if the numbers are in order, and do not give too many isovalues."""
     match numbers:
         case [_]:
             return True
@@ -144,7 +152,9 @@ def sensible(numbers: Sequence[float]) -> bool:
 
 
 def stepped(first: float, last: float | None = None, step: float = 1.0) -> list[float]:
-    """The numbers from ``first`` to ``last``; the first alone where no last is given."""
+    """Return the numbers from ``first`` to ``last`` by ``step``;
+    only the first without a ``last``.
+    """
     if last is None:
         steps = 0
     else:
@@ -154,16 +164,16 @@ def stepped(first: float, last: float | None = None, step: float = 1.0) -> list[
 
 MOST_DIRECTIONS = 10_000
 MOST_VIEWS = 100_000
-"""Directions of one kind, and views of all isovalues and directions together, at most."""
+"""Most directions of one kind, and most views of all isovalues and directions together."""
 
 MOST_GIVEN = 1000
-"""Isovalues, directions and orbits that are given one by one, at most."""
+"""Most isovalues, directions and orbits that are given one by one."""
 
 USUAL_DIRECTIONS = 12
-"""Directions from all sides by default."""
+"""Number of directions from all sides by default."""
 
 VIEW_FIELDS = ("views", "directions", "orbits")
-"""Fields that say where views look from."""
+"""Fields that give the directions of views."""
 
 Level = Annotated[
     str,
@@ -182,23 +192,22 @@ class From(NoParams):
 
 
 class Orbit(NoParams):
-    """Directions evenly around the object."""
+    """Directions evenly spaced around the object."""
 
     count: Count = Field(description="Azimuths, from 0 on.")
     elevation: float = knob("elevation", default=0.0)
 
 
 class PrewarmOrder(NoParams):
-    """Which light is to be baked ahead; what is left out takes the scene's defaults."""
+    """An order of light to bake ahead. Fields that are left out take the scene's defaults."""
 
     isovalues: tuple[Level, ...] = Field(
         (),
         max_length=MOST_GIVEN,
-        description="Numbers, ranges with a step (60:120:5), or ranges that mean every "
-        "isovalue between (60:120), which"
-        " takes all_directions, or so many of the scene's range, evenly (uniform:20) or so "
-        "that the surfaces are evenly"
-        " spaced (adaptive:20); default: the scene's isovalue.",
+        description="Numbers, ranges with a step (60:120:5), ranges that mean every isovalue "
+        "between (60:120; only with all_directions), or a number of isovalues of the scene's "
+        "range, spread evenly (uniform:20) or so that the surfaces are evenly spaced "
+        "(adaptive:20); default: the scene's isovalue.",
     )
     views: Count | None = Field(
         None,
@@ -215,7 +224,7 @@ class PrewarmOrder(NoParams):
     )
     all_directions: StrictBool = Field(
         False,
-        description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever.",
+        description="Bake whole isosurfaces, for cameras anywhere, instead of views.",
     )
     distance: float = knob("distance")
     fov: float = knob("fov")
@@ -228,20 +237,23 @@ class PrewarmOrder(NoParams):
         ),
     )
     deadline: Annotated[float, Span(0, LONGEST_SECONDS)] | None = Field(
-        None, description="Seconds after which it ends, whatever is baked by then; default: none."
+        None,
+        description="Seconds after which the prewarm ends, even without all light; default: none.",
     )
 
     @model_validator(mode="before")
     @classmethod
     def without_nulls(cls, given: Any) -> Any:
-        """What is null is as if it were left out."""
+        """Drop fields that are null, as if they were left out."""
         if isinstance(given, dict):
             return {name: value for name, value in given.items() if value is not None}
         return given
 
     @model_validator(mode="after")
     def one_way(self) -> Self:
-        """Refuses ranges of all isovalues where views are to be made of them."""
+        """Raise ValueError for directions along with all_directions,
+        and for ranges of isovalues without it.
+        """
         others = [name for name in VIEW_FIELDS if getattr(self, name)]
         if self.all_directions and others:
             raise ValueError(f"all_directions leaves nothing to {', '.join(others)}: keep one.")
@@ -273,19 +285,23 @@ class PrewarmOrder(NoParams):
         return list(dict.fromkeys([*(all_sides(count) if count else ()), *single, *around]))
 
     def isovalues_of(self, scene: Scene) -> Levels:
-        """The isovalues, the scene's own where none is given; ParameterError where the scene does
-        not allow one.
+        """Return the isovalues, that of the ``scene`` if none is given.
+
+        Raises ParameterError if the scene does not allow one.
         """
         if self.isovalues:
             levels = self.levels.found_in(scene)
         else:
             levels = Levels((scene.isovalue,))
+        # The lowest and the highest stand for all.
         for level in {min(levels.all), max(levels.all)}:
             isovalue_of(scene, read(ViewParams, [("isovalue", level)]))
         return levels
 
     def digest(self, scene: Scene) -> str:
-        """Hex name of all that decides which light is baked in a scene; not of when that ends."""
+        """Return the digest, in hexadecimal, of everything that decides
+        which light is baked in a scene; the deadline does not.
+        """
         asked = self.model_dump(exclude={"deadline"})
         return hashlib.blake2b(
             json.dumps([scene.digest, asked]).encode(), digest_size=12
@@ -293,42 +309,44 @@ class PrewarmOrder(NoParams):
 
 
 class PrewarmRequest(PrewarmOrder):
-    """An order, or the question what it would take."""
+    """An order, or the question how much light it is and how long it takes."""
 
     dry_run: StrictBool = Field(
-        False, description="Bake nothing: say how much there is, and how long it takes."
+        False, description="Bake nothing, and forecast the amount of light and the time."
     )
 
     @property
     def order(self) -> PrewarmOrder:
-        """The order alone."""
+        """The order itself."""
         return PrewarmOrder(**self.model_dump(exclude={"dry_run"}))
 
 
 class Views:
-    """The views of an order in a ``scene``, made one by one; none where whole isosurfaces are asked
-    for.
+    """The views of an order in a ``scene``, made one by one; none if the order asks for whole
+    isosurfaces.
 
-    Raises ViewError where one is not allowed, or they are too many, and SceneError where the scene
-    keeps no light.
+    Raises ViewError if a view is not allowed, ParameterError if they are too many, and SceneError
+    if the scene keeps no light.
     """
 
     def __init__(self, order: PrewarmOrder, scene: Scene, settings: Settings) -> None:
-        """Make one of each isovalue and of each direction, so that errors come before anything is
-        begun.
-        """
+        """Make the first view, so that errors come before any work begins."""
         scene.require_texels()
         self._scene = scene
         self._settings = settings
         self._knobs = {
             name: getattr(order, name) for name in ("distance", "fov", "width", "height")
         }
-        self._levels = () if order.all_directions else order.isovalues_of(scene).single
+        if order.all_directions:
+            self._levels: tuple[float, ...] = ()
+        else:
+            self._levels = order.isovalues_of(scene).single
         self._directions = order.looks_from
+        # Refuse too many views, and one that is not allowed, before any work begins.
         if len(self) > MOST_VIEWS:
             asked = (
-                f"{len(self._directions):,} views of each of {len(self._levels):,} "
-                f"isovalues are {len(self):,}"
+                f"{len(self._directions):,} views of each of {len(self._levels):,} isovalues are "
+                f"{len(self):,}"
             )
             raise ParameterError(f"{asked}: ask for {MOST_VIEWS:,} views at most.", "isovalues")
         for level in self._levels[:1]:
@@ -341,51 +359,47 @@ class Views:
         return itertools.starmap(self._view, itertools.product(self._levels, self._directions))
 
     def _view(self, level: float, direction: Direction) -> View:
+        """Return the view of an isovalue from a direction."""
         place = {"isovalue": level, "azimuth": direction[0], "elevation": direction[1]}
         view = view_of(
             self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings
         )
-        return (
-            view if self._scene.surfaces.shine is None else replace(view, shine=DULL)
-        )  # nothing is baked for shine
+        # Nothing is baked for shine, so leave it out.
+        if self._scene.surfaces.shine is None:
+            return view
+        return replace(view, shine=DULL)
 
 
 SURFACE_VIEWS = 6
 SURFACE_VIEW_PIXELS = 192
 MAX_VIEWED_ISOVALUES = 4
-"""Views that stand for a whole isosurface, from all sides, their pixels a side, and of how many
-isovalues at most.
+"""Number of views, from all sides, that stand for a whole isosurface,
+their pixels a side, and the most isovalues that get such views.
 """
 
 
 def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Settings) -> Views:
-    """The views that stand for the whole isosurfaces of ``levels``: of the lowest, the highest and
-    some between.
+    """Return the views that stand for the whole isosurfaces of ``levels``:
+    of the lowest, the highest and some between.
     """
     every = sorted(set(levels.all))
+    # Choose isovalues evenly by rank, and views of moderate size from all sides.
     chosen = {
         every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))]
         for n in range(MAX_VIEWED_ISOVALUES)
     }
-    isovalues = tuple(map(repr, sorted(chosen)))
     around = {
         "all_directions": False,
         "views": SURFACE_VIEWS,
         "directions": (),
         "orbits": (),
-        "isovalues": isovalues,
+        "isovalues": tuple(map(repr, sorted(chosen))),
+        "width": SURFACE_VIEW_PIXELS,
+        "height": SURFACE_VIEW_PIXELS,
     }
-    return Views(
-        order_of(
-            order.model_dump()
-            | around
-            | {"width": SURFACE_VIEW_PIXELS, "height": SURFACE_VIEW_PIXELS}
-        ),
-        scene,
-        settings,
-    )
+    return Views(order_of(order.model_dump() | around), scene, settings)
 
 
 def order_of(fields: dict[str, Any]) -> PrewarmOrder:
-    """The order in a document; ParameterError on the first thing that is wrong."""
+    """Return the order in a document. Raises ParameterError for the first fault."""
     return read(PrewarmOrder, fields.items())

@@ -1,4 +1,6 @@
-"""The record of a prewarm: a file beside the light, and the summary of what it came to."""
+"""The record of a prewarm: a file next to the light,
+with the order, its progress, and a summary of the result.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,12 @@ from server.values import span
 from worker.progress import TimeLeft
 
 MOST_FAILURES = 100
-"""Failures that are listed one by one; the rest is counted."""
+"""Number of failures that are listed one by one; the others are only counted."""
 
 
 class Errors(BaseModel):
-    """The total relative errors of the pictures: of the views, or of those that stand for whole
-    isosurfaces.
+    """The total relative errors of the pictures:
+    of the views, or of those that stand for whole isosurfaces.
     """
 
     worst: float
@@ -40,23 +42,27 @@ class Errors(BaseModel):
 
 
 class Failure(BaseModel):
-    """A chunk (z, y, x) that could not be baked, and why."""
+    """A chunk (z, y, x) that could not be baked, and the reason."""
 
     chunk: tuple[int, int, int]
     reason: str
 
 
 class Summary(BaseModel):
-    """What a prewarm had to do, and what it did.
+    """A summary of the work that a prewarm had to do, and of its result.
 
-    ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before
-    compression are what was lacking at the start; ``stored_bytes`` is what these chunks take in the
-    store. ``final`` is the share of the views' surface that is final, or the share of the texels of
-    whole isosurfaces that have as many samples as pictures of it need; ``error`` is the worst of
-    ``errors``. ``paths`` and ``processor_seconds`` were spent on these chunks, ``seconds`` passed
-    meanwhile; ``time_left`` is the forecast at the start. ``stopped`` says what ended it. A dry run
-    forecasts ``stored_bytes`` and ``processor_seconds``. ``time`` is the step of a series that was
-    gone through.
+    - ``chunks``, ``texels``, ``refined``, ``bytes``: chunks, texels without light, texels to
+      refine, and bytes before compression that were lacking at the start.
+    - ``stored_bytes``: bytes of these chunks in the store.
+    - ``final``: share of the views' surface that is final; of whole isosurfaces, share of the
+      texels that have as many samples as pictures of them need.
+    - ``error``: the worst of ``errors``.
+    - ``paths``, ``processor_seconds``: spent on these chunks; ``seconds`` passed meanwhile.
+    - ``time_left``: the forecast at the start.
+    - ``stopped``: the reason for the end.
+    - ``time``: the step of a series.
+
+    In a dry run, ``stored_bytes`` and ``processor_seconds`` are forecasts.
     """
 
     scene: str
@@ -85,22 +91,20 @@ class Summary(BaseModel):
     time: int | None = None
 
     def __str__(self) -> str:
-        """For a person, on one line."""
+        """Return the summary on one line, for a person."""
         if self.views:
-            what = f"{self.views:,} views"
+            subject = f"{self.views:,} views, {self.final:.1%} of their surface"
         else:
-            what = "whole isosurfaces"
-        share = f"{what}, {self.final:.1%} of their {'surface' if self.views else 'texels'} final"
-        if self.time is None:
-            step = ""
-        else:
-            step = f"step {self.time}: "
-        quality = f"{step}{share} at {self.target_error:g}"
+            subject = f"whole isosurfaces, {self.final:.1%} of their texels"
+        quality = f"{subject} final at {self.target_error:g}"
+        if self.time is not None:
+            quality = f"step {self.time}: {quality}"
         if self.stopped == "dry run":
             return f"{quality}; {self._ahead()}"
         return f"{quality}, {self._done()}"
 
     def _ahead(self) -> str:
+        """Return the sentence about work that is still to do."""
         size = (
             f"{self.bytes / 1e6:.1f} MB before compression, about "
             f"{self.stored_bytes / 1e6:.1f} MB after"
@@ -111,45 +115,49 @@ class Summary(BaseModel):
         return f"{lacking}; time with --workers {self.workers}: {left}"
 
     def _done(self) -> str:
+        """Return the sentence about work that was done."""
         forecast = span(self.time_left.likely, digits=2)
         done = (
             f"{self.paths:,} paths in {span(self.seconds)} (forecast: {forecast}), worst "
             f"error {self.error:.2g}"
         )
+        parts = [done]
         if self.failures:
-            wrong = f"; {self.failed:,} chunks cannot be baked: {self.failures[0].reason}"
-        else:
-            wrong = ""
-        return f"{done}{wrong}" + (f"; {self.file}" if self.file else "")
+            parts.append(f"{self.failed:,} chunks cannot be baked: {self.failures[0].reason}")
+        if self.file:
+            parts.append(self.file)
+        return "; ".join(parts)
 
 
 def failures_of(reasons: Sequence[tuple[tuple[int, int, int], str]]) -> tuple[Failure, ...]:
-    """The first of the failures."""
+    """Return the first MOST_FAILURES failures."""
     return tuple(Failure(chunk=chunk, reason=reason) for chunk, reason in reasons[:MOST_FAILURES])
 
 
 log = logging.getLogger("isogi.server")
 
 RECORDS_FOLDER = "jobs"
-"""The folder of records beside the light."""
+"""Folder of records in the store."""
 
 BEAT = 5.0
-"""Seconds between two updates of a record, while a process works on its prewarm."""
+"""Seconds between two updates of a record while a process works on its prewarm."""
 
 THIS_PROCESS = f"{socket.gethostname()}/{os.getpid()}/{uuid4().hex}"
-"""This process: its machine, its number there, and a name that no other has had."""
+"""Name of this process: its machine, its process id, and a part that no other process has had."""
 
 OPEN_STATES = (Status.ACCEPTED, Status.RUNNING)
-"""States of a prewarm that a process works on, or did when it was killed."""
+"""States of a prewarm that a process works on, or was working on when it was killed."""
 
 
 class RecordDocument(BaseModel):
-    """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` is the last
-    process at it. ``owner`` names the token that asked for it.
+    """The content of a record.
 
-    ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent``
-    are the seconds that this worker has worked on it. Texels of whole isosurfaces are to have as
-    many samples as ``rung``, as far as pictures have told.
+    - ``by``: prewarms by a server are continued by servers.
+    - ``owner``: name of the token that asked for it.
+    - ``scene_digest``: digest of everything that the light depends on.
+    - ``progress``: in percent; ``spent``: seconds that ``worker``, the last process at it, has
+      worked.
+    - ``rung``: samples that texels of whole isosurfaces are to have, as far as pictures have shown.
     """
 
     format: Literal[1] = 1
@@ -172,14 +180,14 @@ class RecordDocument(BaseModel):
 
     @property
     def unfinished(self) -> bool:
-        """Whether there is something to go on with."""
+        """True if there is work to continue."""
         return self.status is not Status.SUCCESSFUL or (
             self.summary is not None and self.summary.stopped != "target"
         )
 
     @property
     def rest(self) -> PrewarmOrder:
-        """The order, with what is left of its time."""
+        """The order, with the time that is left until its deadline."""
         if self.order.deadline is None:
             return self.order
         return self.order.model_copy(
@@ -188,21 +196,23 @@ class RecordDocument(BaseModel):
 
     @property
     def left(self) -> bool:
-        """Whether its process is known to have ended before the prewarm did, without being asked to
-        stop.
+        """True if its process is known to have ended before the prewarm did,
+        without being asked to stop.
         """
         return self.status in OPEN_STATES and gone(self.worker)
 
 
 def gone(worker: str) -> bool:
-    """Whether a worker is a process of this machine that ended; False where that cannot be
-    known.
+    """Return True if a worker was a process of this machine and has ended;
+    False if that cannot be known.
     """
     machine, number, _ = worker.split("/")
     if machine != socket.gethostname():
         return False
+    # This process may have got the number of an earlier one.
     if int(number) == os.getpid():
         return worker != THIS_PROCESS
+    # Signal 0 only checks that the process exists.
     try:
         os.kill(int(number), 0)
     except ProcessLookupError:
@@ -213,7 +223,7 @@ def gone(worker: str) -> bool:
 
 
 class Record:
-    """One prewarm's ``document`` in a store. Call from no event loop: it blocks."""
+    """The record of one prewarm in a store. Methods block: do not call them in an event loop."""
 
     def __init__(
         self,
@@ -223,8 +233,9 @@ class Record:
         by: Literal["command", "server"],
         owner: str = "",
     ) -> None:
-        """Write nothing yet. A deadline is not part of the name, which is the same for the same
-        light.
+        """Write nothing yet.
+
+        The name does not depend on the deadline, so it is the same for the same light.
         """
         digest = order.digest(scene)
         self.document = RecordDocument(
@@ -237,12 +248,12 @@ class Record:
 
     @property
     def place(self) -> str:
-        """The path of its file in the store."""
+        """The path or URL of its file in the store."""
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Go on where an earlier prewarm of this order was, and keep how far this one climbs.
-        Raises StoreError.
+        """Continue at the sample level of an earlier prewarm of this order,
+        and record when this one climbs. Raises StoreError.
         """
         former = [
             each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id
@@ -255,15 +266,16 @@ class Record:
     def kept(
         self, context: PrewarmContext, stopped: str, lasting: Callable[[], bool] = lambda: False
     ) -> Iterator[None]:
-        """Keep how far a prewarm is meanwhile, and why it ended where that is early.
+        """Record the progress of a prewarm while the block runs, and the reason if it ends early.
 
-        Of one that was ``stopped`` it keeps this message, or nothing where it is ``lasting``: the
-        next server goes on.
+        If the block is cancelled, the message ``stopped`` is written, unless ``lasting()`` is true:
+        the record then stays open, and the next server continues.
         """
         self.follow(context)
         self.keep(status=Status.RUNNING)
         draw = context.report
 
+        # Record each step that is reported, as long as the block runs.
         def report(step: Step) -> None:
             draw(step)
             self.report(step)
@@ -272,6 +284,7 @@ class Record:
         try:
             yield
         except (Cancelled, KeyboardInterrupt):
+            # A server that stops leaves its records open for the next one.
             if not lasting():
                 self.keep(status=Status.DISMISSED, message=stopped)
             raise
@@ -281,18 +294,19 @@ class Record:
             raise
 
     def report(self, step: Step) -> None:
-        """Say how far it is; kept when some time has passed. A store that does not take it costs no
-        more than that.
+        """Record a step of progress if BEAT seconds have passed since the last.
+
+        If the store does not take it, this is logged, and tried again after BEAT seconds.
         """
         if time.monotonic() - self._written >= BEAT:
             try:
                 self.keep(status=Status.RUNNING, message=str(step), progress=int(100 * step.share))
             except StoreError as error:
                 self._written = time.monotonic()
-                log.warning("How far a prewarm is cannot be kept: %s", error)
+                log.warning("The progress of a prewarm cannot be recorded: %s", error)
 
     def close(self, summary: Summary) -> Summary:
-        """Write the end down; the summary with its place. Raises StoreError."""
+        """Record the end, and return the summary with the record's place. Raises StoreError."""
         summary = summary.model_copy(update={"file": self.place})
         if summary.failed:
             status = Status.FAILED
@@ -302,7 +316,7 @@ class Record:
         return summary
 
     def keep(self, **facts: object) -> None:
-        """Write the document with new facts. Raises StoreError."""
+        """Write the record with changed ``facts``. Raises StoreError."""
         signs = {"updated": now(), "worker": THIS_PROCESS, "spent": time.monotonic() - self._begun}
         self.document = self.document.model_copy(update={**facts, **signs})
         self._documents.write(self.document.id, self.document.model_dump(mode="json"))
@@ -310,8 +324,9 @@ class Record:
 
 
 def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
-    """The prewarms recorded in a store; records that cannot be read are logged and left out. Raises
-    StoreError.
+    """Yield the prewarms recorded in a store.
+
+    Records that cannot be read are logged and left out. Raises StoreError.
     """
     documents = Documents(store, RECORDS_FOLDER)
     for name in documents.names():
@@ -324,7 +339,7 @@ def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
 
 
 def last_unfinished(store: StoreLike, scene: Scene) -> RecordDocument | None:
-    """The latest prewarm of a scene that did not end; None where there is none."""
+    """Return the latest unfinished prewarm of a scene; None if there is none."""
     found = [
         each
         for each in recorded_prewarms(store)

@@ -1,10 +1,10 @@
-"""The work of a prewarm: look what its pictures lack, forecast what that takes, bake it, and look
+"""The work of a prewarm: look which light its pictures lack, forecast the cost, bake it, and look
 again.
 
-Light goes up a ladder of samples (16, 32, 64, …), as it does for a view that somebody looks at. On
-each rung the pictures are checked; those that need more of their texels ask for the next. Of whole
-isosurfaces pictures from a few sides decide for all texels. Pages that draw by themselves have the
-light of texels alone, for a range of isovalues.
+Light climbs levels of samples (16, 32, 64, …), as for a view that somebody looks at. On each level
+the pictures are checked; a picture that is not at its target asks for the next level of its texels.
+For whole isosurfaces, pictures from a few sides decide for all texels. Pages that draw by
+themselves show only light of texels; ``bake_range`` bakes a range of isovalues for them.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ from worker.errors import WorkersError
 from worker.progress import CostEstimate
 
 Span = tuple[float, float]
-"""Where in all of the work a part of it begins and ends, as shares of it."""
+"""The shares of all work at which a part of it begins and ends."""
 
 
 @dataclass(eq=False)
 class Survey:
-    """What is lacking (``demands``).
+    """The light that is lacking, as ``demands`` by batch and chunk.
 
-    Of whole isosurfaces ``seen`` texels were examined, and ``final`` of them lack nothing.
+    For whole isosurfaces, ``seen`` texels were examined, of which ``final`` ones lack nothing.
     """
 
     demands: dict[tuple[Batch, Index], Demand] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class Survey:
     final: int = 0
 
     def add(self, batch: Batch, demand: Demand) -> None:
-        """Take in what is lacking; what views have in common is counted once."""
+        """Add lacking light of a chunk. Light that several views lack is counted once."""
         place = batch, demand.index
         other = self.demands.get(place)
         if other is None:
@@ -78,35 +78,35 @@ class Survey:
 
     @property
     def wishes(self) -> list[Wish]:
-        """All that is lacking."""
+        """All lacking light."""
         return [(batch, demand) for (batch, _), demand in self.demands.items()]
 
     @property
     def chunks(self) -> int:
-        """Chunks that lack light, those of each bake."""
+        """Number of chunks that lack light, counted for each bake."""
         return len({(replace(batch, enough=0), index) for batch, index in self.demands})
 
     @property
     def unlit(self) -> int:
-        """Texels without light."""
+        """Number of texels without light."""
         return sum(demand.effort.unlit for demand in self.demands.values())
 
     @property
     def waiting(self) -> int:
-        """Texels that are lit, and are to be refined."""
+        """Number of texels with light that are to be refined."""
         return round(sum(demand.effort.lit for demand in self.demands.values()))
 
     @property
     def paths(self) -> float:
-        """Paths that the baking of it is expected to take."""
+        """Number of paths that baking is expected to take."""
         efforts = (demand.effort for demand in self.demands.values())
         return sum(FIRST_LEVEL * effort.unlit + effort.left for effort in efforts)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a picture showed when it was last looked at: pixels of the surface, how many of them
-    were ``final``, and its total relative ``error``.
+    """The state of a picture at the last look: pixels of the surface,
+    of these ``final`` ones, and the total relative ``error``.
     """
 
     surface: int
@@ -115,18 +115,21 @@ class Seen:
 
 
 class Pictures:
-    """The pictures of ``views``, which say how many samples texels are to have: each is checked as
-    a server checks those that it shows. Those in ``waiting`` are not through: they lack light, or
-    their check goes on.
+    """The pictures of ``views``, which decide how many samples texels get. Each is checked as a
+    server checks a picture that it shows.
 
-    ``rung`` is how many samples the texels of any of them have, or are to have; ``read`` counts
-    texels that lacked light at the first look, as often as pictures read them. Where they are a
-    ``sample`` of whole isosurfaces, none has finer texels, and one whose camera stands in a wall is
-    left out.
+    - ``waiting``: pictures that lack light, or whose check is not finished.
+    - ``seen``: their states at the last look.
+    - ``rung``: the most samples that their texels have, or are to have.
+    - ``read``: texels that lacked light at the first look, counted once for each picture that reads
+      them.
+
+    With ``sample``, they stand for whole isosurfaces: none has finer texels, and a view whose
+    camera stands in a wall is left out.
     """
 
     def __init__(self, context: PrewarmContext, views: Views, sample: bool, rung: int) -> None:
-        """Look at none yet."""
+        """Look at no picture yet."""
         self.waiting = set(range(len(views)))
         self.seen: dict[int, Seen] = {}
         self.rung = rung
@@ -136,9 +139,9 @@ class Pictures:
         self._sample = sample
 
     def look(self, span: Span, end: float) -> Survey:
-        """Check each that is not through as far as its texels allow; what they lack then.
+        """Check each waiting picture as far as its texels allow; return the light that they lack.
 
-        Checks end when the monotonic clock is at the ``end``. Raises StoreError, and Cancelled.
+        Checks end when the monotonic clock reaches ``end``. Raises StoreError, and Cancelled.
         """
         found = Survey()
         total = len(self.waiting)
@@ -147,21 +150,22 @@ class Pictures:
             if number in self.waiting:
                 self._context.check()
                 self._context.report(
-                    Step("Looking", "view", done, total, share_of(done, total, span))
+                    Step("Looking", "view", done, total, progress_share(done, total, span))
                 )
-                with suppress(*(ViewError,) * self._sample):
+                # A view of a sample whose camera stands in a wall raises ViewError, and is left
+                # out.
+                left_out = (ViewError,) if self._sample else ()
+                with suppress(*left_out):
                     self._take(number, self._checked(view, end), found)
                 if number not in self.seen:
-                    self.waiting -= {number}
-                else:
-                    self.waiting -= set()
+                    self.waiting.discard(number)
                 done += 1
         self._context.report(Step("Looking", "view", total, total, span[1]))
         return found
 
     def _checked(self, view: View, end: float) -> Frame:
-        """The frame of a view once its check has no step to take, or wants light of texels
-        first.
+        """Take steps of the check of a view until there is none,
+        or light of texels is needed first; return the frame.
         """
         context = self._context
         frame = context.frame_of(view)
@@ -178,33 +182,34 @@ class Pictures:
         return frame
 
     def _take(self, number: int, frame: Frame, found: Survey) -> None:
-        """Note how good a picture is, and what it lacks."""
-        wishes = [wish for wish in lacking_of(frame) if not (self._sample and wish[0].fineness)]
-        if number in self.seen:
-            self.read += 0
-        else:
+        """Note how good a picture is, and the light that it lacks."""
+        wishes = [wish for wish in wishes_of(frame) if not (self._sample and wish[0].fineness)]
+        if number not in self.seen:
             self.read += sum(len(demand.offsets) for _, demand in wishes)
         self.seen[number] = Seen(frame.surface, frame.counts["final"], frame.total.likely)
         for wish in wishes:
             found.add(*wish)
-        self.rung = max(
-            self.rung, *(batch.enough for batch, _ in wishes), 0 if wishes else rung_of(frame)
-        )
-        if not wishes and not frame.checkable:
-            self.waiting.discard(number)
+        if wishes:
+            self.rung = max(self.rung, *(batch.enough for batch, _ in wishes))
+        else:
+            self.rung = max(self.rung, rung_of(frame))
+            if not frame.checkable:
+                self.waiting.discard(number)
 
 
 def rung_of(frame: Frame) -> int:
-    """The samples that texels of a ``frame`` have, but those which need fewer; 0 where it reads no
-    texels.
+    """Return the samples that texels of a ``frame`` have,
+    apart from those that need fewer; 0 if it reads no texels.
     """
     if frame.quality.lacking:
         return frame.quality.lacking.reading.rung
     return 0
 
 
-def lacking_of(frame: Frame) -> Iterator[Wish]:
-    """What the picture of a ``frame`` lacks, or the finer one that is coming in its place."""
+def wishes_of(frame: Frame) -> Iterator[Wish]:
+    """Yield the light that the picture of a ``frame`` lacks,
+    or the picture with finer texels that is to replace it.
+    """
     coming = frame.quality.finer or frame
     for stage in coming.stages:
         if stage.caches:
@@ -216,48 +221,54 @@ def lacking_of(frame: Frame) -> Iterator[Wish]:
 
 
 def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
-    """What is lacking with the exact efforts of texels that several views read, by the store."""
+    """Replace the efforts of lacking light by exact ones,
+    from the store, as several views may read the same texels.
+    """
     for (batch, index), demand in found.demands.items():
         if demand.effort.unlit < len(demand.offsets):
             context.check()
-            found.demands[batch, index] = look_up(context, batch, demand)
+            found.demands[batch, index] = with_stored_effort(context, batch, demand)
     return found
 
 
-def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
-    """What the store lacks of all texels of whole isosurfaces, which are to have ``enough``
-    samples.
+def survey_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
+    """Return the light that the store lacks for all texels
+    of whole isosurfaces to have ``enough`` samples.
     """
     prepared = context.renderer.prepared
     found = Survey()
     volume = prepared.scene.volume
     total = prepared.chunks[0]
     places = [volume.normalise_span(*each) for each in levels.spans]
+    # Texels on their own isosurfaces.
     for index, offsets in surface_texels(
         volume.voxels, prepared.shape, prepared.lattice.chunk, places
     ):
         context.check()
-        context.report(Step("Looking", "layer", index[0], total, share_of(index[0], total, span)))
+        context.report(
+            Step("Looking", "layer", index[0], total, progress_share(index[0], total, span))
+        )
         batch = Batch(None, enough)
-        count(found, batch, look_up(context, batch, unseen_demand(index, offsets)))
+        count_chunk(found, batch, with_stored_effort(context, batch, unseen_demand(index, offsets)))
+    # Texels that are projected onto an isosurface.
     for demand in projected_demands(context, levels):
         context.check()
         batch = Batch(demand.shown, enough)
-        count(found, batch, look_up(context, batch, demand))
+        count_chunk(found, batch, with_stored_effort(context, batch, demand))
     context.report(Step("Looking", "layer", total, total, span[1]))
     return found
 
 
 def unseen_demand(index: Index, offsets: np.ndarray, shown: Isovalue | None = None) -> Demand:
-    """Texels of a chunk that no view asks for: all of them count alike."""
+    """Return a demand for texels of a chunk that no view asks for: all of them count alike."""
     seen = np.ones(len(offsets), np.float32)
     effort = Effort(len(offsets), 0.0, 0.0)
     return Demand(index, offsets, float(len(offsets)), effort, seen, shown)
 
 
 def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Demand]:
-    """Texels that are to be projected onto the whole isosurfaces of single isovalues; there are
-    none of ranges.
+    """Yield demands for the texels that must be projected onto
+    the isosurfaces of single isovalues; ranges have none.
     """
     prepared = context.renderer.prepared
     tiles = context.renderer.tiles
@@ -274,8 +285,8 @@ def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Deman
                 yield unseen_demand(index, offsets[beyond], level)
 
 
-def count(found: Survey, batch: Batch, demand: Demand) -> None:
-    """Take in a chunk of a ``batch`` whose texels were looked up."""
+def count_chunk(found: Survey, batch: Batch, demand: Demand) -> None:
+    """Count a chunk of a ``batch`` whose texels were looked up, and add the light that it lacks."""
     texels = len(demand.offsets)
     lacking = demand.effort.unlit + round(demand.effort.lit)
     found.seen += texels
@@ -284,9 +295,9 @@ def count(found: Survey, batch: Batch, demand: Demand) -> None:
         found.add(batch, demand)
 
 
-def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
-    """A ``demand`` with the effort that its texels take by what the store has of them: a read, if
-    there is anything.
+def with_stored_effort(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
+    """Return a ``demand`` with the effort that its texels take,
+    by the light that the store has of them.
     """
     store = context.store_of(batch)
     spec = store.spec
@@ -300,39 +311,37 @@ def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
     return replace(demand, effort=Effort.of(error, samples, context.target, batch.enough))
 
 
-def share_of(done: int, total: int, span: Span) -> float:
-    """Where between the ends of a ``span`` so much of its work is."""
+def progress_share(done: int, total: int, span: Span) -> float:
+    """Return the share of all work when ``done`` of ``total`` in a ``span`` are done."""
     return span[0] + (span[1] - span[0]) * done / max(total, 1)
 
 
 SURVEY_SHARES = (0.0, 0.04)
 LAST_ROUND_END_SHARE = 0.98
-"""Where in all of the work the first look begins and ends, and where the last round does, as shares
-of it.
-"""
+"""Shares of all work at which the first look begins and ends, and at which the last round ends."""
 
 BAKED_SHARE = 0.8
-"""The share of a round at which its light is baked, and the pictures are checked."""
+"""Share of a round at which its light is baked, and the checks of pictures begin."""
 
 TRIAL_SECONDS = 3.0
 DRY_TRIAL = 10.0
 """Seconds that a forecast may take, before baking and in a dry run."""
 
 CHECKING = 0.25
-"""What the check of a picture takes over what the light of all its texels does: pixels get light of
-their own while that costs less than the next rung.
+"""Cost of checking a picture, relative to that of the light of all its texels:
+paths from pixels are traced as long as they cost less than the next level of texels.
 """
 
 USUAL_END_SHARE = 1 / 64
-"""At how many samples pictures end, over those at which the last of their texels would: 16 to 64 at
-2 %.
+"""Samples at which pictures end, relative to those at
+which the last of their texels would: 16 to 64 at 2 %.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What is asked for, made out for a scene: its ``views`` or, where there are none, whole
-    isosurfaces of which ``samples`` are looked at.
+    """An order made out for a scene: its ``views`` or, if there are none,
+    whole isosurfaces, which the pictures of ``samples`` stand for.
     """
 
     order: PrewarmOrder
@@ -342,12 +351,15 @@ class Wanted:
 
     @property
     def whole(self) -> bool:
-        """Whether it is whole isosurfaces."""
+        """True if the order is for whole isosurfaces."""
         return not len(self.views)
 
 
 def wanted(context: PrewarmContext, order: PrewarmOrder, settings: Settings) -> Wanted:
-    """What an order asks for; ViewError where that is not allowed."""
+    """Make out an ``order`` for the scene of a context.
+
+    Raises ViewError if the scene does not allow it.
+    """
     scene = context.scene
     views = Views(order, scene, settings)
     levels = order.isovalues_of(scene)
@@ -356,9 +368,11 @@ def wanted(context: PrewarmContext, order: PrewarmOrder, settings: Settings) -> 
 
 @dataclass(eq=False)
 class Rounds:
-    """What a prewarm has done so far, round by round: the ``places`` that it baked at, what that
-    ``spent``, and its ``failures``. Checks of all pictures are expected to take so many seconds of
-    all workers (``checks``).
+    """The rounds of a prewarm, each of looking and baking, and their results so far.
+
+    ``places`` are the chunks that were baked, ``spent`` is the cost of that, and ``failures`` are
+    chunks given up. ``checks`` is the expected time of all checks of pictures, in seconds of all
+    workers.
     """
 
     context: PrewarmContext
@@ -378,35 +392,40 @@ class Rounds:
         self.pictures = Pictures(self.context, views, self.what.whole, self.context.rung)
 
     def look(self, span: Span, end: float) -> Survey:
-        """What is lacking now, once pictures are checked as far as they can be until the ``end``,
-        by the monotonic clock. Raises StoreError, and Cancelled.
+        """Return the light that is lacking now, after checking pictures as far as possible.
+
+        Checks end when the monotonic clock reaches ``end``. Raises StoreError, and Cancelled.
         """
         if not self.what.whole:
             return with_efforts(self.context, self.pictures.look(span, end))
+        # For whole isosurfaces, bake all texels to the present level before pictures decide on the
+        # next.
         levels = self.what.levels
         middle = sum(span) / 2.0
-        found = of_surfaces(self.context, levels, self.pictures.rung, (span[0], middle))
+        found = survey_surfaces(self.context, levels, self.pictures.rung, (span[0], middle))
         if found.demands or not self.pictures.waiting:
             return found
         rung = self.pictures.rung
         lacking = self.pictures.look((middle, span[1]), end)
         if self.pictures.rung > rung:
             self.context.climbed(self.pictures.rung)
-        found = of_surfaces(self.context, levels, self.pictures.rung, (span[1], span[1]))
+        found = survey_surfaces(self.context, levels, self.pictures.rung, (span[1], span[1]))
         for wish in lacking.wishes:
             found.add(*wish)
         return with_efforts(self.context, found)
 
     def bake(self, found: Survey, ahead: CostEstimate, end: float) -> Survey:
-        """Bake what was ``found`` lacking, and what pictures then lack, until the ``end``; what is
-        left of it.
+        """Bake the light that was ``found`` lacking, and that pictures lack afterwards, until
+        ``end``; return the light left.
 
         Raises WorkersError, StoreError, and Cancelled.
         """
+        # Forecast the time per path, for reports of the time left.
         coming = paths_to(found, rung_ahead(self.context, found))
         pace = ahead.seconds / max(coming, 1.0)
         while found.demands and not self.context.late(end):
             coming = max(coming - found.paths, 0.0)
+            # The number of rounds is unknown: give each half of the rest of the progress bar.
             first = self.done
             last = (self.done + LAST_ROUND_END_SHARE) / 2.0
             baked = first + BAKED_SHARE * (last - first)
@@ -416,77 +435,86 @@ class Rounds:
             self._note(baking)
             left = self.look((baked, last), end)
             self.done = last
-            if not baking.spent.paths and same(found, left):
+            # Stop if nothing was baked and the same light is lacking: it cannot be baked.
+            if not baking.spent.paths and is_unchanged(found, left):
                 return left
             found = left
+            # From the first round on, use the measured time per path.
             if self.spent.paths:
                 pace = self.spent.seconds / self.spent.paths
         return found
 
     def _note(self, baking: Baking) -> None:
+        """Add the places, failures and cost of a round."""
         self.places |= {(batch, demand.index) for batch, demand in baking.wishes}
         self.failures |= baking.failures
         self.spent = self.spent.plus(baking.spent)
 
 
-def same(found: Survey, left: Survey) -> bool:
-    """Whether as much is ``left`` as was ``found`` before: it cannot be baked."""
+def is_unchanged(found: Survey, left: Survey) -> bool:
+    """Return True if as much light is ``left`` as was ``found`` before."""
     return found.demands.keys() == left.demands.keys() and found.paths == left.paths
 
 
 def rung_ahead(context: PrewarmContext, found: Survey) -> int:
-    """The samples at which pictures are expected to end: those of USUAL_END_SHARE, or those that
-    they want now.
+    """Return the samples at which pictures are expected to end,
+    or those that they want now if these are more.
     """
     wanted_now = max((batch.enough for batch, _ in found.demands), default=FIRST_LEVEL)
     return max(wanted_now, int(USUAL_END_SHARE * most_samples(context.target)))
 
 
 def paths_to(found: Survey, rung: int) -> float:
-    """The paths that all texels which lack light take until they have so many samples."""
+    """Return the paths that all texels which lack light take until they have ``rung`` samples."""
     wanted_now = ((batch.enough, demand) for batch, demand in found.wishes)
     return found.paths + sum((rung - enough) * len(demand.offsets) for enough, demand in wanted_now)
 
 
 def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], None]) -> Summary:
-    """Bake what is asked for, and sum it up; ``begun`` is given what is known before the baking.
+    """Bake the light of an order, and return a summary; ``begun`` is called with its forecast
+    before the baking.
 
-    Raises StoreError, Cancelled, and WorkersError where there are no workers, or these bake nothing
+    Raises StoreError, Cancelled, and WorkersError if there are no workers, or if they bake nothing
     for long.
     """
     rounds = Rounds(context, what)
     since = time.monotonic()
+    # Look which light is lacking; workers start meanwhile.
     found = rounds.look(SURVEY_SHARES, context.deadline)
     looked = time.monotonic() - since
     while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
-    summary, ahead = look_ahead(rounds, found, looked, TRIAL_SECONDS)
+    summary, ahead = forecast_summary(rounds, found, looked, TRIAL_SECONDS)
     begun(summary)
+    # Leave time for a last look, but at most half of the time.
     end = context.deadline - min(looked, context.left / 2.0)
     left = rounds.bake(found, ahead, end)
     late = context.late(end) and bool(left.demands or rounds.pictures.waiting)
-    return summed_up(rounds, summary, left, late)
+    return final_summary(rounds, summary, left, late)
 
 
 def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:
-    """What there is to do for what is asked for, and the time that it takes. Raises StoreError, and
-    Cancelled.
+    """Return the summary of an order with the forecast of its time, without baking.
+
+    Raises StoreError, and Cancelled.
     """
     rounds = Rounds(context, what)
     since = time.monotonic()
     found = rounds.look((0.0, 0.5), context.deadline)
-    return look_ahead(rounds, found, time.monotonic() - since, DRY_TRIAL)[0]
+    return forecast_summary(rounds, found, time.monotonic() - since, DRY_TRIAL)[0]
 
 
-def look_ahead(
+def forecast_summary(
     rounds: Rounds, found: Survey, looked: float, budget: float
 ) -> tuple[Summary, CostEstimate]:
-    """What is lacking, and a forecast of what its baking takes, in about ``budget`` seconds.
+    """Return the summary before the baking, and the forecast of its cost, which takes about
+    ``budget`` seconds.
 
-    The summary has the time of the whole: what has passed, a trial, the baking, and looking again,
-    which took so many seconds at first (``looked``).
+    The summary's time is that of the whole prewarm: the time passed, the forecast, the baking, and
+    looking again, which took ``looked`` seconds at first.
     """
     context = rounds.context
+    # Rehearse texels of the scene's light; other texels are taken to cost as much each.
     usual = [demand for batch, demand in found.wishes if batch.usual]
     passed = context.seconds
     rung = rung_ahead(context, found)
@@ -494,27 +522,30 @@ def look_ahead(
     workers = context.engine.baker.workers
     until = Until(context.target, rung)
     ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
-    texels, others = (
-        sum(len(demand.offsets) for demand in each) for each in (usual, found.demands.values())
-    )
-    ahead = ahead.times(others / max(texels, 1))
-    rounds.checks = (
-        CHECKING
-        * ahead.seconds
-        * max(rounds.pictures.read / max(others, 1), float(rounds.what.whole))
-    )
+    rehearsed = sum(len(demand.offsets) for demand in usual)
+    texels = sum(len(demand.offsets) for demand in found.demands.values())
+    ahead = ahead.times(texels / max(rehearsed, 1))
+    # The check of a picture costs a share of the light of all its texels, and several pictures may
+    # read a texel.
+    pictures_per_texel = rounds.pictures.read / max(texels, 1)
+    if rounds.what.whole:
+        pictures_per_texel = max(pictures_per_texel, 1.0)
+    rounds.checks = CHECKING * ahead.seconds * pictures_per_texel
     context.check()
     if found.demands:
         around = passed + min(context.seconds - passed, TRIAL_SECONDS) + looked
     else:
         around = passed
+    # Without lacking light there is no baking, and nothing to start.
     if found.demands and not context.engine.baker.manned:
         around += WORKER_START_SECONDS
     return summary_of(rounds, found, ahead, around + rounds.checks / workers), ahead
 
 
 def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float) -> Summary:
-    """What is known before the baking; so many seconds are spent ``around`` it."""
+    """Return the summary before the baking;
+    ``around`` are the seconds spent before and after it.
+    """
     context = rounds.context
     what = rounds.what
     workers = context.engine.baker.workers
@@ -538,27 +569,29 @@ def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float
     )
 
 
-def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summary:
-    """What it came to, beside what was known ``ahead``; it is ``late`` where its time ended before
-    what is ``left``.
+def final_summary(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summary:
+    """Return the summary after the baking.
+
+    It is ``late`` if its time ended before the light ``left`` was baked.
     """
     reasons = list(rounds.failures.items())
     spent = rounds.spent
     context = rounds.context
+    # Pictures are not looked at while texels lack light: do it once more, without further checks.
     if late and rounds.what.whole:
         rounds.pictures.look((LAST_ROUND_END_SHARE, 1.0), time.monotonic())
-    done = {"paths": spent.paths, "seconds": context.seconds, "processor_seconds": spent.seconds}
     if late:
         stopped = "deadline"
     elif reasons:
         stopped = "failures"
     else:
         stopped = "target"
-    size = stored_bytes(context, rounds.places)
     facts = {
-        **done,
+        "paths": spent.paths,
+        "seconds": context.seconds,
+        "processor_seconds": spent.seconds,
         "stopped": stopped,
-        "stored_bytes": size,
+        "stored_bytes": stored_bytes(context, rounds.places),
         "failed": len(reasons),
         "failures": failures_of(reasons),
     }
@@ -566,17 +599,21 @@ def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summa
 
 
 def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
-    """How good light is, as fields of a summary: by pictures, and of whole isosurfaces the share of
-    texels.
+    """Return the fields of a summary that say how good light is:
+    by pictures, and for whole isosurfaces the share of texels.
     """
     pictures = rounds.pictures
     seen = list(pictures.seen.values())
     errors = [each.error for each in pictures.seen.values()] or [1.0]
     final = sum(each.final for each in seen)
     total = sum(each.surface for each in seen)
+    # For whole isosurfaces count texels instead of pixels; none are final before pictures have
+    # decided.
     if rounds.what.whole:
-        final = left.final * bool(left.demands or not pictures.waiting)
         total = left.seen
+        final = left.final
+        if pictures.waiting and not left.demands:
+            final = 0
     worst = max(errors)
     mean = sum(errors) / len(errors)
     return {
@@ -587,15 +624,15 @@ def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
 
 
 def stored_bytes(context: PrewarmContext, places: Iterable[tuple[Batch, Index]]) -> int:
-    """Bytes that the chunks at these places take in the store."""
+    """Return the bytes that the chunks at these places take in the store."""
     once = {(replace(batch, enough=0), index) for batch, index in places}
     stored = ((index, layer) for batch, index in once for layer in context.store_of(batch).layers)
     return sum(len(layer.read(index) or b"") for index, layer in stored)
 
 
 WORTHWHILE_ERROR_RATIO = 0.95
-"""The error after twice as many samples over the one before, at most, where another rung is worth
-it.
+"""Largest ratio of the error after a doubling of samples
+to that before at which another doubling is tried.
 """
 
 BETWEEN = 3
@@ -604,8 +641,8 @@ BETWEEN = 3
 
 @dataclass(frozen=True, eq=False)
 class RangeLight:
-    """The light of a range once it is baked: texels have so many ``samples``, and ``pictures`` say
-    how good it is.
+    """The baked light of a range: the ``samples`` of texels,
+    and ``pictures`` that measure its error.
     """
 
     samples: int
@@ -613,16 +650,16 @@ class RangeLight:
 
 
 def views_of(context: PrewarmContext, low: float, high: float, settings: Settings) -> list[View]:
-    """Views that stand for all of a range of isovalues, from all sides; where the light turns, each
-    turned further.
+    """Return views that stand for a range of isovalues, from all sides.
+
+    If the light rotates, each has another rotation.
     """
     levels = Levels(tuple({low + (high - low) * n / (BETWEEN - 1): None for n in range(BETWEEN)}))
     views = views_around(order_of({"all_directions": True}), levels, context.scene, settings)
-    turns = context.scene.lighting.rotating
+    if not context.scene.lighting.rotating:
+        return list(views)
     return [
         replace(view, light=quaternion_from_angles(number * GOLDEN % 360.0, 0.0, 0.0))
-        if turns
-        else view
         for number, view in enumerate(views)
     ]
 
@@ -634,11 +671,11 @@ def bake_range(
     views: Iterable[View],
     goal: float,
 ) -> RangeLight:
-    """Bake all texels of isosurfaces in a ``span`` of isovalues until pictures of ``views`` are at
-    the ``goal``.
+    """Bake all texels of isosurfaces in a ``span`` of isovalues until pictures of ``views`` have
+    the error ``goal``.
 
-    That is an error; texels that are at the context's target alone get no more samples. Sooner
-    where more samples make pictures no better. Raises WorkersError, StoreError, and Cancelled.
+    Texels that are at the context's target by themselves get no more samples. Baking ends early if
+    more samples do not make pictures better. Raises WorkersError, StoreError, and Cancelled.
     """
     levels = Levels((), (span,))
     most = most_samples(context.target)
@@ -647,21 +684,26 @@ def bake_range(
     pictures = None
     while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
-    lacked = lacking(context, levels, rung)
+    lacked = survey_range(context, levels, rung)
     while True:
         bake_rung(context, lacked, rung)
-        while rung < most and not (lacked := lacking(context, levels, next_level(rung))).demands:
+        # Skip levels that lack no texel.
+        while rung < most:
+            lacked = survey_range(context, levels, next_level(rung))
+            if lacked.demands:
+                break
             rung = next_level(rung)
-        pictures = pictures or measured(context, list(views))
+        pictures = pictures or trace_controls(context, list(views))
         error = pictures.measure(coding).likely
+        # Stop at the goal, or if another level is not worth it.
         if error <= goal or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
             return RangeLight(rung, pictures)
         rung = next_level(rung)
         before = error
 
 
-def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
-    """The pictures of ``views`` with their control pixels. Raises Cancelled."""
+def trace_controls(context: PrewarmContext, views: list[View]) -> ControlPictures:
+    """Return the pictures of ``views`` with their control pixels. Raises Cancelled."""
 
     def report(done: int) -> None:
         context.check()
@@ -670,22 +712,24 @@ def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
     return ControlPictures(context.renderer, views, context.target, report)
 
 
-def lacking(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
-    """What texels of whole isosurfaces lack to have as many samples as the ``rung``, or to be at
-    the target alone.
+def survey_range(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
+    """Return the light that texels of whole isosurfaces lack
+    to have ``rung`` samples, or to be at the target by themselves.
     """
-    return of_surfaces(context, levels, rung, (0.0, 1.0))
+    return survey_surfaces(context, levels, rung, (0.0, 1.0))
 
 
 def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
-    """Bake what was ``found`` lacking of a ``rung``. Raises WorkersError, StoreError, and
-    Cancelled.
+    """Bake the light that was ``found`` lacking of a level.
+
+    Raises WorkersError, StoreError, and Cancelled.
     """
     if not found.demands:
         return
     demands = [demand for _, demand in found.wishes]
     until = Until(context.target, rung)
     workers = context.engine.baker.workers
+    # Forecast the time for reports of progress, and bake.
     ahead = forecast(context.renderer, demands, until, workers, TRIAL_SECONDS, context.cancelled)
     baking = Baking(
         context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline

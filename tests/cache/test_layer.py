@@ -20,7 +20,7 @@ from numcodecs.zstd import Zstd
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.cache.chunk_record import Chunk, facts_in
-from isogi_core.cache.layer import LayerStore, joined
+from isogi_core.cache.layer import LayerStore, merge_parts
 from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoredObject, StoreUrl
@@ -466,7 +466,7 @@ def test_void_texels_stay_void_whoever_comes_last(spec: BakeSpec) -> None:
     ours = np.array([1, 2, 3], np.int32)
     theirs = np.array([1, 2, 4], np.int32)
     for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
-        offsets, both = joined(*first, *second)
+        offsets, both = merge_parts(*first, *second)
         assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])
 
 

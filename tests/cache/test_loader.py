@@ -21,7 +21,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache import scene_caches as loading
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.page_pool import PAGE_TEXELS, PagePool
-from isogi_core.cache.scene_caches import ASK_AGAIN, MAX_BATCHES_AHEAD, Caches, Loader, ahead
+from isogi_core.cache.scene_caches import ASK_AGAIN, MAX_BATCHES_AHEAD, Caches, Loader, read_ahead
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
@@ -258,13 +258,13 @@ def test_a_view_that_is_given_up_has_no_more_brought_for_it() -> None:
         return 2 * item
 
     with ThreadPoolExecutor(2) as hands:
-        found = ahead(hands, work, range(100))
+        found = read_ahead(hands, work, range(100))
         assert next(found) == 0
         found.close()
         go_on.set()
     assert len(begun) <= 3, "the first, and one more for each hand"
     with ThreadPoolExecutor(2) as hands:
-        assert list(ahead(hands, lambda item: 3 * item, range(100))) == list(range(0, 300, 3))
+        assert list(read_ahead(hands, lambda item: 3 * item, range(100))) == list(range(0, 300, 3))
 
 
 def test_a_frame_that_nobody_waits_for_stops_loading(
@@ -289,7 +289,7 @@ def test_a_frame_that_nobody_waits_for_stops_loading(
 def test_no_more_than_a_few_batches_wait_in_memory() -> None:
     done = 0
     with ThreadPoolExecutor(2) as hands:
-        found = ahead(hands, lambda item: item, range(10 * MAX_BATCHES_AHEAD))
+        found = read_ahead(hands, lambda item: item, range(10 * MAX_BATCHES_AHEAD))
         for item in found:
             done += 1
             assert item == done - 1

@@ -116,7 +116,7 @@ def test_half_written_assets_are_written_again(
         with pytest.raises(StoreError, match="gone"):
             send_assets(scene, store)
     with pytest.raises(
-        StoreError, match=r"The workers need volumes/.* which lacks it: restart the server"
+        StoreError, match=r"The workers need volumes/.* which is missing in .*: restart the server"
     ):
         room.fetch_volume(scene.volume.digest, store)
     (tmp_path / "store" / written[4]).write_bytes(b"of a server that was killed")

@@ -627,7 +627,7 @@ def test_what_could_not_be_kept_is_logged_and_kept_later(
     costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         costs.save()
-    assert "What the bake took cannot be kept" in caplog.text
+    assert "The costs of baking cannot be stored" in caplog.text
     place.unlink()
     costs.save(at_once=False)
     assert not place.exists()

@@ -41,8 +41,8 @@ from isogi_report.speed import bake_view, make_renderer
 from isogi_report.studies import (
     EQUAL_ERROR_COLUMNS,
     Split,
-    even,
-    evens,
+    break_even_row,
+    break_even_table,
     seconds_at,
     split_error,
     study_split,
@@ -111,11 +111,11 @@ def test_a_curve_that_does_not_get_there_has_no_seconds() -> None:
 
 def test_a_bake_counts_at_its_cheapest_good_point() -> None:
     baked = Curve("baked", (1.0, 3.0, 9.0), (0.1, 0.041, 0.04))
-    name, error, seconds, picture, pictures = even(baked, TRACED)
+    name, error, seconds, picture, pictures = break_even_row(baked, TRACED)
     assert (name, error, seconds) == ("baked", 0.041, 3.0)
     assert picture == pytest.approx(6.4e-5 / 0.041**2)
     assert pictures == 79
-    table = evens([baked], TRACED, "4 × 4 pixels")
+    table = break_even_table([baked], TRACED, "4 × 4 pixels")
     assert len(table.rows[0]) == len(EQUAL_ERROR_COLUMNS)
 
 
