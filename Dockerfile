@@ -2,6 +2,7 @@ FROM python:3.12-slim@sha256:78387bc3881b8273120a12ebe6c1ab22b018ccc2c9adf565ae1
 WORKDIR /opt/isogi
 COPY requirements.lock pyproject.toml README.md LICENSE isogi_client.py isogi_widget.py ./
 RUN pip install --no-cache-dir --require-hashes -r requirements.lock
+COPY isogi isogi
 COPY isogi_core isogi_core
 COPY worker worker
 COPY server server

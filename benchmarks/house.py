@@ -19,10 +19,10 @@ from types import FrameType
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PRODUCT = ("isogi_core", "worker", "server", "isogi_report", "isogi_client.py", "isogi_widget.py")
+PRODUCT = ("isogi_core", "worker", "server", "isogi_report", "isogi")
 """Folders and files of the product that Python runs."""
 
-KNOB_FOLDERS = ("isogi_core/model", "isogi_core/plan", "server", "web", "isogi_client.py")
+KNOB_FOLDERS = ("isogi_core/model", "isogi_core/plan", "server", "web", "isogi")
 """Where a knob may stand between a scene file and the picture: not what computes with its value,
 nor file formats.
 """

@@ -24,7 +24,7 @@ from server.settings import Settings
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
-from draw_comparison import GROUND, by_vtk, camera_of
+from draw_comparison import GROUND, by_vtk, camera_of  # noqa: E402 (beside this file)
 
 VOLUME = "engine_256x256x128_uint8"
 KNOBS = {"isovalue": "70", "width": "560", "height": "420"}

@@ -28,7 +28,7 @@ from server.settings import Settings
 from server.views import with_first_view
 
 if TYPE_CHECKING:
-    from isogi_client import Isogi
+    from isogi.client import Isogi
 
 Value = float | str | Sequence[float]
 """A parameter of a view: a number, a word, or numbers such as ``target=(10, 20, 5)``."""
@@ -266,7 +266,7 @@ class Scene:
         ``settings`` are those of ``isogi serve``, such as ``port=8000``. The page is at the
         client's address. Needs ``pip install 'isogi[client]'``.
         """
-        from isogi_client import Isogi  # noqa: PLC0415 (an optional dependency)
+        from isogi.client import Isogi  # noqa: PLC0415 (an optional dependency)
 
         self.close()
         folder = tempfile.mkdtemp(prefix="isogi-scene-")

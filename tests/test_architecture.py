@@ -152,7 +152,7 @@ def leaning(path: Path) -> list[str]:
 
 
 def test_docstrings_stand_alone_in_a_help_window() -> None:
-    clients = [ROOT / "isogi_client.py", ROOT / "isogi_widget.py"]
+    clients = [ROOT / "isogi/client.py", ROOT / "isogi/widget.py"]
     assert offenders((*SOURCES, *clients), leaning) == {}
 
 

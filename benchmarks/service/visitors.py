@@ -23,7 +23,7 @@ from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.service.drag import RATE, START, drags
-from isogi_client import Isogi
+from isogi.client import Isogi
 
 STEP = 1.2 * RATE
 """Degrees a second that the object is turned by, as ``Hand`` does."""

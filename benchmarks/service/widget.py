@@ -36,7 +36,7 @@ DRAG = 100
 """Pixels that the pointer goes."""
 
 CELLS = (
-    'from isogi_client import Isogi\nfrom isogi_widget import Viewer\n\nisogi = Isogi("{url}")\n'
+    'from isogi.client import Isogi\nfrom isogi.widget import Viewer\n\nisogi = Isogi("{url}")\n'
     'viewer = Viewer(isogi, isogi.scenes()[0]["id"], width={width}, height={height})\nviewer',
     'print("azimuth is", viewer.azimuth)',
 )

@@ -36,8 +36,8 @@ from worker.bake_requests import Viewer
 from worker.progress import TimeLeft
 
 if TYPE_CHECKING:
-    from isogi_client import Job
-    from isogi_client import Progress as JobProgress
+    from isogi.client import Job
+    from isogi.client import Progress as JobProgress
 
 __all__ = [
     "detach",
@@ -276,7 +276,7 @@ def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator
     where a library of the client is missing.
     """
     try:
-        import isogi_client as client  # noqa: PLC0415 (its libraries are an extra)
+        from isogi import client  # noqa: PLC0415 (its libraries are an extra)
     except ModuleNotFoundError as error:
         raise LibraryError(
             f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'."

@@ -66,7 +66,7 @@ def test_figures_grow_old_by_changes_of_their_code_alone(history: History) -> No
     assert faults([PAGE]) == ["speed-x: 3 commits have changed code since then."]
 
 
-def test_a_page_of_no_commit_no_page_and_a_strange_page_are_named(history: History) -> None:
+def test_pages_that_are_lost_or_strange_are_named(history: History) -> None:
     history.measured("speed-x", "0" * 40)
     history.measured("speed-old", history.change("code/a.py", "0"))
     first, second, third = faults([PAGE, Page("speed-y", (), ("code",))])

@@ -22,8 +22,8 @@ import pytest
 from httpx_retries import RetryTransport
 from PIL import Image
 
-import isogi_client
-from isogi_client import (
+import isogi.client as isogi_client
+from isogi.client import (
     Bar,
     BusyError,
     Facts,

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_client import Frame, Isogi, srgb_of
+from isogi.client import Frame, Isogi, srgb_of
 from tests.server.sockets import wait_for
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "client.md"
@@ -105,7 +105,7 @@ def shown(code: str, names: dict[str, Any]) -> Any:
 def test_the_cells_run(own_server: str, capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, Any] = {}
     for code in cells():
-        if NO_WIDGET and ("isogi_widget" in code or "viewer" in code):
+        if NO_WIDGET and ("isogi.widget" in code or "viewer" in code):
             continue
         ended = shown(code.replace(HERE, own_server), names)
         if isinstance(ended, Frame):
@@ -124,7 +124,7 @@ def test_radiance_is_shown_as_srgb() -> None:
 
 @pytest.mark.skipif(NO_WIDGET, reason="anywidget is not installed")
 def test_a_viewer_follows_its_knobs(own_server: str) -> None:
-    from isogi_widget import Viewer
+    from isogi.widget import Viewer
 
     with Isogi(own_server) as isogi:
         viewer = Viewer(isogi, isogi.scenes()[0]["id"], width=32, height=24)

@@ -2,7 +2,7 @@
 
 import pytest
 
-import isogi_client
+import isogi.client as isogi_client
 from server.answers import defaults, ranges
 from server.cli.arguments import FILM_OPTIONS, VIEW_OPTIONS
 from server.knobs import KNOBS

@@ -182,7 +182,7 @@ def test_the_python_line_asks_for_the_picture_that_is_shown(
             called.update(scene=scene, wait=wait, view=view)
             return SimpleNamespace(save=lambda file: called.update(file=file))
 
-    monkeypatch.setitem(sys.modules, "isogi_client", SimpleNamespace(Isogi=Isogi))
+    monkeypatch.setitem(sys.modules, "isogi.client", SimpleNamespace(Isogi=Isogi))
     exec(line(menu, "python"), {})
     assert (called["address"], called["scene"]) == (live_server, "small")
     assert (called["wait"], called["file"]) == ("final", "small-0.45.png")

@@ -249,7 +249,7 @@ export function pythonLine(server, scene, view, file) {
     .map(([name, value]) => `, ${name}=${literal(value)}`)
     .join("");
   const frame = `frame(${literal(scene)}${knobs}, wait="final")`;
-  return `from isogi_client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
+  return `from isogi.client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
 }
 
 /** @param {number} isovalue */

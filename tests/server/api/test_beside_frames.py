@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from isogi_client import Isogi
+from isogi.client import Isogi
 from isogi_core.frame import renderer
 from isogi_core.frame.framing import paint_panorama
 from isogi_core.frame.gbuffer import GBuffer, trace

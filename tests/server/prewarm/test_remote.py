@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-import isogi_client
+import isogi.client as isogi_client
 from server.cli.command import run
 from server.prewarm.record import Summary
 from tests.client.lab import TOKEN, Lab, lab_of

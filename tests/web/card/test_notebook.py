@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from isogi_client import Isogi
+from isogi.client import Isogi
 from tests.live import serving
 from tests.web.card.lab import lab_in
 from tests.web.visits import middle
@@ -153,7 +153,7 @@ DRAWN = f"!{CARD}.hidden"
 @pytest.fixture
 def notebook(browser: Browser, small_scene: Path, tmp_path: Path) -> Iterator[Notebook]:
     """A viewer of the small scene whose card is a processor, with the server's final picture."""
-    from isogi_widget import Viewer
+    from isogi.widget import Viewer
 
     with (
         serving(small_scene, tmp_path) as url,
