@@ -27,7 +27,7 @@ from server.render.metrics import (
     ServerCollector,
     StoreCollector,
 )
-from server.render.workforce import StoreProbe
+from server.render.stores import StoreProbe
 from server.settings import Settings
 
 API_DESCRIPTION = (

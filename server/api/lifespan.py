@@ -16,8 +16,8 @@ from isogi_core.errors import Cancelled
 from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.problems import problem
-from server.render.bakes import until
 from server.render.engine import RenderEngine
+from server.render.viewers import until
 
 LATE = 1.0
 """Seconds that a route has to answer after it read that its client left; then it is answered with

@@ -30,7 +30,6 @@ from server.api.lifespan import Startup, within
 from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.parameters import LightParams, VariantParams, ViewParams
-from server.render.bakes import UpdateBus, attended, request_viewer
 from server.render.engine import RenderEngine
 from server.render.jobs import ExportFolder, Job, Jobs
 from server.render.scene_variant import Change
@@ -44,7 +43,9 @@ from server.render.scheduling import (
     Rank,
     Renders,
 )
+from server.render.update_bus import UpdateBus
 from server.render.variants import Variants
+from server.render.viewers import attended, request_viewer
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from server.views import view_of

@@ -24,9 +24,9 @@ from server.errors import BusyError, ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
 from server.problems import parameter_named, problem, problem_document, refusal, status_of
-from server.render.bakes import stream_viewer
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Place, Rank
+from server.render.viewers import stream_viewer
 from server.settings import Settings
 from server.values import Span
 

@@ -40,7 +40,7 @@ from server.exports.lit_files import (
 from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
-from server.render.workforce import root_of
+from server.render.stores import root_of
 from server.settings import Settings
 from server.views import view_of
 

@@ -27,9 +27,9 @@ from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.progress import Progress, open_scene
-from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
-from server.render.workforce import root_of
+from server.render.patience import STALLED_SECONDS
+from server.render.stores import root_of
 from server.settings import Settings
 from server.values import document_in
 from worker.bake_requests import Viewer

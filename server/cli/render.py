@@ -37,8 +37,8 @@ from server.clocks import waiting
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import FORMAT_OF_SUFFIX, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
-from server.render.bakes import Patience, time_limit
 from server.render.engine import RenderEngine, engine_for
+from server.render.patience import Patience, time_limit
 from server.settings import Settings
 from server.views import PLACING, view_of, with_first_view
 from worker.errors import WorkersError

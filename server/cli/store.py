@@ -19,7 +19,7 @@ from isogi_core.cache.upkeep import (
 )
 from isogi_core.storage.store import Store
 from server.progress import Progress
-from server.render.workforce import existing_store
+from server.render.stores import existing_store
 from server.values import span
 
 __all__ = [

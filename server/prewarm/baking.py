@@ -37,8 +37,9 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from server.render.bakes import BackgroundBake, Patience
+from server.render.bakes import BackgroundBake
 from server.render.engine import RenderEngine
+from server.render.patience import Patience
 from server.settings import cores
 from worker.bake_requests import Viewer, next_until
 from worker.errors import WorkersError

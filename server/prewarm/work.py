@@ -46,7 +46,7 @@ from server.prewarm.baking import (
 )
 from server.prewarm.order import GOLDEN, Levels, PrewarmOrder, Views, order_of, views_around
 from server.prewarm.record import Errors, Summary, failures_of
-from server.render.bakes import time_limit
+from server.render.patience import time_limit
 from server.schemas import TimeLeftSchema
 from server.settings import Settings
 from worker.errors import WorkersError

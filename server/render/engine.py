@@ -30,24 +30,18 @@ from isogi_core.storage.store import Store, StoreLike
 from server.errors import UnknownSceneError
 from server.render.bakes import (
     BACKGROUND_VIEWER,
-    CHECK,
     BackgroundBake,
-    PictureChecks,
     SideBakes,
     bake_name,
     lend_by_store,
     make_bake,
 )
-from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
+from server.render.engine_workers import Workforce, scheduler_of
+from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
+from server.render.picture_checks import CHECK, PictureChecks
+from server.render.scene_kernels import SceneKernels
 from server.render.scene_variant import SceneVariant
-from server.render.workforce import (
-    SceneKernels,
-    Workforce,
-    root_of,
-    scheduler_of,
-    shared,
-    whereabouts,
-)
+from server.render.stores import root_of, whereabouts
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener

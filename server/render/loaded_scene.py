@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,13 +36,43 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.bakes import Lend, lend_nothing
-from server.render.workforce import Memory
 from worker.tasks import Assets, Whole
 
 log = logging.getLogger("isogi.render")
 
 SCENE_BYTES = 1 << 20
 """Bytes that a scene of a few voxels took besides what it keeps: tables, pools and threads."""
+
+FINER = 5
+"""How many times less memory finer texels have: few views ask for them, and those that find no room
+do without.
+"""
+
+
+class Memory(NamedTuple):
+    """Bytes of decoded ``light``, of ``views`` (surfaces, and where the light in them is) and of
+    ``maps``.
+    """
+
+    light: int
+    views: int
+    maps: int
+
+    @property
+    def finer(self) -> "Memory":
+        """Memory of the scene with finer texels, which has the same maps: all steps together take a
+        quarter more.
+        """
+        return Memory(self.light // FINER, self.views // FINER, self.maps)
+
+
+def shared(total: int) -> Memory:
+    """A memory of ``total`` bytes: half of it for light, and a quarter each for views and for
+    maps.
+    """
+    quarter = total // 4
+    return Memory(total - 2 * quarter, quarter, quarter)
+
 
 VALUES_AHEAD = 2
 """Values to come that are prepared."""

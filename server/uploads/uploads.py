@@ -35,9 +35,9 @@ from server.errors import (
     UploadFolderError,
     UploadsOffError,
 )
-from server.render.bakes import attended
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
+from server.render.viewers import attended
 from server.settings import Settings
 from server.uploads.folder import (
     ENVIRONMENT_KIND,

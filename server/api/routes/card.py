@@ -39,7 +39,7 @@ from server.parameters import (
     layers_of,
 )
 from server.problems import documented_problems
-from server.render.bakes import request_viewer
+from server.render.viewers import request_viewer
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY: dict[int | str, dict[str, Any]] = {

@@ -29,7 +29,7 @@ from server.api.service import (
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
-from server.render.bakes import stream_viewer
+from server.render.viewers import stream_viewer
 from server.schemas import TimeLeftSchema
 from worker.bake_requests import Viewer
 

@@ -37,9 +37,10 @@ from server.parameters import (
 )
 from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts, smoothed
 from server.problems import documented_problems
-from server.render.bakes import BackgroundBake, background_viewer, request_viewer, stream_viewer
+from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINEMENT_PATIENCE
+from server.render.viewers import background_viewer, request_viewer, stream_viewer
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 

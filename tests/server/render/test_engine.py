@@ -38,7 +38,7 @@ from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
-from server.render.workforce import StoreProbe, whereabouts
+from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
@@ -195,7 +195,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
             raise WorkersAwayError("The scheduler is late.")
         return InlinePool(*given)
 
-    monkeypatch.setattr("server.render.workforce.SCHEDULER_RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("server.render.engine_workers.SCHEDULER_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(pool, "start_pool", join)
     engine = begin()
     assert not look(engine, wait=LONG).provisional
@@ -471,7 +471,7 @@ import json, sys
 from contextlib import closing
 from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
-from server.render.workforce import StoreProbe
+from server.render.stores import StoreProbe
 from server.render.engine import RenderEngine
 from tests.compile_kernels import entry_kernels
 from tests.server.buckets import Begin

@@ -19,8 +19,8 @@ from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
 from server.answers import scene_schema
 from server.cli.render import awaited
-from server.render.bakes import CHECK
 from server.render.engine import RenderEngine
+from server.render.picture_checks import CHECK
 from tests.server.inline import LONG
 from worker.bake_requests import GUEST_VIEWER
 

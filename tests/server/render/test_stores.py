@@ -54,7 +54,7 @@ def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
         submit(workers, task, done)
 
     monkeypatch.setattr(InlinePool, "submit", noted)
-    monkeypatch.setattr("server.render.workforce.FINDING_SECONDS", 0.0)
+    monkeypatch.setattr("server.render.stores.FINDING_SECONDS", 0.0)
     return tasks
 
 

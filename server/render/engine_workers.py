@@ -1,0 +1,136 @@
+"""The workers of an engine: started in a thread, with the reason if there are none."""
+
+import logging
+import threading
+from collections.abc import Collection
+
+from isogi_core.errors import IsogiError
+from isogi_core.storage.backend import StoreUrl
+from server.settings import Settings
+from worker import pool
+from worker.baker import Baker
+from worker.errors import WorkersAwayError, WorkersError
+
+log = logging.getLogger("isogi.server")
+
+
+MEMORY_STORE_UNSEEN = (
+    "A store in memory is seen by no worker process: name a folder or an object store."
+)
+
+WORKERS_STARTING = "The workers are starting."
+
+SCHEDULER_RETRY_SECONDS = 2.0
+"""Seconds after which a scheduler that was not there when the server began is tried again."""
+
+
+def scheduler_of(settings: Settings) -> str | None:
+    """The address of the scheduler to join, which from now on is shown the certificate that the
+    settings name.
+    """
+    authority, certificate, key = settings.certificates
+    if authority and certificate and key:
+        from worker.dask_pool import show_certificate  # noqa: PLC0415 (loads Dask)
+
+        show_certificate(str(authority), str(certificate), str(key))
+    return settings.scheduler
+
+
+class Workforce:
+    """The workers that a ``baker`` works with. Safe to use from many threads."""
+
+    def __init__(self, baker: Baker, store: StoreUrl, workers: int, scheduler: str | None) -> None:
+        """Hire none yet: ``workers`` processes of this machine, or those of a ``scheduler``, for
+        light in a store.
+        """
+        self._baker = baker
+        self._store = store
+        self._workers = workers
+        self._scheduler = scheduler
+        self._pool: pool.WorkerPool | None = None
+        self._hiring: threading.Thread | None = None
+        self._stopped = threading.Event()
+        self._error: IsogiError | None = None
+        self.late = False
+        """Whether they come after kernels are compiled: pictures are drawn before that, and they
+        are not missed.
+        """
+
+    @property
+    def joins(self) -> bool:
+        """Whether the workers are those of a scheduler, which may lack the scenes' files."""
+        return self._scheduler is not None
+
+    def hire(self, kinds: Collection[str]) -> None:
+        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds``
+        come first.
+        """
+        if self._hiring is None:
+            self._hiring = threading.Thread(
+                target=self._hire, args=[kinds], name="hiring", daemon=True
+            )
+            self._hiring.start()
+
+    def wait(self, seconds: float) -> bool:
+        """Whether the workers have come, or cannot, after so many seconds at most."""
+        if self._hiring is not None:
+            self._hiring.join(seconds)
+        return self._hiring is None or not self._hiring.is_alive()
+
+    @property
+    def missing(self) -> str:
+        """Why there are no workers; empty where they are here, or may still come."""
+        if self._error is None:
+            return ""
+        return str(self._error)
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing is baked at the moment; empty when all is well."""
+        if self._pool is None:
+            return self.missing or ("" if self.late else WORKERS_STARTING)
+        return self.missing or self._pool.trouble
+
+    @property
+    def preparing(self) -> str:
+        """What the workers do before they can bake, where they do: they start, or compile kernels;
+        else empty.
+        """
+        if self._pool is None:
+            if self._hiring is not None and self._error is None:
+                return WORKERS_STARTING
+            return ""
+        return self._pool.preparing
+
+    def close(self) -> None:
+        """Stop hiring, and the workers."""
+        self._stopped.set()
+        if self._hiring is not None:
+            self._hiring.join()
+        if self._pool is not None:
+            self._pool.close()
+
+    def _hire(self, kinds: Collection[str]) -> None:
+        """Have the workers come; a scheduler that is not there yet is waited for."""
+        while not self._stopped.is_set():
+            try:
+                self._employ(kinds)
+                self._error = None
+                return
+            except IsogiError as error:
+                self._error = error
+                log.error("%s", error)
+            except Exception as error:
+                self._error = WorkersError(f"Cannot start the workers: {error}")
+                log.exception("%s", self._error)
+            if not isinstance(self._error, WorkersAwayError):
+                return
+            self._stopped.wait(SCHEDULER_RETRY_SECONDS)
+
+    def _employ(self, kinds: Collection[str]) -> None:
+        if self._store.scheme == "memory":
+            raise WorkersError(MEMORY_STORE_UNSEEN)
+        self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
+        self._pool.attend(self._baker.stir)
+        self._baker.employ(self._pool)
+        self._baker.prepare()
