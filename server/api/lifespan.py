@@ -17,7 +17,7 @@ from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.problems import problem
 from server.render.engine import RenderEngine
-from server.render.viewers import until
+from server.render.viewers import run_until
 
 LATE = 1.0
 """Seconds that a route has to answer after it read that its client left; then it is answered with
@@ -139,7 +139,7 @@ class GracefulShutdown:
             return
         with self.closing.admitted(receive, send) as request:
             with suppress(Cancelled):
-                await until(self.app(scope, request.receive, request.send), request.late.wait())
+                await run_until(self.app(scope, request.receive, request.send), request.late.wait())
             if not request.begun:
                 await problem(503, STOPPED, scope["path"])(scope, receive, request.send)
             elif request.endless and not request.whole:

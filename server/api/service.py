@@ -45,7 +45,7 @@ from server.render.scheduling import (
 )
 from server.render.update_bus import UpdateBus
 from server.render.variants import Variants
-from server.render.viewers import attended, request_viewer
+from server.render.viewers import request_viewer, run_while_connected
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from server.views import view_of
@@ -234,7 +234,7 @@ class Service:
             answer = self._answer(
                 picture, viewer or request_viewer(request), params.wait_ms / 1000, finish
             )
-            return await attended(request, place.keep(answer))
+            return await run_while_connected(request, place.keep(answer))
 
     async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
         """The result of some ``work`` for a request, off the event loop. Raises as ``render``
@@ -242,7 +242,9 @@ class Service:
         """
         rank = self.rank(request_viewer(request), REQUEST_PATIENCE, self.settings.queue_seconds)
         with self._requests.admitted(client_of(request.scope)) as place:
-            return await attended(request, place.keep(self.threads.pictures.run(work, rank)))
+            return await run_while_connected(
+                request, place.keep(self.threads.pictures.run(work, rank))
+            )
 
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
         """Where work for a ``viewer`` stands that may wait so many seconds, and waits for

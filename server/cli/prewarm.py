@@ -118,7 +118,7 @@ def prewarm_scene(
     record = Record(root_of(settings), scene, order, "command")
     with Progress() as bar:
         bar.begin("loading kernels")
-        with working(scene, settings, hire=not dry) as engine:
+        with working(scene, settings, with_workers=not dry) as engine:
             bar.begin("planning")
             context = desk_of(engine, scene, order, partial(show, bar), begun)
             context.rung = rung

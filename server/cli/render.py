@@ -178,15 +178,15 @@ def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
 
 
 @contextmanager
-def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[RenderEngine]:
-    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed
-    at the end.
+def working(scene: Scene, settings: Settings, with_workers: bool = True) -> Iterator[RenderEngine]:
+    """Start an engine for a ``scene``: kernels compiled, stores open and, if ``with_workers``,
+    its workers starting. Close it at the end of the block.
     """
     with waiting("preparing the scene"):
-        engine = engine_for(scene, settings, hire)
+        engine = engine_for(scene, settings, with_workers)
     with closing(engine):
         with compiling(lambda: engine.kernels.progress, "starting workers"):
-            engine.start(hire=hire)
+            engine.start(with_workers=with_workers)
         yield engine
 
 
@@ -308,7 +308,7 @@ def awaited(
                 continue
             if engine.trouble():
                 raise WorkersError(engine.trouble())
-            patience.check(frame.version, engine.workforce.preparing, engine.unready())
+            patience.check(frame.version, engine.workers.preparing, engine.unready())
 
 
 def reference(

@@ -68,7 +68,7 @@ def serve(target: str | None, settings: Settings) -> None:
     with listen(settings.host, settings.port) as listener:
         engine = engine_for(scene, settings)
         if engine.kernels.progress is None:
-            engine.hire()
+            engine.start_workers()
         with bar_of(engine, settings):
             asyncio.run(run(create_app(engine, settings), listener))
 

@@ -284,9 +284,9 @@ class Baking:
         now = time.monotonic()
         context.check()
         engine = context.engine
-        if engine.workforce.missing:
-            raise WorkersError(engine.workforce.missing)
-        self._patience.check(engine.baker.paths, engine.workforce.preparing, engine.unready())
+        if engine.workers.missing:
+            raise WorkersError(engine.workers.missing)
+        self._patience.check(engine.baker.paths, engine.workers.preparing, engine.unready())
         self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
 
     def _settle(self) -> None:

@@ -458,7 +458,7 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
     since = time.monotonic()
     found = rounds.look(SURVEY_SHARES, context.deadline)
     looked = time.monotonic() - since
-    while not context.engine.workforce.wait(REPORT_SECONDS):
+    while not context.engine.workers.wait(REPORT_SECONDS):
         context.check()
     summary, ahead = look_ahead(rounds, found, looked, TRIAL_SECONDS)
     begun(summary)
@@ -645,7 +645,7 @@ def bake_range(
     rung = FIRST_LEVEL
     before = math.inf
     pictures = None
-    while not context.engine.workforce.wait(REPORT_SECONDS):
+    while not context.engine.workers.wait(REPORT_SECONDS):
         context.check()
     lacked = lacking(context, levels, rung)
     while True:

@@ -35,15 +35,15 @@ def bake_name(scene: str, spec: str) -> str:
     return f"{scene} ({spec})"
 
 
-Lend = Callable[[PreparedScene], Assets | None]
+ShareAssets = Callable[[PreparedScene], Assets | None]
 """Gives what workers open in place of a scene's files; None if they read these."""
 
 
-def lend_nothing(prepared: PreparedScene) -> None:
+def share_nothing(prepared: PreparedScene) -> None:
     """Have workers read the scene's files."""
 
 
-def lend_by_store(store: Store) -> Lend:
+def share_by_store(store: Store) -> ShareAssets:
     """Have joined workers read copies of the scene's files in the ``store``, unless it takes
     nothing.
     """
@@ -165,10 +165,13 @@ class SideBakes:
             f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make
         )
 
-    def side(self, scene: str, spec: str, stage: Stage, lend: Lend) -> str:
-        """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's
-        surfaces; made where it is new. Workers open what ``lend`` gives. The caches that asked last
-        are told of its light: those before them may have been let go.
+    def side(self, scene: str, spec: str, stage: Stage, share: ShareAssets) -> str:
+        """Return the name of the bake of a ``stage`` by a ``spec`` for one side of a scene's
+        surfaces, and add the bake if it is new.
+
+        Workers open the assets that ``share`` gives. New light is reported to the caches that asked
+        last, as earlier ones may have been dropped. Raises ValueError if the stage has no caches:
+        its bake is the scene's.
         """
         if stage.caches is None:
             raise ValueError("A stage of the scene's own light has a bake already.")
@@ -181,7 +184,7 @@ class SideBakes:
                 held.refresh(spec, index, shown)
 
         def make() -> Bake:
-            return make_bake(caches, spec, lend(caches.prepared), arrived, stage.shown)
+            return make_bake(caches, spec, share(caches.prepared), arrived, stage.shown)
 
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 

@@ -33,10 +33,10 @@ from server.render.bakes import (
     BackgroundBake,
     SideBakes,
     bake_name,
-    lend_by_store,
     make_bake,
+    share_by_store,
 )
-from server.render.engine_workers import Workforce, scheduler_of
+from server.render.engine_workers import EngineWorkers, scheduler_of
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.scene_kernels import SceneKernels
@@ -123,12 +123,12 @@ class RenderEngine:
         self._changing = threading.RLock()
         self._tiles = Tiles()
         self.baker = baker or Baker(workers=None if scheduler else workers)
-        self.workforce = Workforce(self.baker, self.store.url, workers, scheduler)
-        if self.workforce.joins:
-            self._lend = lend_by_store(self.store)
+        self.workers = EngineWorkers(self.baker, self.store.url, workers, scheduler)
+        if self.workers.joins:
+            self._share = share_by_store(self.store)
         else:
-            self._lend = SharedScenes().share
-        self._beside = SideBakes(self.baker, self.store, projected)
+            self._share = SharedScenes().share
+        self._side_bakes = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
         self._promises = Promises()
@@ -139,22 +139,21 @@ class RenderEngine:
         self._stopped = threading.Event()
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
-    def start(self, hire: bool = True) -> None:
-        """``open`` the engine, and have all that pictures with ``light`` call. Raises
+    def start(self, with_workers: bool = True) -> None:
+        """Call ``open`` and then ``light``. Raises StoreError."""
+        self.open(with_workers)
+        self.light(with_workers)
+
+    def open(self, with_workers: bool = True) -> None:
+        """Open the store and load the scenes, so that pictures without light can be drawn. Raises
         StoreError.
-        """
-        self.open(hire)
-        self.light(hire)
 
-    def open(self, hire: bool = True) -> None:
-        """Open stores and scenes: pictures without light can be drawn then. Raises StoreError.
-
-        Workers to ``hire`` come meanwhile, or after kernels are compiled; without them nothing is
-        baked.
+        If ``with_workers``, the workers start meanwhile, or in ``light`` if kernels are still to be
+        compiled. Without workers nothing is baked.
         """
-        self.workforce.late = self.kernels.progress is not None
-        if hire and not self.workforce.late:
-            self.hire()
+        self.workers.after_kernels = self.kernels.progress is not None
+        if with_workers and not self.workers.after_kernels:
+            self.start_workers()
         self.kernels.first()
         if self._stopped.is_set():
             return
@@ -166,13 +165,13 @@ class RenderEngine:
             target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True
         ).start()
 
-    def light(self, hire: bool = True) -> None:
-        """Have kernels of light here, compiled while pictures without light are drawn; then workers
-        to ``hire``.
+    def light(self, with_workers: bool = True) -> None:
+        """Wait until the kernels of lit pictures and of bakes are compiled, and load the
+        former; then start the workers if ``with_workers``.
         """
         self.kernels.light()
-        if hire and not self._stopped.is_set():
-            self.hire()
+        if with_workers and not self._stopped.is_set():
+            self.start_workers()
 
     def stop(self) -> None:
         """Have ``start``, if it is at work in another thread, return without an engine that can be
@@ -180,9 +179,9 @@ class RenderEngine:
         """
         self._stopped.set()
 
-    def hire(self) -> None:
-        """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire(self.kernels.kinds)
+    def start_workers(self) -> None:
+        """Start the workers in a thread, unless that was done before."""
+        self.workers.start(self.kernels.kinds)
 
     def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
         """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded
@@ -233,7 +232,7 @@ class RenderEngine:
             ]
         for bake in known:
             self.baker.forget(bake)
-        self._beside.forget(scene)
+        self._side_bakes.forget(scene)
         self._loaded.drop(scene)
 
     def frame(
@@ -352,13 +351,13 @@ class RenderEngine:
         ``fineness`` steps.
         """
         if stage.caches is not None and scene in self.scenes:
-            return self._beside.side(scene, spec, stage, self._lend)
+            return self._side_bakes.side(scene, spec, stage, self._share)
         if scene not in self.scenes or (stage.shown is None and not fineness):
             return bake_name(scene, spec)
         loaded = self._find(scene).level(fineness)
         arrived = partial(self._arrived, scene, fineness)
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
-        return self._beside.name(scene, stage.shown, fineness, make)
+        return self._side_bakes.name(scene, stage.shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
@@ -385,7 +384,9 @@ class RenderEngine:
         CHECK.
         """
         self._listeners.append(listener)
-        self.baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
+        self.baker.listen(
+            lambda bake, index, more: listener(self._side_bakes.scene(bake), index, more)
+        )
 
     def time_left(
         self, scene: str, frame: Frame, max_error: float | None = None
@@ -454,7 +455,7 @@ class RenderEngine:
         """
         if self.store.read_only:
             return READ_ONLY.format(store=self.store.url)
-        return self.workforce.missing or self.baker.trouble()
+        return self.workers.missing or self.baker.trouble()
 
     def unready(self) -> list[str]:
         """Reasons why frames would not become final; none when all is well, or nothing is baked on
@@ -462,7 +463,7 @@ class RenderEngine:
         """
         if self.store.read_only:
             return []
-        why = self.trouble() or self.baker.paused() or self.workforce.trouble
+        why = self.trouble() or self.baker.paused() or self.workers.trouble
         return [why] if why else []
 
     def notes(self) -> list[str]:
@@ -480,7 +481,7 @@ class RenderEngine:
         self._stopped.set()
         self._checks.close()
         self.baker.stop()
-        self.workforce.close()
+        self.workers.close()
         self._loaded.close()
         self._tiles.close()
         self._checking.close()
@@ -491,7 +492,7 @@ class RenderEngine:
         """
         named = self.scenes.get(scene)
         if not more and named is not None and named.lighting.room.any:
-            self._beside.lit(scene, view.isovalue)
+            self._side_bakes.lit(scene, view.isovalue)
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)
 
@@ -520,20 +521,20 @@ class RenderEngine:
 
     def _load(self, scene: Scene) -> LoadedScene:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
-        kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
-        beside = next(filter(None, map(self._loaded.held, kin)), None)
+        same_volume = [name for name, each in self.scenes.items() if each.volume is scene.volume]
+        beside = next(filter(None, map(self._loaded.held, same_volume)), None)
         variant = self.variant(scene.id)
-        lenders = [name for name in self.scenes if self.variant(name).may_lend(variant)]
+        stand_ins = [name for name in self.scenes if self.variant(name).may_stand_in_for(variant)]
         if variant.cut is not None:
             whole = self._loaded.held(variant.whole.id)
         else:
-            whole = self._loaded.latest(lenders)
+            whole = self._loaded.latest(stand_ins)
         loaded = load_scene_parts(
             scene,
             self.store,
             self._tiles,
             self._memory,
-            lend=self._lend,
+            share=self._share,
             beside=beside,
             whole=whole,
         )
@@ -561,11 +562,11 @@ class RenderEngine:
             level.renderer.caches.refresh(spec, index, shown)
 
 
-def engine_for(scene: Scene, settings: Settings, hire: bool = True) -> RenderEngine:
-    """An engine of a ``scene`` under a command's settings; it joins a cluster only where it is to
-    ``hire`` workers.
+def engine_for(scene: Scene, settings: Settings, with_workers: bool = True) -> RenderEngine:
+    """Make an engine for a ``scene`` by a command's ``settings``. It joins the scheduler of the
+    settings only if ``with_workers``.
     """
-    scheduler = scheduler_of(settings) if hire else None
+    scheduler = scheduler_of(settings) if with_workers else None
     memory = settings.memory_mb << 20
     projected = settings.projected_mb << 20
     return RenderEngine(

@@ -36,7 +36,7 @@ def scheduler_of(settings: Settings) -> str | None:
     return settings.scheduler
 
 
-class Workforce:
+class EngineWorkers:
     """The workers that a ``baker`` works with. Safe to use from many threads."""
 
     def __init__(self, baker: Baker, store: StoreUrl, workers: int, scheduler: str | None) -> None:
@@ -48,10 +48,10 @@ class Workforce:
         self._workers = workers
         self._scheduler = scheduler
         self._pool: pool.WorkerPool | None = None
-        self._hiring: threading.Thread | None = None
+        self._starting: threading.Thread | None = None
         self._stopped = threading.Event()
         self._error: IsogiError | None = None
-        self.late = False
+        self.after_kernels = False
         """Whether they come after kernels are compiled: pictures are drawn before that, and they
         are not missed.
         """
@@ -61,21 +61,21 @@ class Workforce:
         """Whether the workers are those of a scheduler, which may lack the scenes' files."""
         return self._scheduler is not None
 
-    def hire(self, kinds: Collection[str]) -> None:
+    def start(self, kinds: Collection[str]) -> None:
         """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds``
         come first.
         """
-        if self._hiring is None:
-            self._hiring = threading.Thread(
-                target=self._hire, args=[kinds], name="hiring", daemon=True
+        if self._starting is None:
+            self._starting = threading.Thread(
+                target=self._start_with_retries, args=[kinds], name="workers", daemon=True
             )
-            self._hiring.start()
+            self._starting.start()
 
     def wait(self, seconds: float) -> bool:
         """Whether the workers have come, or cannot, after so many seconds at most."""
-        if self._hiring is not None:
-            self._hiring.join(seconds)
-        return self._hiring is None or not self._hiring.is_alive()
+        if self._starting is not None:
+            self._starting.join(seconds)
+        return self._starting is None or not self._starting.is_alive()
 
     @property
     def missing(self) -> str:
@@ -88,7 +88,7 @@ class Workforce:
     def trouble(self) -> str:
         """Why nothing is baked at the moment; empty when all is well."""
         if self._pool is None:
-            return self.missing or ("" if self.late else WORKERS_STARTING)
+            return self.missing or ("" if self.after_kernels else WORKERS_STARTING)
         return self.missing or self._pool.trouble
 
     @property
@@ -97,7 +97,7 @@ class Workforce:
         else empty.
         """
         if self._pool is None:
-            if self._hiring is not None and self._error is None:
+            if self._starting is not None and self._error is None:
                 return WORKERS_STARTING
             return ""
         return self._pool.preparing
@@ -105,16 +105,16 @@ class Workforce:
     def close(self) -> None:
         """Stop hiring, and the workers."""
         self._stopped.set()
-        if self._hiring is not None:
-            self._hiring.join()
+        if self._starting is not None:
+            self._starting.join()
         if self._pool is not None:
             self._pool.close()
 
-    def _hire(self, kinds: Collection[str]) -> None:
+    def _start_with_retries(self, kinds: Collection[str]) -> None:
         """Have the workers come; a scheduler that is not there yet is waited for."""
         while not self._stopped.is_set():
             try:
-                self._employ(kinds)
+                self._start_pool(kinds)
                 self._error = None
                 return
             except IsogiError as error:
@@ -127,7 +127,7 @@ class Workforce:
                 return
             self._stopped.wait(SCHEDULER_RETRY_SECONDS)
 
-    def _employ(self, kinds: Collection[str]) -> None:
+    def _start_pool(self, kinds: Collection[str]) -> None:
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
         self._pool = pool.start_pool(self._workers, self._scheduler, kinds)

@@ -35,7 +35,7 @@ from isogi_core.plan.volumes.masks import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
-from server.render.bakes import Lend, lend_nothing
+from server.render.bakes import ShareAssets, share_nothing
 from worker.tasks import Assets, Whole
 
 log = logging.getLogger("isogi.render")
@@ -221,7 +221,7 @@ def group_of(isovalue: float, levels: np.ndarray) -> int:
 @dataclass(eq=False)
 class LoadedScene:
     """One scene, ready to be rendered; ``assets`` are what workers open in place of its files, as
-    ``lend`` gives them for a prepared scene.
+    ``share`` gives them for a prepared scene.
 
     Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels
     ask for finer ones are those of ``finer``, which is loaded then, beside the ``memory`` and on
@@ -232,7 +232,7 @@ class LoadedScene:
     renderer: Renderer
     prefetch: Prefetch
     memory: Memory
-    lend: Lend
+    share: ShareAssets
     assets: Assets | None = None
     fineness: int = 0
     whole: Whole | None = None
@@ -248,7 +248,7 @@ class LoadedScene:
                 memory = self.memory.finer
                 caches = Caches(prepared, self.renderer.caches.store, memory.light)
                 self._finer = loaded(
-                    caches, self.renderer.tiles, memory, self.lend, self.fineness + 1
+                    caches, self.renderer.tiles, memory, self.share, self.fineness + 1
                 )
             return self._finer
 
@@ -335,11 +335,11 @@ def load_scene_parts(
     store: Store,
     tiles: Tiles,
     memory: Memory,
-    lend: Lend = lend_nothing,
+    share: ShareAssets = share_nothing,
     beside: LoadedScene | None = None,
     whole: LoadedScene | None = None,
 ) -> LoadedScene:
-    """Prepare a scene and open its layers in a ``store``; workers open what ``lend`` gives.
+    """Prepare a scene and open its layers in a ``store``; workers open what ``share`` gives.
     Raises StoreError.
 
     One that is loaded ``beside`` another, of the same volume, shares what that has worked out of
@@ -370,7 +370,7 @@ def load_scene_parts(
         caches,
         tiles,
         memory,
-        lend,
+        share,
         stand_in=stand_in,
         whole=cut_from,
     )
@@ -380,7 +380,7 @@ def loaded(
     caches: Caches,
     tiles: Tiles,
     memory: Memory,
-    lend: Lend,
+    share: ShareAssets,
     fineness: int = 0,
     stand_in: StandIn | None = None,
     whole: Whole | None = None,
@@ -403,8 +403,8 @@ def loaded(
     )
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
-    assets = lend(prepared)
-    return LoadedScene(planned, renderer, prefetch, memory, lend, assets, fineness, whole)
+    assets = share(prepared)
+    return LoadedScene(planned, renderer, prefetch, memory, share, assets, fineness, whole)
 
 
 def prepare(

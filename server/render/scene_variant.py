@@ -143,7 +143,7 @@ class SceneVariant:
         """Whether it has voxels that its scene has not, but for its step in time."""
         return self.cut is not None or self.hidden is not None or self.smooth is not None
 
-    def may_lend(self, other: "SceneVariant") -> bool:
+    def may_stand_in_for(self, other: "SceneVariant") -> bool:
         """Whether its light may stand in for that of the ``other``.
 
         They differ in their step in time, in which labels are hidden and in how far they are

@@ -35,14 +35,14 @@ def background_viewer() -> Viewer:
     return Viewer(visit, visit, single=True, patient=True)
 
 
-async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
+async def run_while_connected(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
     """The answer to a request. Once its client has left, the answer is cancelled and Cancelled
     raised.
     """
-    return await until(answer, gone(request))
+    return await run_until(answer, disconnected(request))
 
 
-async def until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
+async def run_until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
     """What some work comes to, or raises; where the ``end`` comes first, it is cancelled and
     Cancelled raised.
     """
@@ -59,7 +59,7 @@ async def until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
         del working, ending  # an error in them would hold itself until garbage is looked for
 
 
-async def gone(request: Request) -> None:
+async def disconnected(request: Request) -> None:
     """Returns when the client has disconnected."""
     while (await request.receive())["type"] != "http.disconnect":
         pass

@@ -37,7 +37,7 @@ from server.errors import (
 )
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
-from server.render.viewers import attended
+from server.render.viewers import run_while_connected
 from server.settings import Settings
 from server.uploads.folder import (
     ENVIRONMENT_KIND,
@@ -302,7 +302,7 @@ class Uploads:
             async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
                 with name_folder_in_errors(self.folder.path):
                     await place.keep(receive(request, body, self._settings.body_seconds))
-                number = await attended(request, place.keep(self._read(reader)))
+                number = await run_while_connected(request, place.keep(self._read(reader)))
             async with self._changing:
                 kept = await asyncio.to_thread(self._keep, draft, number, kind)
                 if kept[1] or self.folder.owners_of(number):

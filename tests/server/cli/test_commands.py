@@ -335,7 +335,7 @@ def start(engine, *_):
     raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
 RenderEngine.open = RenderEngine.start = start
-RenderEngine.hire = lambda engine: None
+RenderEngine.start_workers = lambda engine: None
 sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
 """
 
