@@ -1,4 +1,6 @@
-"""Bakes of a scene as the workers know them, bakes of other texels and sides, background bakes."""
+"""Bakes as the workers know them: those of scenes, of projected and finer texels, of surfaces'
+sides, and in the background.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ from worker.tasks import Assets, Whole
 
 
 def bake_name(scene: str, spec: str) -> str:
-    """The name of a scene's bake by a spec, among all bakes; the scene's own name for the scene's
-    own spec.
+    """Return the name of a scene's bake by a spec, unique among all bakes: the name of the
+    scene for the spec "gi".
     """
     if spec == "gi":
         return scene
@@ -36,7 +38,9 @@ def bake_name(scene: str, spec: str) -> str:
 
 
 ShareAssets = Callable[[PreparedScene], Assets | None]
-"""Gives what workers open in place of a scene's files; None if they read these."""
+"""Returns the assets that workers open in place of a scene's files; None if they read these
+files.
+"""
 
 
 def share_nothing(prepared: PreparedScene) -> None:
@@ -44,8 +48,8 @@ def share_nothing(prepared: PreparedScene) -> None:
 
 
 def share_by_store(store: Store) -> ShareAssets:
-    """Have joined workers read copies of the scene's files in the ``store``, unless it takes
-    nothing.
+    """Return a function that sends copies of a scene's files to the ``store`` for workers on
+    other machines; if the store takes nothing, these must have the files.
     """
 
     def sent(prepared: PreparedScene) -> SceneAssets | None:
@@ -67,15 +71,17 @@ def make_bake(
     shown: Isovalue | None = None,
     whole: Whole | None = None,
 ) -> Bake:
-    """The bake of a spec, by its name; workers open the ``assets`` in place of the scene's files.
+    """Make the bake of a spec, by its ``name``, from the ``caches`` of a scene; workers open the
+    ``assets`` in place of the scene's files.
 
-    Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut
-    from a ``whole``. Nothing of the ``caches`` is kept: ``arrived`` is called with the spec's name,
-    a chunk that has new light, and the isosurface.
+    Its texels are projected onto the isosurface that is ``shown``, if one is. The scene may be cut
+    from a ``whole``. The bake holds no reference to the ``caches``: ``arrived`` is called with the
+    name of the spec, the chunk that has new light, and the isosurface.
     """
     spec = replace(caches.spec(name), shown=shown)
     store = caches.store
     scene = spec.prepared.scene
+    # Notes for people would only make the tasks longer.
     plan = replace(spec.plan, left_out=(), notes=())
     layers = frozenset(scene.layer_digest(layer, shown) for layer in plan.layers)
     costs = Costs(store, spec.digest)
@@ -90,19 +96,19 @@ def make_bake(
 
 
 BACKGROUND_VIEWER = Viewer("background", patient=True)
-"""Background bakes yield to people who wait for a frame."""
+"""The viewer of background bakes, which yield to people who wait for a frame."""
 
 
 class BackgroundBake:
-    """Light that is baked while no frame waits: what a ``stage`` demands of one ``bake``, by its
-    name.
+    """Light that is baked while no frame waits for it: the demands of a ``stage`` in the bake
+    of this name.
     """
 
     def __init__(
         self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER
     ) -> None:
-        """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not
-        given up before.
+        """Request the light from the ``baker``, for a ``viewer``. ``coming`` are the chunks
+        that will be baked: those that were not given up before.
         """
         self._baker = baker
         self._viewer = viewer
@@ -111,13 +117,13 @@ class BackgroundBake:
         self.coming = baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def waiting(self) -> int:
-        """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays
-        wanted.
+        """Return the number of its ``chunks`` that are neither baked nor given up. Call it now
+        and then, as the request expires otherwise.
         """
         return self._baker.open(self.bake, self.chunks, self._viewer)
 
     def failures(self) -> dict[Index, str]:
-        """Why those of its chunks that were given up were."""
+        """Return the chunks that were given up, and the reasons."""
         return self._baker.failures(self.bake, self.chunks)
 
     def wait(self, seconds: float) -> None:
@@ -125,24 +131,24 @@ class BackgroundBake:
         self._baker.wait(self.bake, self.chunks, seconds)
 
     def time_left(self) -> TimeLeft | None:
-        """Seconds until all of it is baked; None where that is unknown."""
+        """Return the time until all of it is baked; None if that is unknown."""
         return self._baker.time_left(self.bake, self._viewer, self.chunks)
 
 
 MAX_BAKES = 32
-"""Bakes of projected or finer texels, and of sides, of all scenes, that may be at work: those asked
-for last.
+"""Bakes of projected texels, finer texels and sides that may be at work for all scenes
+together: the ones asked for last.
 """
 
 
 class SideBakes:
-    """The bakes of projected or finer texels, and of surfaces' sides, that a ``baker`` knows. Safe
-    to use from many threads.
+    """The bakes of projected texels, of finer texels and of surfaces' sides. Safe to use from
+    many threads.
     """
 
     def __init__(self, baker: Baker, store: Store, most: int) -> None:
-        """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected
-        texels.
+        """Add bakes to ``baker`` as they are asked for. Each new isosurface of projected texels
+        has a thread trim the ``store`` to ``most`` bytes of them.
         """
         self._baker = baker
         self._store = store
@@ -156,10 +162,11 @@ class SideBakes:
     def name(
         self, scene: str, shown: Isovalue | None, fineness: int, make: Callable[[], Bake]
     ) -> str:
-        """The name of a bake of a scene's texels, made where it is new.
+        """Return the name of a bake of a scene's texels, and add the bake, by ``make``, if it is
+        new.
 
-        They are finer than its own by ``fineness`` steps, and projected onto the isosurface
-        ``shown``, where one is.
+        Its texels are finer than the scene's by ``fineness`` steps, and projected onto the
+        isosurface ``shown``, if that is given.
         """
         return self._named(
             f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make
@@ -189,7 +196,9 @@ class SideBakes:
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 
     def _named(self, name: str, own: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:
-        """Add the bake of this ``name`` where it is new; views read the bake ``own`` besides."""
+        """Add the bake of this ``name`` if it is new, and drop the oldest ones above MAX_BAKES.
+        Views that read it also read the bake ``own`` of the scene.
+        """
         with self._lock:
             new = name not in self._names
             if new:
@@ -197,6 +206,7 @@ class SideBakes:
             self._names[name] = own
             self._names.move_to_end(name)
             old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MAX_BAKES)]
+        # Call the baker without the lock, as it calls listeners.
         for each in old:
             self._baker.forget(each)
         if new and shown is not None:
@@ -204,13 +214,15 @@ class SideBakes:
         return name
 
     def lit(self, scene: str, isovalue: float) -> None:
-        """Note that the walls of a scene have light for an isovalue."""
+        """Note that the walls of a scene have light for an isovalue, and trim the store if that
+        is new.
+        """
         if (scene, isovalue) not in self._lit:
             self._lit.add((scene, isovalue))
             self._trim()
 
     def _trim(self) -> None:
-        """Have a thread trim the store, unless one does: there is light for one isovalue more."""
+        """Start a thread that trims the store, unless one is at it."""
         with self._lock:
             if self._trimmer is None or not self._trimmer.is_alive():
                 trimmed = self._store, self._most
@@ -220,18 +232,18 @@ class SideBakes:
                 self._trimmer.start()
 
     def settle(self) -> None:
-        """Returns when nothing is being trimmed."""
+        """Return when nothing is being trimmed."""
         if self._trimmer is not None:
             self._trimmer.join()
 
     def scene(self, bake: str) -> str:
-        """The name of the bake that views read besides one of projected or finer texels; any other
-        is its own.
+        """Return the name of the scene's bake that views read together with a ``bake`` of this
+        class; any other bake's name is returned as it is.
         """
         return self._names.get(bake, bake)
 
     def forget(self, scene: str) -> None:
-        """Bake no more projected or finer texels of a scene."""
+        """Drop all bakes of a scene that this object has added."""
         with self._lock:
             every = {bake_name(scene, spec) for spec in SPECS}
             gone = [name for name, own in self._names.items() if own in every]

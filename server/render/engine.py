@@ -1,4 +1,6 @@
-"""The render engine: loaded scenes, one set of workers, and frames of any scene."""
+"""The render engine: loads scenes, draws frames of them, and has workers bake the light that
+frames lack.
+"""
 
 import threading
 import time
@@ -55,17 +57,18 @@ from worker.progress import (
 )
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
-"""Stages of a frame in which it is not drawn."""
+"""Stages of a frame that are not drawing."""
 
 
 def time_of_paths(
     left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]
 ) -> TimeLeft:
-    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its
-    stages' seconds.
+    """Estimate the time for the paths that are ``left`` on this number of ``threads``, and for
+    drawing the picture meanwhile.
 
-    Before the first path of a pixel one takes a share of a texel's, for all of which so much was
-    ``spent``.
+    ``spent`` is the cost of the texels' paths so far; ``drawing`` the seconds of each stage of the
+    last frame. If no path of a pixel has been timed yet, it is assumed to take the time of a
+    texel's path divided by HEAVIER, and the estimate is less certain.
     """
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
@@ -76,7 +79,9 @@ def time_of_paths(
 
 
 REMEMBERED = 4096
-"""Variants whose change is known after they made way: those made last."""
+"""Variants whose changes are remembered after they were dropped, so that they can be made
+again: the ones made last.
+"""
 
 READ_ONLY = (
     "The store at {store} can only be read: what is baked there is shown, and nothing "
@@ -91,8 +96,8 @@ PROJECTED_TEXEL_BYTES = 4 << 30
 
 
 class RenderEngine:
-    """Renders frames of its scenes and has a ``baker`` bake what they lack. Safe to use from many
-    threads.
+    """Renders frames of its ``scenes``, and has a ``baker`` bake the light that they lack. Safe
+    to use from many threads.
     """
 
     def __init__(
@@ -105,11 +110,12 @@ class RenderEngine:
         baker: Baker | None = None,
         projected: int = PROJECTED_TEXEL_BYTES,
     ) -> None:
-        """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster
-        to join.
+        """Create an engine; nothing is loaded before ``start``.
 
-        ``baker`` bakes the light, one for so many workers by default; the store may keep so many
-        bytes of ``projected`` texels.
+        ``store`` is a folder, a URL or an open store for the light, by default the default store.
+        Light is baked by ``workers`` processes, or by the workers of a ``scheduler``; tests may
+        give a ``baker``. ``memory`` are the bytes that all scenes may keep, ``projected`` the bytes
+        of projected texels in the store.
         """
         self.scenes = {scene.id: scene for scene in scenes}
         if isinstance(store, Store):
@@ -174,8 +180,8 @@ class RenderEngine:
             self.start_workers()
 
     def stop(self) -> None:
-        """Have ``start``, if it is at work in another thread, return without an engine that can be
-        used.
+        """Have ``start`` return early if it runs in another thread; the engine cannot be used
+        then.
         """
         self._stopped.set()
 
@@ -184,38 +190,40 @@ class RenderEngine:
         self.workers.start(self.kernels.kinds)
 
     def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
-        """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded
-        when it is first looked at.
+        """Add a scene, or a ``variant`` of one, to a started engine. It is loaded when a frame
+        of it is first drawn.
         """
         self.kernels.admit(scene)
         with self._changing:
             if variant is not None:
                 self._variants[scene.id] = variant
                 self._variants.move_to_end(scene.id)
+            # Forget the variants that were made longest ago. Assign a new dict, as other threads
+            # may iterate over the former one.
             while len(self._variants) > REMEMBERED:
                 self._variants.popitem(last=False)
             self.scenes = {**self.scenes, scene.id: scene}
 
     def variant(self, scene: str) -> SceneVariant:
-        """Which variant a scene is; one without changes where it is none."""
+        """Return the variant that a scene is; one without changes if it is none."""
         return self._variants.get(scene) or SceneVariant(scene)
 
     @property
     def own_scenes(self) -> list[Scene]:
-        """The scenes that are no variants."""
+        """Return the scenes that are not variants."""
         return [each for each in self.scenes.values() if each.id not in self._variants]
 
     def planned(self, scene: str) -> Scene:
-        """A scene with the plan of the light that its store has. Raises StoreError and
-        UnknownSceneError.
+        """Return a scene, loaded if need be, with the plan of the light that its store has.
+        Raises StoreError and UnknownSceneError.
         """
         return self._find(scene).scene
 
     def dismiss(self, scene: str) -> None:
-        """Show a scene no more, nor its variants: frames that are drawn come to their end, and
-        nothing more is baked.
+        """Remove a scene and its variants: nothing more of them is baked. Frames that are being
+        drawn are completed.
 
-        Their light stays in the store.
+        Their light remains in the store.
         """
         for each in [
             scene,
@@ -224,7 +232,7 @@ class RenderEngine:
             self._dismiss(each)
 
     def _dismiss(self, scene: str) -> None:
-        """Show one scene no more."""
+        """Remove one scene, its bakes and its place in memory."""
         with self._changing:
             self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
             known = [
@@ -245,17 +253,18 @@ class RenderEngine:
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
     ) -> Frame:
-        """The frame of a view with the light baked so far, after at most ``wait`` seconds of baking
-        more.
+        """Return the frame of a view. If it is not final, have light baked and pictures checked for
+        at most ``wait`` seconds.
 
-        ``max_error`` is the relative error at which light is final, the scene's target by default;
-        ``watch`` takes the time of all stages. Raises ViewError, StoreError, and Cancelled once
-        ``cancelled`` is set.
+        ``max_error`` is the relative error at which the frame is final, by default the scene's
+        target. ``watch`` measures the time of all stages. Raises ViewError, StoreError, and
+        Cancelled once ``cancelled`` is set.
         """
         watch = watch or Stopwatch()
         deadline = time.monotonic() + wait
         target = max_error or self._find(scene).scene.target_error
         frame = self.survey(scene, view, target, cancelled, watch)
+        # Improve the frame and draw it again, until nothing more is coming or the time is up.
         while frame.checkable or self._coming(scene, frame, target, watch):
             if (left := deadline - time.monotonic()) <= 0.0:
                 break
@@ -276,10 +285,10 @@ class RenderEngine:
         watch: Stopwatch | None = None,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; none that it lacks is requested: see
-        ``Renderer.render``.
+        """Return the frame of a view with the light that is baked so far, without requesting more.
+        See ``Renderer.render`` for ``enough``, a number of samples.
 
-        Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
+        Raises as ``frame`` does, and UnknownSceneError if the scene was dismissed.
         """
         try:
             return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
@@ -289,13 +298,13 @@ class RenderEngine:
     def unlit_frame(
         self, scene: str, view: View, target: float, cancelled: threading.Event
     ) -> Frame | None:
-        """The frame of a new view with none of its light, before it is drawn; see
-        ``frame.unlit_view``.
+        """Return the white, provisional frame of a new view that has no light yet, sooner than
+        it could be drawn; None for other views. See ``renderer.unlit_frame``.
         """
         return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
     def sees(self, scene: str, view: View) -> bool:
-        """Whether what the rays of a view met is kept, so that its picture casts none."""
+        """Return True if the G-buffer of a view is kept, so that its picture needs no rays."""
         loaded = self._loaded.held(scene)
         return loaded is not None and loaded.renderer.sees(view)
 
@@ -308,8 +317,10 @@ class RenderEngine:
         prices: Prices = AWAITED,
         over: threading.Event | None = None,
     ) -> bool:
-        """Check a picture, one step further; whether there was one to take. Raises as ``frame``
-        does, and Cancelled once time is ``over``, too.
+        """Take one step of the check of a picture; return False if there was none to take.
+        ``prices`` weigh the costs of possible steps.
+
+        Raises as ``frame`` does, and Cancelled also if ``over`` is set.
         """
         tiles = self._checking
         for event in filter(None, (cancelled, over)):
@@ -317,17 +328,18 @@ class RenderEngine:
         return self._find(scene).check(view, target, tiles, prices)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to
-        be baked.
+        """Request the light that a ``frame`` lacks for a ``viewer``; return the chunks that will be
+        baked.
 
-        The picture of one that lacks none is checked, and walls that lag are lit beside texels:
-        CHECK stands for both.
+        If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
+        are lit while texels are baked. CHECK stands for either in the returned set.
         """
         beside = frozenset({CHECK} if frame.refinable else ())
         if beside:
             self._checks.request(scene, frame.view, target, viewer)
         else:
             self._checks.leave(viewer)
+        # A picture that is checked needs no texels now, and a store that is only read takes none.
         if frame.checkable or self.store.only_read():
             return beside
         self._find(scene)
@@ -335,10 +347,11 @@ class RenderEngine:
         return beside | self.baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
-        """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
+        """Return the bake that a ``frame`` needs light of next, and the stage of it: see
+        ``Frame.stages``.
 
-        Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks
-        none, however far it is from its target.
+        If a frame with finer texels is coming in its place, that one's needs count. The stage is
+        empty for a path-traced frame, which needs no texels.
         """
         frame = frame.quality.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
@@ -347,9 +360,11 @@ class RenderEngine:
         ), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
-        """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by
-        ``fineness`` steps.
+        """Return the name of the bake by a ``spec`` that a ``stage`` belongs to, with texels
+        finer by ``fineness`` steps; add the bake if it is new.
         """
+        # Light of one side of a surface has a separate bake, and so have finer and projected
+        # texels. All other light belongs to the bake of the scene.
         if stage.caches is not None and scene in self.scenes:
             return self._side_bakes.side(scene, spec, stage, self._share)
         if scene not in self.scenes or (stage.shown is None and not fineness):
@@ -360,28 +375,28 @@ class RenderEngine:
         return self._side_bakes.name(scene, stage.shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
-        """The bake that a ``frame`` lacks light of, and the chunks of it."""
+        """Return the bake that a ``frame`` needs light of next, and the indices of the chunks."""
         return (found := self.lacking(scene, frame))[0], [
             demand.index for demand in found[1].demands
         ]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
-        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants
-        stays wanted.
+        """Return the number of chunks that a ``frame`` lacks and that are still to be baked;
+        renew the interest of the ``viewer`` in them.
         """
         return self.baker.open(*self._chunks(scene, frame), viewer)
 
     def leave(self, viewer: Viewer) -> None:
-        """Have nothing more baked, and no picture checked, for a ``viewer`` that has gone."""
+        """Drop the requests and the picture check of a ``viewer`` that has gone."""
         self._checks.leave(viewer)
         self.baker.leave(viewer)
 
     def listen(self, listener: Listener) -> None:
-        """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see
-        ``bake_of``.
+        """Call ``listener`` with the bake, the chunk and a flag for more whenever a chunk has new
+        light or its task failed; see ``bake_of``.
 
-        Projected and finer texels are reported as the scene's own, and the check of a picture as
-        CHECK.
+        Projected and finer texels are reported under the bake of the scene, and the check of a
+        picture as the chunk CHECK.
         """
         self._listeners.append(listener)
         self.baker.listen(
@@ -391,8 +406,8 @@ class RenderEngine:
     def time_left(
         self, scene: str, frame: Frame, max_error: float | None = None
     ) -> TimeLeft | None:
-        """Seconds until the view of a ``frame`` is final; None where that is unknown, nothing more
-        is done for it, or no worker is at it.
+        """Estimate the seconds until the view of a ``frame`` is final. None if that is unknown,
+        if nothing more is done for the view, or if there are no workers.
         """
         picture = (scene, frame.view, max_error)
         if frame.final:
@@ -401,25 +416,32 @@ class RenderEngine:
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
         target = max_error or loaded.scene.target_error
+        # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
+        # light are traced in this process.
         (bake, chunks) = self._chunks(scene, frame)
         if not (chunks or frame.refinable):
             return None
+        # Texels of this stage and of all later ones.
         subject = (scene, surface_key(frame.view), target)
         later = (frame.quality.finer or frame).stages[1:]
         baking = self.baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
+        # Paths from pixels, and drawing the picture meanwhile.
         left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
         if lacking := frame.quality.lacking:
             spent = self.baker.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+        # Report a time that does not jump.
         if baking.high > 0.0:
             return self._promises.kept(picture, self._learnt(picture, baking))
         return None
 
     def _learnt(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """An estimate of what is ``left`` of a ``picture``, corrected by how those of other
-        pictures came true: which steps are still to come is not known beforehand.
+        """Correct the estimate of the time ``left`` for a ``picture`` by how estimates for other
+        pictures came true.
+
+        The steps that a picture will take are not known beforehand.
         """
         with self._estimating:
             learnt = self._estimator.estimate(picture, left.likely, time.monotonic())
@@ -428,8 +450,8 @@ class RenderEngine:
         return left
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
-        """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the
-        store is only read.
+        """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing
+        is demanded if the store is only read.
         """
         if self.store.only_read():
             wanted = replace(stage, demands=())
@@ -438,28 +460,26 @@ class RenderEngine:
         return BackgroundBake(self.baker, bake, wanted, viewer)
 
     def renderer(self, scene: str, fineness: int = 0) -> Renderer:
-        """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where
-        it was dismissed.
+        """Return the renderer of a scene with texels finer by ``fineness`` steps, loaded if
+        need be. Raises UnknownSceneError if the scene was dismissed.
         """
         return self._find(scene).level(fineness).renderer
 
     def bake_of(self, scene: str, view: View) -> str:
-        """The name of the bake that a view of a scene reads."""
+        """Return the name of the bake that a view of a scene reads."""
         return bake_name(scene, spec_name(view.shading))
 
     def trouble(self) -> str:
-        """Why light will not be baked: the store is only read, there are no workers, or a chunk was
-        given up.
-
-        Empty when all is well.
+        """Return the reason why light will not be baked: the store is only read, there are no
+        workers, or a chunk was given up. Empty if all is well.
         """
         if self.store.read_only:
             return READ_ONLY.format(store=self.store.url)
         return self.workers.missing or self.baker.trouble()
 
     def unready(self) -> list[str]:
-        """Reasons why frames would not become final; none when all is well, or nothing is baked on
-        purpose.
+        """Return the reasons why frames would not become final: none if all is well, or if the
+        store is only read on purpose.
         """
         if self.store.read_only:
             return []
@@ -467,7 +487,7 @@ class RenderEngine:
         return [why] if why else []
 
     def notes(self) -> list[str]:
-        """What a person should know though all goes as it should: what is compiled, or that the
+        """Return sentences for a person that are no trouble: kernels are being compiled, or the
         store is only read.
         """
         return [
@@ -477,7 +497,9 @@ class RenderEngine:
         ]
 
     def close(self) -> None:
-        """Stop the workers; what they were at is baked again when it is next wanted."""
+        """Stop checks, baking and workers, and drop all scenes. Chunks that were being baked
+        are baked again when they are next wanted.
+        """
         self._stopped.set()
         self._checks.close()
         self.baker.stop()
@@ -487,8 +509,8 @@ class RenderEngine:
         self._checking.close()
 
     def _checked(self, scene: str, view: View, more: bool) -> None:
-        """Say that a picture was checked one step further; what walls keep for its isovalue may be
-        too much.
+        """Tell listeners that a picture was checked one step further. If the check is over,
+        trim the store, as light of walls is kept for each isovalue.
         """
         named = self.scenes.get(scene)
         if not more and named is not None and named.lighting.room.any:
@@ -497,7 +519,7 @@ class RenderEngine:
             listener(self.bake_of(scene, view), CHECK, more)
 
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
-        """Request the light that a frame lacks; whether any of it is going to be baked."""
+        """Request the light that a frame lacks; return True if any of it will be baked."""
         with watch.stage("demand"):
             return bool(
                 self.lacking(scene, frame)[1].demands
@@ -505,8 +527,8 @@ class RenderEngine:
             )
 
     def _find(self, scene: str) -> LoadedScene:
-        """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError,
-        UnknownSceneError.
+        """Return a scene, loaded if need be; a variant that was dropped is made again. Raises
+        StoreError and UnknownSceneError.
         """
         named = self.scenes.get(scene) or self.again(scene)
         if named is not None:
@@ -520,9 +542,12 @@ class RenderEngine:
         raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
 
     def _load(self, scene: Scene) -> LoadedScene:
-        """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
+        """Load a scene and add its bakes to the baker. Raises StoreError."""
+        # Share maps with a loaded scene of the same volume.
         same_volume = [name for name, each in self.scenes.items() if each.volume is scene.volume]
         beside = next(filter(None, map(self._loaded.held, same_volume)), None)
+        # Until a variant has light, that of the scene which it was cut from stands in, or that of a
+        # similar variant.
         variant = self.variant(scene.id)
         stand_ins = [name for name in self.scenes if self.variant(name).may_stand_in_for(variant)]
         if variant.cut is not None:
@@ -538,6 +563,8 @@ class RenderEngine:
             beside=beside,
             whole=whole,
         )
+        # Replace the bakes of this scene that have changed, and keep the others with their queues.
+        # ``scenes`` is replaced, not changed, as other threads may iterate over it.
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
         arrived = partial(self._arrived, scene.id, 0)
         bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]
@@ -555,7 +582,7 @@ class RenderEngine:
     def _arrived(
         self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None
     ) -> None:
-        """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
+        """Have a loaded scene read a chunk of its texels again: it has new light."""
         if (loaded := self._loaded.held(scene)) is not None and (
             level := loaded.held(fineness)
         ) is not None:

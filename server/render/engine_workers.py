@@ -21,12 +21,12 @@ MEMORY_STORE_UNSEEN = (
 WORKERS_STARTING = "The workers are starting."
 
 SCHEDULER_RETRY_SECONDS = 2.0
-"""Seconds after which a scheduler that was not there when the server began is tried again."""
+"""Seconds after which a scheduler that cannot be reached is tried again."""
 
 
 def scheduler_of(settings: Settings) -> str | None:
-    """The address of the scheduler to join, which from now on is shown the certificate that the
-    settings name.
+    """Return the address of the scheduler to join, if any, and register the certificates that
+    the settings name for it.
     """
     authority, certificate, key = settings.certificates
     if authority and certificate and key:
@@ -37,11 +37,13 @@ def scheduler_of(settings: Settings) -> str | None:
 
 
 class EngineWorkers:
-    """The workers that a ``baker`` works with. Safe to use from many threads."""
+    """The workers of an engine: a pool that is started once, in a thread, and handed to the
+    ``baker``. Safe to use from many threads.
+    """
 
     def __init__(self, baker: Baker, store: StoreUrl, workers: int, scheduler: str | None) -> None:
-        """Hire none yet: ``workers`` processes of this machine, or those of a ``scheduler``, for
-        light in a store.
+        """Start none yet: ``workers`` processes of this machine, or those of a ``scheduler``,
+        that bake light into a store.
         """
         self._baker = baker
         self._store = store
@@ -52,18 +54,18 @@ class EngineWorkers:
         self._stopped = threading.Event()
         self._error: IsogiError | None = None
         self.after_kernels = False
-        """Whether they come after kernels are compiled: pictures are drawn before that, and they
-        are not missed.
+        """True if they start after kernels are compiled; until then pictures without light are
+        drawn, and missing workers are no trouble.
         """
 
     @property
     def joins(self) -> bool:
-        """Whether the workers are those of a scheduler, which may lack the scenes' files."""
+        """Return True if the workers are those of a scheduler, which may lack the scenes' files."""
         return self._scheduler is not None
 
     def start(self, kinds: Collection[str]) -> None:
-        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds``
-        come first.
+        """Start the workers in a thread, once. Kernels that bake layers of these ``kinds`` are
+        loaded first.
         """
         if self._starting is None:
             self._starting = threading.Thread(
@@ -72,29 +74,31 @@ class EngineWorkers:
             self._starting.start()
 
     def wait(self, seconds: float) -> bool:
-        """Whether the workers have come, or cannot, after so many seconds at most."""
+        """Return True if the workers have started, or failed to, after at most this many
+        seconds.
+        """
         if self._starting is not None:
             self._starting.join(seconds)
         return self._starting is None or not self._starting.is_alive()
 
     @property
     def missing(self) -> str:
-        """Why there are no workers; empty where they are here, or may still come."""
+        """Return the reason why the workers did not start; empty if they did or still may."""
         if self._error is None:
             return ""
         return str(self._error)
 
     @property
     def trouble(self) -> str:
-        """Why nothing is baked at the moment; empty when all is well."""
+        """Return the reason why nothing is baked at the moment; empty if all is well."""
         if self._pool is None:
             return self.missing or ("" if self.after_kernels else WORKERS_STARTING)
         return self.missing or self._pool.trouble
 
     @property
     def preparing(self) -> str:
-        """What the workers do before they can bake, where they do: they start, or compile kernels;
-        else empty.
+        """Return a sentence if the workers still start or compile kernels before they can bake;
+        else an empty text.
         """
         if self._pool is None:
             if self._starting is not None and self._error is None:
@@ -103,7 +107,7 @@ class EngineWorkers:
         return self._pool.preparing
 
     def close(self) -> None:
-        """Stop hiring, and the workers."""
+        """Stop the workers, or their start."""
         self._stopped.set()
         if self._starting is not None:
             self._starting.join()
@@ -111,7 +115,9 @@ class EngineWorkers:
             self._pool.close()
 
     def _start_with_retries(self, kinds: Collection[str]) -> None:
-        """Have the workers come; a scheduler that is not there yet is waited for."""
+        """Start the workers. Try again while a scheduler cannot be reached; any other error is
+        final.
+        """
         while not self._stopped.is_set():
             try:
                 self._start_pool(kinds)
@@ -128,6 +134,9 @@ class EngineWorkers:
             self._stopped.wait(SCHEDULER_RETRY_SECONDS)
 
     def _start_pool(self, kinds: Collection[str]) -> None:
+        """Start the pool, and hand it to the baker. Raises WorkersError if the store is in
+        memory, which other processes cannot see.
+        """
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
         self._pool = pool.start_pool(self._workers, self._scheduler, kinds)

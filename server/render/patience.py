@@ -10,28 +10,29 @@ from typing import Any
 from worker.errors import WorkersError
 
 STALLED_SECONDS = 120.0
-"""Seconds without anything new after which the workers are taken for broken."""
+"""Seconds without progress after which the workers are taken for broken."""
 
 
 class Patience:
-    """How long to wait for light: so many ``seconds`` without anything new, while workers can
-    bake.
+    """A limit to waiting for light: ``seconds`` without progress, not counting time in which
+    workers prepare.
     """
 
     def __init__(
         self, seconds: float = STALLED_SECONDS, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Begin now."""
+        """Start to wait now."""
         self._seconds = seconds
         self._clock = clock
         self._since = clock()
         self._seen = None
 
     def check(self, progress: Any, preparing: str, reasons: Iterable[str]) -> None:
-        """Go on where ``progress`` is another value than before, or workers are ``preparing``: they
-        start or compile.
+        """Start to wait again if ``progress`` differs from its last value, or if workers are
+        ``preparing`` (they start, or compile kernels; a sentence, else empty).
 
-        Raises WorkersError, with the ``reasons`` that are known, once the patience has ended.
+        Raises WorkersError, with the known ``reasons``, if nothing has changed for longer than the
+        patience.
         """
         now = self._clock()
         if preparing or progress != self._seen:
@@ -44,8 +45,10 @@ class Patience:
 
 @contextmanager
 def time_limit(end: float) -> Iterator[threading.Event]:
-    """An event for the block that is set once the monotonic clock is at the ``end``: it cancels a
-    step that would take longer, between two of its tiles.
+    """Yield an event that is set when the monotonic clock reaches ``end``, in seconds; an infinite
+    end sets it never.
+
+    The event cancels a step that takes too long, between two of its tiles.
     """
     over = threading.Event()
     if math.isinf(end):

@@ -1,4 +1,4 @@
-"""Checks of pictures: steps that measure the total error and refine the picture, in a thread."""
+"""Checks of pictures: steps that measure and refine pictures that lack no texels, on one thread."""
 
 import logging
 import threading
@@ -14,16 +14,16 @@ from worker.bake_requests import Viewer
 log = logging.getLogger("isogi.render")
 
 CHECK: Index = (-1, -1, -1)
-"""Stands for a picture's check among the chunks that are coming for it."""
+"""Stands for the check of a picture among the chunks that will have updates."""
 
 MAX_WAITING_PICTURES = 64
-"""Pictures that wait to be checked: those asked for last."""
+"""Pictures that wait for their check at most. If there are more, the oldest request is dropped."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A view of a scene whose total error is to reach a ``target``; nobody wants it once it is
-    ``cancelled``.
+    """A view of a scene whose total error is to reach a ``target``. ``cancelled`` is set once
+    no viewer wants it.
     """
 
     scene: str
@@ -37,11 +37,15 @@ Listener = Callable[[str, View, bool], object]
 
 
 class PictureChecks:
-    """Checks pictures step by step, the one asked for last first. Safe to use from many threads."""
+    """Checks pictures step by step on one thread, the one requested last first. Safe to use
+    from many threads.
+    """
 
     def __init__(self, step: Step, notify: Listener) -> None:
-        """Take each ``step`` that there is; ``notify`` hears of it, and whether ``more`` are to
-        come.
+        """Set the functions of a check.
+
+        ``step`` takes one step of a picture's check and returns True if there may be more.
+        ``notify`` is called after each step with the scene, the view, and that answer.
         """
         self._step = step
         self._notify = notify
@@ -51,7 +55,9 @@ class PictureChecks:
         self._thread: threading.Thread | None = None
 
     def request(self, scene: str, view: View, target: float, viewer: Viewer) -> None:
-        """Have a picture checked for a ``viewer``, in place of the one that it looked at before."""
+        """Have a picture checked for a ``viewer``, in place of the picture that it looked at
+        before.
+        """
         with self._changed:
             picture = Picture(scene, view, target)
             if self._closed or self._wanted.get(viewer) == picture:
@@ -60,18 +66,19 @@ class PictureChecks:
             self._wanted[viewer] = picture
             if len(self._wanted) > MAX_WAITING_PICTURES:
                 self._drop(next(iter(self._wanted)))
+            # The thread starts with the first picture, as many engines check none.
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="checking", daemon=True)
                 self._thread.start()
             self._changed.notify()
 
     def leave(self, viewer: Viewer) -> None:
-        """Check nothing more for a viewer that has gone, or looks at something else."""
+        """Check nothing more for a viewer that has gone or looks at another picture."""
         with self._changed:
             self._drop(viewer)
 
     def close(self) -> None:
-        """Stop, and wait until it has."""
+        """Cancel all checks, and return when the thread has ended."""
         with self._changed:
             self._closed = True
             for viewer in list(self._wanted):
@@ -81,11 +88,12 @@ class PictureChecks:
             self._thread.join()
 
     def _drop(self, viewer: Viewer) -> None:
+        """Forget a viewer's picture, and cancel its step if one is running."""
         if (former := self._wanted.pop(viewer, None)) is not None:
             former.cancelled.set()
 
     def _work(self) -> None:
-        """Check what is wanted, until closed."""
+        """Take steps of the pictures that are wanted, until closed."""
         while (found := self._next()) is not None:
             viewer, picture = found
             try:
@@ -93,6 +101,7 @@ class PictureChecks:
             except IsogiError as error:
                 log.debug("a picture is not checked: %s", error)
                 more = False
+            # An unexpected error ends the check of this picture alone: others are still checked.
             except Exception:
                 log.exception(
                     "The check of a picture failed: it keeps the error that it has, others are "
@@ -104,7 +113,9 @@ class PictureChecks:
             self._notify(picture.scene, picture.view, more)
 
     def _next(self) -> tuple[Viewer, Picture] | None:
-        """The newest picture that is wanted, once there is one; None when closed."""
+        """Return the newest picture that is wanted, with its viewer, once there is one; None if
+        closed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._wanted or self._closed)
             if self._closed:
@@ -112,6 +123,9 @@ class PictureChecks:
             return next(reversed(self._wanted.items()))
 
     def _done(self, viewer: Viewer, picture: Picture) -> None:
+        """Forget a picture that needs no further step, unless its viewer has asked for another
+        one meanwhile.
+        """
         with self._changed:
             if self._wanted.get(viewer) is picture:
                 self._drop(viewer)

@@ -24,12 +24,14 @@ COMPILATION_PROGRESS = "Compiling, once on this machine: {done} of {total}"
 
 
 class SceneKernels:
-    """What pictures of the ``scenes``, and bakes of their light, call. Work ends early once
-    ``stopped`` is set.
+    """The kernels that pictures of ``scenes``, and bakes of their light, call. All work ends
+    early once ``stopped`` is set.
     """
 
     def __init__(self, scenes: Callable[[], Collection[Scene]], stopped: threading.Event) -> None:
-        """Compile nothing yet. ``scenes`` gives those that are shown at the moment."""
+        """Find out which kernels are needed, but compile none yet. ``scenes`` returns the
+        scenes that are shown at the moment.
+        """
         self._scenes = scenes
         self._stopped = stopped
         self.kinds = {kind for each in scenes() for kind in each.bakes}
@@ -40,8 +42,8 @@ class SceneKernels:
 
     @property
     def progress(self) -> KernelProgress | None:
-        """How far the kernels of pictures and their light are compiled, or else of the scene that
-        was admitted last; None where this machine has them all.
+        """Return the progress of compiling the kernels of pictures and their light, or else
+        those of the scene admitted last; None if all are compiled.
         """
         own = self._all.progress(self._lit)
         admitted = self._admitted
@@ -49,7 +51,7 @@ class SceneKernels:
 
     @property
     def compiling(self) -> str:
-        """``progress`` for a person; empty where this machine has them all."""
+        """Return the progress as a sentence; empty if all kernels are compiled."""
         progress = self.progress
         if progress is None:
             return ""
@@ -57,9 +59,10 @@ class SceneKernels:
         return ", ".join(filter(None, (far, about_left(progress.seconds)))) + "."
 
     def first(self) -> None:
-        """Have kernels of pictures without light in this process; the others begin to be
-        compiled.
+        """Compile and load the kernels of pictures without light. The other kernels are
+        compiled in the background from now on.
         """
+        # Compilers are forked from a small process that is started before this one grows.
         if self.progress is not None:
             start_fork_server()
         self._all.begin(self._stopped, COMPILER_NICENESS, START_METHOD)
@@ -67,8 +70,8 @@ class SceneKernels:
         load(first_kernels(self._scenes()), self._stopped)
 
     def light(self) -> None:
-        """Have kernels of pictures with light in this process, and those of bakes on this
-        machine.
+        """Wait until the kernels of lit pictures and of bakes are compiled, and load the
+        former. Then prune old folders of compiled kernels.
         """
         self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
@@ -77,13 +80,13 @@ class SceneKernels:
             log.info(KERNELS_ELSEWHERE, READ_ONLY_FOLDER, KERNEL_FOLDER)
 
     def others(self) -> None:
-        """Have kernels of pictures without light from texels, and of whole paths, in this
-        process.
+        """Compile and load the kernels of pictures that need no texels, such as path-traced
+        ones.
         """
         warm(other_kernels(self._scenes()), self._stopped, COMPILER_NICENESS)
 
     def admit(self, scene: Scene) -> None:
-        """Have kernels of pictures of one more scene in this process."""
+        """Compile and load the kernels of pictures of one more scene."""
         kernels = list(frame_kernels([scene]))
         work = Compilation(kernels)
         self._admitted = work, kernels

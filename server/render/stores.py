@@ -14,19 +14,19 @@ from isogi_core.storage.store import Store, StoreLike
 from server.settings import Settings
 
 FINDING_SECONDS = 5.0
-"""Seconds for which a finding stands: probes come often, and from many."""
+"""Seconds for which a result is reused: load balancers and monitors probe often."""
 
 PROBE_SECONDS = 0.5
-"""Seconds that a probe waits for the store: it answers whatever the store does."""
+"""Seconds for which a probe waits for the store: it answers even if the store hangs."""
 
 
 class StoreProbe:
-    """Looks for a store's sentinel, and tries whether it could be written. Safe to use from many
+    """Probes if a store can be read and written, in a thread of its own. Safe to use from many
     threads.
     """
 
     def __init__(self, store: StoreLike, clock: Callable[[], float] = time.monotonic) -> None:
-        """Probe ``store`` when it is asked for the first time."""
+        """Prepare to probe ``store``; nothing is read before ``reasons`` is called."""
         self._root = Store.of(store)
         self._clock = clock
         self._lock = threading.Lock()
@@ -36,11 +36,12 @@ class StoreProbe:
         self._looking: threading.Thread | None = None
 
     def reasons(self) -> list[str]:
-        """Why light cannot be read or kept; none where it can, or where the store is one that is
-        only read.
+        """Return the reasons why light cannot be read or kept: an empty list if it can, or if the
+        store is meant only to be read.
 
-        Looked up at most every ``FINDING_SECONDS`` seconds, in a separate thread: a store that
-        hangs holds nobody. What was found before stands for as long again.
+        The store is probed at most every ``FINDING_SECONDS``. A store that hangs holds up no
+        caller: while a probe is late by less than ``FINDING_SECONDS``, the former result is
+        returned, and after that the reason that the store does not answer.
         """
         with self._lock:
             if self._looking is None and self._clock() >= self._until:
@@ -48,6 +49,7 @@ class StoreProbe:
                 self._looking = threading.Thread(target=self._look_up, name="probe", daemon=True)
                 self._looking.start()
             looking = self._looking
+        # Wait outside the lock, so that all callers wait for the same probe.
         if looking is not None:
             looking.join(PROBE_SECONDS)
         with self._lock:
@@ -55,10 +57,11 @@ class StoreProbe:
             return self._silent() if late else self._found
 
     def _silent(self) -> list[str]:
+        """Return the reason for a store that does not answer."""
         return [f"The store at {self._root.url} does not answer."]
 
     def _look_up(self) -> None:
-        """Note what is found."""
+        """Probe the store, and keep the result."""
         found = self._look()
         with self._lock:
             self._until = self._clock() + FINDING_SECONDS
@@ -66,6 +69,7 @@ class StoreProbe:
             self._looking = None
 
     def _look(self) -> list[str]:
+        """Return the reasons that a probe of the store finds."""
         try:
             self._root.check_writable()
         except StoreReadOnlyError:
@@ -76,7 +80,7 @@ class StoreProbe:
 
 
 def existing_store(settings: Settings) -> Store:
-    """The store of the settings, for its upkeep. Raises StoreError where there is none."""
+    """Open the store of the settings, for its upkeep. Raises StoreError if there is none."""
     place = place_of(settings)
     if place.scheme == "file" and not place.folder.is_dir():
         raise StoreError(
@@ -88,8 +92,10 @@ def existing_store(settings: Settings) -> Store:
 
 
 def root_of(settings: Settings) -> Store:
-    """The root of the light that a server of these settings reads and has baked. Raises
+    """Return the store in which a server of these settings reads light and has it baked. Raises
     StoreError.
+
+    A remote store keeps copies of its objects on the local disk, if the settings allow.
     """
     place = place_of(settings)
     keeps = place.remote and settings.store_cache_mb > 0
@@ -97,13 +103,17 @@ def root_of(settings: Settings) -> Store:
 
 
 def place_of(settings: Settings) -> StoreUrl:
-    """The place that the settings name."""
+    """Return the URL of the store that the settings name, or that of the default store, with
+    limits of time and retries.
+    """
     url = settings.store or str(default_store())
     return whereabouts(StoreUrl(url, settings.store_seconds, settings.store_retries))
 
 
 def whereabouts(place: StoreUrl) -> StoreUrl:
-    """A place whose folder is an absolute path, a URL as it is: workers may stand elsewhere."""
+    """Make the path of a folder absolute, as workers may run in another directory; return a URL
+    as it is.
+    """
     if "://" in place.url:
         return place
     return replace(place, url=str(Path(place.url).resolve()))

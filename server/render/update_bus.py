@@ -12,11 +12,11 @@ from isogi_core.prepared.prepared_scene import Index
 
 @dataclass(eq=False)
 class Pending:
-    """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all``
-    with the last.
+    """Chunks of a ``bake`` that a request waits for.
 
-    The last update of a chunk says that no more of it is going to be baked: it is final or given
-    up. ``lit`` is set with ``all``, and once each of those that were ``dark`` has had an update.
+    ``some`` is set with the first update of any of the ``chunks``, ``all`` with the last update of
+    the last one: a chunk's last update says that it is final or given up. ``lit`` is set with
+    ``all``, or once each of the ``dark`` chunks, which had no light, has had an update.
     """
 
     bake: str
@@ -27,7 +27,9 @@ class Pending:
     all: asyncio.Event = field(default_factory=asyncio.Event)
 
     def note(self, index: Index, more: bool) -> None:
-        """Note an update of a chunk, and whether there will be more."""
+        """Note an update of a chunk, and set the events that it completes. ``more`` says that
+        the chunk will have further updates.
+        """
         if index in self.chunks:
             self.some.set()
             if not more:
@@ -42,7 +44,10 @@ class Pending:
 
 
 class UpdateBus:
-    """The updates so far, numbered. All but ``publish`` belongs to the event loop that made it."""
+    """Tells waiting requests of new light in chunks. Updates are numbered from 1.
+
+    All methods but ``publish`` belong to the event loop that created the bus.
+    """
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -52,24 +57,27 @@ class UpdateBus:
         self._pending: set[Pending] = set()
 
     def publish(self, bake: str, index: Index, more: bool) -> None:
-        """Say that a chunk of a bake has new light, or its task failed, and whether ``more`` is
-        coming. Any thread.
+        """Report from any thread that a chunk of a bake has new light, or that its task failed,
+        and if ``more`` updates of it will come.
         """
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._note, bake, index, more)
 
     def newest(self, bake: str) -> int:
-        """The number of the newest update of a bake; 0 where there was none."""
+        """Return the number of the newest update of a bake; 0 if it had none."""
         return self._newest.get(bake, 0)
 
     @contextmanager
     def pending(
         self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
     ) -> Iterator[Pending]:
-        """Watch ``chunks`` of a bake, some of which are ``dark``, from the update after number
-        ``since`` on.
+        """Watch ``chunks`` of a bake, some of which are ``dark``, for the block.
+
+        Updates with numbers above ``since`` count, also those that came before this call: a frame
+        drawn at update ``since`` misses none.
         """
         pending = Pending(bake, set(chunks), set(dark))
+        # Catch up with the updates since the frame was drawn.
         for index in chunks:
             number, more = self._last.get((bake, index), (0, True))
             if number > since:
@@ -81,6 +89,7 @@ class UpdateBus:
             self._pending.discard(pending)
 
     def _note(self, bake: str, index: Index, more: bool) -> None:
+        """Number an update, and pass it on to those that watch its bake."""
         self._count += 1
         self._newest[bake] = self._count
         self._last[bake, index] = self._count, more

@@ -1,4 +1,4 @@
-"""Viewers: for whom light is baked, and work that ends when its client leaves."""
+"""Viewers, for whom light is baked, and work that ends when its client disconnects."""
 
 import asyncio
 import itertools
@@ -18,33 +18,35 @@ _visits = itertools.count(1)
 
 
 def request_viewer(request: Request) -> Viewer:
-    """The viewer of one request: all requests of a bearer at an address are one client's."""
+    """Return the viewer of one request. All requests with one token from one address are one
+    client, which has one share of the workers.
+    """
     bakes = bearer_of(request.scope).may("bake")
     return Viewer(client_of(request.scope), next(_visits), bakes=bakes)
 
 
 def stream_viewer(connection: HTTPConnection) -> Viewer:
-    """The viewer of a stream: a client of its own, which looks at one view at a time."""
+    """Return the viewer of a stream: a separate client that looks at one view at a time."""
     visit = next(_visits)
     return Viewer(visit, visit, single=True, bakes=bearer_of(connection.scope).may("bake"))
 
 
 def background_viewer() -> Viewer:
-    """The viewer of work in the background: a client of its own, which yields to all others."""
+    """Return a viewer for background work: a separate client that yields to all others."""
     visit = next(_visits)
     return Viewer(visit, visit, single=True, patient=True)
 
 
 async def run_while_connected(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
-    """The answer to a request. Once its client has left, the answer is cancelled and Cancelled
-    raised.
+    """Return the answer to a request. If its client disconnects first, cancel the answer and
+    raise Cancelled.
     """
     return await run_until(answer, disconnected(request))
 
 
 async def run_until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
-    """What some work comes to, or raises; where the ``end`` comes first, it is cancelled and
-    Cancelled raised.
+    """Return the result of some ``work``, or raise its error. If ``end`` is done first, cancel
+    the work and raise Cancelled.
     """
     working = asyncio.ensure_future(work)
     ending = asyncio.ensure_future(end)
@@ -60,6 +62,6 @@ async def run_until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
 
 
 async def disconnected(request: Request) -> None:
-    """Returns when the client has disconnected."""
+    """Return when the client has disconnected."""
     while (await request.receive())["type"] != "http.disconnect":
         pass
