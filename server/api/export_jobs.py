@@ -113,8 +113,8 @@ class Export:
             rung = MAX_SAMPLES
         else:
             rung = FIRST_LEVEL
-        # Bake the whole isosurface. Texels of exported coefficients get all samples, unless they are
-        # good enough with fewer.
+        # Bake the whole isosurface. Texels of exported coefficients get all samples, unless they
+        # are good enough with fewer.
         prewarm = Prewarm(
             self.service, self.scene, self._order(), owner=self.owner, recorded=False, rung=rung
         )
