@@ -1,4 +1,6 @@
-"""Answers: the schemas filled for a scene, its plan, and the coverage of a frame."""
+"""Answers: the documents about a scene, its plan, the coverage of a frame, and the data of a
+graphics card.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -87,11 +89,11 @@ from server.values import Span
 from worker.progress import TimeLeft
 
 MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary()
-"""The materials of the scenes in use that were asked."""
+"""Materials of the scenes in use whose materials were asked for."""
 
 
 def scene_schema(scene: Scene) -> SceneSchema:
-    """The document of one scene."""
+    """Return the document of one scene."""
     shown = shown_histogram(scene.volume)
     return SceneSchema(
         id=scene.id,
@@ -139,7 +141,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
 
 
 def volume_schema(scene: Scene) -> VolumeSchema:
-    """The facts of a scene's volume."""
+    """Return the facts about a scene's volume."""
     volume = scene.volume
     orientation = scene.volume.orientation
     names = ("name", "size", "spacing", "dtype", "value_range", "holes")
@@ -158,7 +160,7 @@ def volume_schema(scene: Scene) -> VolumeSchema:
 
 
 def colour_scale(scene: Scene) -> ColourScale | None:
-    """The colours of the surface by data, None where it has one albedo."""
+    """Return the scale of a surface that is coloured by data; None if it has one albedo."""
     if scene.surfaces.colours is None:
         return None
     scale = scene.surfaces.colours.scale
@@ -181,7 +183,9 @@ def colour_scale(scene: Scene) -> ColourScale | None:
 
 
 def material_schemas(scene: Scene) -> list[MaterialSchema]:
-    """All materials; a scene is asked once, as its probes are read again for each."""
+    """Return all materials. Computed once for a scene, as its probes are read again for each
+    material.
+    """
     if scene not in MATERIALS_OF:
         MATERIALS_OF[scene] = [
             material_schema(kind, found) for kind, found in find_materials(scene).items()
@@ -190,8 +194,8 @@ def material_schemas(scene: Scene) -> list[MaterialSchema]:
 
 
 def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
-    """A material by its ``kind``, as a scene would have it, or why it cannot: see
-    ``find_materials``.
+    """Return the document of a material by its ``kind``: its numbers in the scene ``found``, or
+    the reason why the scene cannot have it. See ``find_materials``.
     """
     if isinstance(found, str):
         return MaterialSchema(kind=kind, refused=found)
@@ -204,7 +208,7 @@ def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
 
 
 def light_schema(light: Light) -> LightSchema:
-    """One light: its type as in a scene file, and its name for a person."""
+    """Return one light: its type as in a scene file, and a name for people."""
     return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
 
 
@@ -215,10 +219,11 @@ def camera_schema(
     elevation: float | None,
     projection: str | None = None,
 ) -> CameraSchema:
-    """The camera that shows a view's surface whole at every azimuth, and large; the whole volume,
-    where none is to be seen of it. A scene that says where its first camera is has that one.
+    """Return the camera that shows the surface of a view whole at every azimuth, as large as that
+    allows; the whole volume if no surface is visible.
 
-    The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
+    A first camera that the scene file places is returned as it is. The ``view`` is in perspective;
+    the camera is for a ``projection``, by default the scene's.
     """
     scene = renderer.prepared.scene
     first = scene.settings.first
@@ -236,10 +241,10 @@ def camera_schema(
 def fit(
     renderer: Renderer, stands: Sequence[Stand], projection: str | None
 ) -> tuple[Vector, float]:
-    """The target and the distance, rounded, at which cameras see their surfaces whole: see
+    """Return the target and the distance, rounded, at which cameras see their surfaces whole: see
     ``fitted_to_all``.
 
-    They see the whole volume where none is to be seen.
+    They see the whole volume if no surface is visible.
     """
     scene = renderer.prepared.scene
     found = fitted_to_all(renderer, stands, projection or scene.settings.projection)
@@ -249,7 +254,7 @@ def fit(
 
 
 def plan_schema(scene: Scene) -> PlanSchema:
-    """The scene's plan, and which of its texels are ever lit."""
+    """Return the scene's plan, and the counts of texels that may be lit."""
     plan = scene.plan
     return PlanSchema(
         representation=plan.representation,
@@ -273,7 +278,9 @@ def plan_schema(scene: Scene) -> PlanSchema:
 
 
 def turned_out(scene: Scene) -> list[str]:
-    """What was decided about a volume that is inside out, in a sentence."""
+    """Return a note if the volume was found to be inside out, so that matter below the isovalue
+    is solid.
+    """
     if scene.solid == "above" or "solid" in scene.source.document:
         return []
     return [
@@ -285,7 +292,7 @@ def turned_out(scene: Scene) -> list[str]:
 
 
 def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
-    """The isovalues, from one to another, where texels are projected, in the units of the volume's
+    """Return the ranges of isovalues whose texels are projected, in the units of the volume's
     file.
     """
     ends = [[scene.volume.file_value(end) for end in span] for span in scene.projection.spans()]
@@ -293,7 +300,7 @@ def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lobe_schema(lobe: Lobe) -> LobeSchema:
-    """One lobe of a light."""
+    """Return one lobe of a light."""
     return LobeSchema(
         azimuth=lobe.azimuth,
         elevation=lobe.elevation,
@@ -303,19 +310,21 @@ def lobe_schema(lobe: Lobe) -> LobeSchema:
 
 
 def layer_schema(layer: Layer) -> LayerSchema:
-    """One layer of a plan."""
+    """Return one layer of a plan."""
     names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
     return LayerSchema(**{name: getattr(layer, name) for name in names}, nodes=list(layer.nodes))
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:
-    """What each knob of a scene is where it is left out."""
+    """Return the value of each parameter of a view if it is left out; parameters without one
+    are left out.
+    """
     own = {name: knob.default_of(scene) for name, knob in KNOBS.items()}
     return {name: value for name, value in own.items() if value is not None}
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
-    """What each number may be."""
+    """Return the range of each numeric parameter."""
     spans = {
         name: (knob.kind.low, knob.kind.high)
         for name, knob in KNOBS.items()
@@ -332,11 +341,12 @@ def ranges(scene: Scene) -> dict[str, Range]:
 def point_schema(
     scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float
 ) -> PointSchema:
-    """What a pixel, by column and row, of a frame shows."""
+    """Return what the ``pixel`` (column, row) of a frame shows."""
     orientation = scene.volume.orientation
     point = point_at(frame, *pixel, scene)
     if point is None:
         return PointSchema(hit=False, unit=orientation.unit)
+    # Develop the one pixel as a picture would show it.
     shown = lit(
         np.array([[point.radiance]], np.float32),
         np.full((1, 1), FINAL, np.uint8),
@@ -360,7 +370,9 @@ def point_schema(
 
 
 def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
-    """The size of a scene's surface, in the world; an area of 0 where there is none."""
+    """Return the area and the enclosed volume of a scene's surface, in world units; an area of
+    0 if there is none.
+    """
     prepared = renderer.prepared
     volume = prepared.scene.volume
     place = prepared.scene.volume.orientation
@@ -370,7 +382,7 @@ def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
 
 
 def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
-    """How far the frame is."""
+    """Return the coverage and the error of a frame."""
     return Coverage(
         chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
         pixels=PixelCounts(surface=frame.surface, **frame.counts),
@@ -388,21 +400,21 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
 
 
 CARD_FORMAT = 1
-"""Version of what is sent: counts up when an older page cannot read it."""
+"""Version of the format of card data; raised if older pages cannot read it."""
 
 VOXELS_KEPT = Obstacle(
     "voxels kept",
     "This server hands out no voxels: it draws all pictures itself (hand_out_voxels).",
 )
-"""What keeps cards from drawing anything that this server shows."""
+"""The obstacle that keeps graphics cards from drawing anything of this server."""
 
 LINKS = CardLinks(chunks="card/chunks", light="card/light/", transfer="card/transfer/")
 TONE = CardTone(gain=TONE_GAIN, toe=TONE_TOE, shoulder=TONE_SHOULDER)
 
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:
-    """What keeps a card from drawing a view; whether the server ``hands_out`` voxels. Raises
-    ViewError.
+    """Return the reasons why a card cannot draw a view; ``hands_out`` says if the server hands
+    out voxels. Raises ViewError.
     """
     own = [] if hands_out else [VOXELS_KEPT]
     return own + find_obstacles(prepared.scene, view, prepared.voxel_codes.nbytes)
@@ -411,8 +423,8 @@ def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list
 def card_schema(
     renderer: Renderer, view: View, query: Sequence[tuple[str, str]], hands_out: bool
 ) -> CardSchema:
-    """The document of a ``view``; addresses of voxels go on with a ``query``. Its version is not
-    filled in yet.
+    """Return the card document of a ``view``. Addresses of voxels carry the ``query``. The
+    caller fills in the version.
     """
     found = card_obstacles(renderer.prepared, view, hands_out)
     if found:
@@ -432,7 +444,7 @@ def card_schema(
 
 
 def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]]) -> CardScene:
-    """All that drawing a view takes besides voxels and texels."""
+    """Return all that drawing a view needs besides voxels and texels."""
     prepared = renderer.prepared
     spec = renderer.caches.spec("gi")
     scene = prepared.scene
@@ -464,7 +476,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
 
 
 def grid_of(scene: Scene) -> CardGrid:
-    """The grid of a scene's volume."""
+    """Return the grid of a scene's volume."""
     placed = scene.volume.orientation
     return CardGrid(
         size=scene.volume.size,
@@ -477,7 +489,7 @@ def grid_of(scene: Scene) -> CardGrid:
 
 
 def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> CardVolume:
-    """The codes of a volume, and the addresses of their slabs."""
+    """Return the coding of a volume's voxels, and the addresses of its slabs."""
     codes = prepared.voxel_codes
     more = urlencode([*query, ("version", voxel_version(prepared.scene))])
     slabs = [CardSlab(first=a, last=b, href=f"card/volume/{a}-{b}?{more}") for a, b in codes.slabs]
@@ -492,12 +504,12 @@ def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> Card
 
 
 def voxel_version(scene: Scene) -> str:
-    """What names the codes of a scene's voxels; 32 hexadecimal digits."""
+    """Return the version of the codes of a scene's voxels: 32 hexadecimal digits."""
     return scene.volume.digest[:30] + f"{CARD_FORMAT:02x}"
 
 
 def plan_of(renderer: Renderer) -> CardPlan:
-    """What texels keep."""
+    """Return the layout of the light that texels keep."""
     scene = renderer.prepared.scene
     spec = renderer.caches.spec("gi")
     return CardPlan(
@@ -513,12 +525,13 @@ def plan_of(renderer: Renderer) -> CardPlan:
 
 
 def card_light(light: RotatedLight) -> CardLight:
-    """A light that is not turned, in the unit of its bake spec."""
+    """Return the unturned light, in units of its bake spec."""
     scale = raw_scale(light.spec)
     columns = light.reflected / light.spec.unit * scale
     squares = light.square * scale
     firsts = light.spec.firsts.tolist()
     terms = light.seen.terms
+    # Each term of the light meets its own range of coefficients.
     parts = [
         (term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)
     ]
@@ -543,13 +556,13 @@ def card_light(light: RotatedLight) -> CardLight:
 
 
 def colour_rows(rows: np.ndarray) -> Colours:
-    """Three rows of numbers."""
+    """Return a (3, n) array as three lists."""
     red, green, blue = rows.tolist()
     return red, green, blue
 
 
 def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
-    """The chunks that a view reads."""
+    """Return the documents of chunks that a view reads."""
     return [
         CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final)
         for each in seen
@@ -557,10 +570,10 @@ def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
 
 
 def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
-    """The chunks that the view of a ``frame`` reads, most visible first; none where it is drawn
+    """Return the chunks that the view of a ``frame`` reads, most visible first; none if it is drawn
     without texels.
 
-    Raises what ``seen_chunks`` does.
+    Raises as ``seen_chunks`` does.
     """
     if frame.quality.lacking is None or frame.view.shading != "gi":
         return []

@@ -1,7 +1,7 @@
-"""The table of knobs: what a view and its picture may be asked for, over HTTP and by options of
-commands alike.
+"""The table of knobs: the parameters of a view and its picture, over HTTP and as options of
+commands.
 
-Parameters, options, their help, and the defaults and ranges of a scene's document all derive from
+Parameters, options, their help, and the defaults and ranges in a scene's document all derive from
 KNOBS.
 """
 
@@ -25,23 +25,25 @@ from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, S
 if TYPE_CHECKING:
     from isogi_core.plan.scene import Scene
 
-LONGEST_SIDE = 16383  # WebP's own limit
+LONGEST_SIDE = 16383
+"""Pixels along a side of a picture, at most: the limit of WebP."""
+
 LONGEST_WAIT = 10_000
 """Milliseconds that a request may wait for baking."""
 
 MOST_STEPS = 1 << 20
-"""Most steps of a series in time."""
+"""Steps of a series in time, at most."""
 
 OF_SCENE = "the scene's"
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A knob: its ``name``, the ``kind`` of its values, and what it does, a line of ``help``
-    without its end.
+    """A parameter: its ``name``, the ``kind`` of its values, and a line of ``help`` without its
+    end.
 
-    Left out it is its ``default``, None where ``otherwise`` says what holds instead. Numbers are in
-    its ``unit``.
+    If left out, it takes its ``default``, or the value that ``otherwise`` describes if that is
+    None. Numbers have the ``unit``.
     """
 
     name: str
@@ -51,11 +53,13 @@ class Knob:
     unit: str = ""
     otherwise: str = OF_SCENE
     own: Callable[[Scene], Any] | None = None
-    """The value that a scene gives it; None of a scene that does not have this knob."""
+    """Returns the value in views of a scene that leave it out; None for a scene that does not
+    have this knob.
+    """
 
     @property
     def text(self) -> str:
-        """A line of help: what it does, what it may be, and what it is where it is left out."""
+        """Return a line of help: purpose, possible values and default."""
         if self.default in (None, ...):
             usual = self.otherwise
         else:
@@ -67,6 +71,7 @@ class Knob:
         return f"{self.help}{self._values()}{shown and f'; default: {shown}'}."
 
     def _values(self) -> str:
+        """Return the range or the words in parentheses; empty for other kinds."""
         match self.kind:
             case Span(low, high):
                 return f" ({low:,.7g} to {high:,.7g}{' ' if self.unit else ''}{self.unit})"
@@ -75,8 +80,8 @@ class Knob:
         return ""
 
     def default_of(self, scene: Scene) -> Any:
-        """What it is in views of a ``scene`` that leave it out; None where the scene does not have
-        it.
+        """Return the value in views of a ``scene`` that leave it out; None if the scene does
+        not have this knob.
         """
         if self.own is None:
             return self.default
@@ -89,11 +94,13 @@ PICTURE_SIDE = Span(1, LONGEST_SIDE, whole=True)
 
 
 def _none(_: Scene) -> None:
-    """No scene gives a default of what is of one request alone."""
+    """Give no default: the parameter belongs to a single request."""
 
 
 def _albedo(scene: Scene) -> float | str | None:
-    """One number where it is grey."""
+    """Return the albedo of views: one number if it is grey, else text; None if views may not
+    choose it.
+    """
     own = scene.surfaces.albedo
     if scene.surfaces.albedos is None:
         return None
@@ -103,13 +110,14 @@ def _albedo(scene: Scene) -> float | str | None:
 
 
 def _smooth(scene: Scene) -> float | None:
-    """Labels are not smoothed."""
+    """Return the smoothing of the scene; None for labels, which are not smoothed."""
     if scene.volume.segmented:
         return None
     return float(scene.source.document.get("smooth", 0.0))
 
 
 def _shine(name: str) -> Callable[[Scene], Any]:
+    """Return a function that gives this number of a scene's shine; None if the scene has none."""
     return lambda scene: getattr(scene.surfaces.shine, SHINE_KNOBS[name], None)
 
 
@@ -320,8 +328,8 @@ KNOB_GROUPS = {
         ),
     ),
 }
-"""The knobs by what they are of: headings of help, but for the volume's and the work's, which have
-options apart.
+"""The knobs by subject. Groups are headings of help, except for Volume and Work, whose options
+are listed elsewhere.
 """
 
 KNOBS = {knob.name: knob for group in KNOB_GROUPS.values() for knob in group}

@@ -1,6 +1,4 @@
-"""Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML
-file.
-"""
+"""Settings of a process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
 
 import os
 from ipaddress import ip_address, ip_network
@@ -25,26 +23,26 @@ UNKNOWN_SCHEDULER = (
 )
 
 UPLOADS_MB = 2048
-"""Megabytes that uploads may take by default, where no other machine reaches the server."""
+"""Megabytes that uploads may take by default if no other machine reaches the server."""
 
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
-"""Names in a list, or with commas between them."""
+"""Names in a list, or in a text separated by commas."""
 
 
 FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
-"""Former names of settings, each with the name that it has now."""
+"""Former names of settings, with their present names."""
 
 
 def cores() -> int:
-    """Cores that this process may use, at least 1."""
+    """Return the number of cores that this process may use, at least 1."""
     return max(
         1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
 
 
 class Settings(BaseSettings):
-    """What one server process may do and how much of it. Raises pydantic's ValidationError."""
+    """The settings of one process. Raises pydantic's ValidationError."""
 
     model_config = SettingsConfigDict(env_prefix="ISOGI_", frozen=True, extra="forbid")
 
@@ -260,7 +258,7 @@ class Settings(BaseSettings):
     @field_validator("host")
     @classmethod
     def address(cls, value: str) -> str:
-        """The host, if it is an address and not a socket in the file system."""
+        """Return the host if it is an address; raise ValueError for a Unix socket."""
         if value.startswith("unix:") or "/" in value:
             raise ValueError(
                 "isogi listens at addresses and not at sockets of the file system: give one such "
@@ -271,7 +269,7 @@ class Settings(BaseSettings):
     @field_validator("allowed_hosts", "allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def split(cls, value: object) -> object:
-        """The names in a comma-separated text."""
+        """Split a text at commas into names."""
         if isinstance(value, str):
             return tuple(filter(None, map(str.strip, value.split(","))))
         return value
@@ -279,7 +277,9 @@ class Settings(BaseSettings):
     @field_validator("allowed_origins")
     @classmethod
     def origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """The names, each a scheme and a host: none stands for all."""
+        """Return the origins in lower case. Raises ValueError unless each is a scheme and a
+        host; there is no wildcard.
+        """
         for name in value:
             scheme, _, host = name.partition("://")
             if scheme not in ("http", "https") or not host or set("/*?#@") & set(host):
@@ -291,7 +291,9 @@ class Settings(BaseSettings):
     @field_validator("trusted_proxies")
     @classmethod
     def proxies(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """The proxies, each an address or a network: none stands for all."""
+        """Return the proxies. Raises ValueError unless each is an address or a network; there
+        is no wildcard.
+        """
         for name in value:
             try:
                 ip_network(name)
@@ -304,7 +306,7 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def renamed(cls, given: Any) -> Any:
-        """What is given, where no name in it is a former one."""
+        """Raise ValueError if a former name of a setting is given; else return the input."""
         for former in FORMER_SETTING_NAMES.keys() & dict(given):
             raise ValueError(f"{former} is called {FORMER_SETTING_NAMES[former]} now: rename it")
         return given
@@ -312,7 +314,7 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def token_from_file(cls, given: Any) -> Any:
-        """What is given, with the token that a file holds."""
+        """Add the token that ``token_file`` holds, if no token is given."""
         if "token" in given or not given.get("token_file"):
             return given
         try:
@@ -323,14 +325,16 @@ class Settings(BaseSettings):
     @field_validator("tokens_file")
     @classmethod
     def tokens(cls, value: Path | None) -> Path | None:
-        """The file, where it holds tokens."""
+        """Return the file if it holds valid tokens; else raise ValueError."""
         if value is not None:
             read_bearers(value)
         return value
 
     @model_validator(mode="after")
     def scheduler_is_known(self) -> Self:
-        """The settings, where a scheduler to join has certificates, or needs none."""
+        """Raise ValueError if a scheduler is named without certificates and without
+        ``insecure_scheduler``.
+        """
         known = all(self.certificates) and (self.scheduler or "").startswith("tls://")
         if self.scheduler and not (known or self.insecure_scheduler):
             raise ValueError(UNKNOWN_SCHEDULER)
@@ -344,23 +348,23 @@ class Settings(BaseSettings):
         *_: Any,
         **others: Any,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Options come first, then the environment, then the file where there is one."""
+        """Take options first, then the environment, then the file if there is one."""
         return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
 
     @property
     def bearers(self) -> tuple[Bearer, ...]:
-        """The clients that may ask, by their tokens; none where no token is needed."""
+        """Return the bearers of all tokens; none if no token is required."""
         one = () if self.token is None else (Bearer(self.token.get_secret_value()),)
         return (*one, *(read_bearers(self.tokens_file) if self.tokens_file else ()))
 
     @property
     def certificates(self) -> tuple[Path | None, Path | None, Path | None]:
-        """The files for a scheduler: of the authority, the certificate and its key."""
+        """Return the files for a scheduler: authority, certificate, key."""
         return self.scheduler_ca, self.scheduler_cert, self.scheduler_key
 
     @property
     def exposed(self) -> bool:
-        """Whether other machines can reach the address to listen on."""
+        """Return True if other machines can reach the address that the server listens at."""
         try:
             return not ip_address(self.host).is_loopback
         except ValueError:
@@ -368,8 +372,8 @@ class Settings(BaseSettings):
 
     @property
     def upload_quota_mb(self) -> int:
-        """Megabytes that uploads may take: as set, else none where other machines may reach the
-        server.
+        """Return the megabytes that uploads may take: as set, else 0 if other machines may
+        reach the server.
         """
         if self.uploads_mb is not None:
             return self.uploads_mb
@@ -379,22 +383,22 @@ class Settings(BaseSettings):
 
     @property
     def hands_out_voxels(self) -> bool:
-        """Whether pages may have voxels: as set, else where anybody may ask who reaches the
-        server.
-        """
+        """Return True if pages may have voxels: as set, else if no token is required."""
         if self.hand_out_voxels is None:
             return not self.bearers
         return self.hand_out_voxels
 
     def trusts(self, host: str) -> bool:
-        """Whether a connection from this address is a proxy's, whose headers name the client."""
+        """Return True if a connection from this address is a trusted proxy's, whose headers
+        name the client.
+        """
         try:
             return any(ip_address(host) in ip_network(each) for each in self.trusted_proxies)
         except ValueError:
             return False
 
     def hosts(self) -> tuple[str, ...] | None:
-        """Host names that requests may use, in lower case; None for any."""
+        """Return the host names that requests may use, in lower case; None for any."""
         if self.allowed_hosts is not None:
             return tuple(name.lower() for name in self.allowed_hosts)
         if self.exposed:
@@ -403,17 +407,19 @@ class Settings(BaseSettings):
 
 
 def read_settings(config: Path | None = None, **given: Any) -> Settings:
-    """The settings: those ``given``, then the environment's, then those in the file ``config``.
+    """Read the settings: those ``given``, then the environment's, then those in the file
+    ``config``.
 
-    Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is
-    given; OSError where the file cannot be read.
+    Raises pydantic's ValidationError; ValueError if the file is not TOML, or a former name is
+    given; OSError if the file cannot be read.
     """
     for former, name in FORMER_SETTING_NAMES.items():
         if former in given or f"ISOGI_{former.upper()}" in os.environ:
             raise ValueError(f"{former} is called {name} now: rename it")
     if config is None:
         return Settings(**given)
-    with config.open("rb"):  # a file that is not there would count as empty
+    # Raise OSError for a missing file, which pydantic would take as an empty one.
+    with config.open("rb"):
 
         class Configured(Settings):
             """Settings with a file."""
