@@ -195,15 +195,15 @@ class SideBakes:
 
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 
-    def _named(self, name: str, own: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:
+    def _named(self, name: str, base: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:
         """Add the bake of this ``name`` if it is new, and drop the oldest ones above MAX_BAKES.
-        Views that read it also read the bake ``own`` of the scene.
+        Views that read it also read the bake ``base`` of the scene.
         """
         with self._lock:
             new = name not in self._names
             if new:
                 self._baker.add(name, make())
-            self._names[name] = own
+            self._names[name] = base
             self._names.move_to_end(name)
             old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MAX_BAKES)]
         # Call the baker without the lock, as it calls listeners.
@@ -246,7 +246,7 @@ class SideBakes:
         """Drop all bakes of a scene that this object has added."""
         with self._lock:
             every = {bake_name(scene, spec) for spec in SPECS}
-            gone = [name for name, own in self._names.items() if own in every]
+            gone = [name for name, base in self._names.items() if base in every]
             for name in gone:
                 del self._names[name]
         for name in gone:

@@ -225,10 +225,8 @@ class RenderEngine:
 
         Their light remains in the store.
         """
-        for each in [
-            scene,
-            *(name for name in self.scenes if name != scene and self.variant(name).base == scene),
-        ]:
+        variants = [name for name in self.scenes if self.variant(name).base == scene]
+        for each in dict.fromkeys([scene, *variants]):
             self._dismiss(each)
 
     def _dismiss(self, scene: str) -> None:
@@ -355,9 +353,8 @@ class RenderEngine:
         """
         frame = frame.quality.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
-        return self.bake_at(
-            scene, spec_name(frame.view.shading), stage, frame.quality.fineness
-        ), stage
+        spec = spec_name(frame.view.shading)
+        return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
         """Return the name of the bake by a ``spec`` that a ``stage`` belongs to, with texels
@@ -376,9 +373,8 @@ class RenderEngine:
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """Return the bake that a ``frame`` needs light of next, and the indices of the chunks."""
-        return (found := self.lacking(scene, frame))[0], [
-            demand.index for demand in found[1].demands
-        ]
+        bake, stage = self.lacking(scene, frame)
+        return bake, [demand.index for demand in stage.demands]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
         """Return the number of chunks that a ``frame`` lacks and that are still to be baked;
@@ -418,7 +414,7 @@ class RenderEngine:
         target = max_error or loaded.scene.target_error
         # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
         # light are traced in this process.
-        (bake, chunks) = self._chunks(scene, frame)
+        bake, chunks = self._chunks(scene, frame)
         if not (chunks or frame.refinable):
             return None
         # Texels of this stage and of all later ones.
@@ -490,11 +486,8 @@ class RenderEngine:
         """Return sentences for a person that are no trouble: kernels are being compiled, or the
         store is only read.
         """
-        return [
-            note
-            for note in (self.kernels.compiling, self.trouble() if self.store.read_only else "")
-            if note
-        ]
+        only_read = self.trouble() if self.store.read_only else ""
+        return [note for note in (self.kernels.compiling, only_read) if note]
 
     def close(self) -> None:
         """Stop checks, baking and workers, and drop all scenes. Chunks that were being baked
@@ -535,9 +528,8 @@ class RenderEngine:
             loaded = self._loaded.at(named)
             if scene not in self.scenes:
                 self._loaded.drop(scene)
-            if (
-                self.variant(scene).base in self.scenes
-            ):  # a variant that made way meanwhile is drawn to its end
+            # A variant that was dismissed meanwhile is drawn to its end, if its scene is there.
+            if self.variant(scene).base in self.scenes:
                 return loaded
         raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
 
@@ -583,9 +575,9 @@ class RenderEngine:
         self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None
     ) -> None:
         """Have a loaded scene read a chunk of its texels again: it has new light."""
-        if (loaded := self._loaded.held(scene)) is not None and (
-            level := loaded.held(fineness)
-        ) is not None:
+        loaded = self._loaded.held(scene)
+        level = None if loaded is None else loaded.held(fineness)
+        if level is not None:
             level.renderer.caches.refresh(spec, index, shown)
 
 

@@ -358,20 +358,16 @@ def load_scene_parts(
     # The stand-in serves the voxels that a cut leaves; all of them if the moment differs, for then
     # nothing is cut.
     if whole is not None:
+        cut = None
         if scene.volume.moment == whole.scene.volume.moment:
             cut = scene.source.document.get("cut")
-        else:
-            cut = None
-        x, y, z = scene.volume.size
         if cut:
             left = voxels_left(whole.scene.volume, str(cut))
-        else:
-            left = (range(x), range(y), range(z))
-        stand_in = StandIn(whole.renderer.caches, left)
-        if cut:
             cut_from = Whole(whole.scene.source, whole.assets)
         else:
-            cut_from = None
+            x, y, z = scene.volume.size
+            left = (range(x), range(y), range(z))
+        stand_in = StandIn(whole.renderer.caches, left)
     return loaded(
         caches,
         tiles,
@@ -396,7 +392,7 @@ def loaded(
     """
     prepared = caches.prepared
     scene = caches.prepared.scene
-    # worked out now, not in the first frame
+    # Compute these now, not in the first frame.
     (
         prepared.field,
         prepared.maps,

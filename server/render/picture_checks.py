@@ -101,8 +101,8 @@ class PictureChecks:
             except IsogiError as error:
                 log.debug("a picture is not checked: %s", error)
                 more = False
-            # An unexpected error ends the check of this picture alone: others are still checked.
             except Exception:
+                # An unexpected error ends the check of this picture only.
                 log.exception(
                     "The check of a picture failed: it keeps the error that it has, others are "
                     "checked."

@@ -258,10 +258,11 @@ class Variants:
         """Return a scene that has the voxels of a variant, before its cut; None if there is
         none.
         """
-        kin = ((each, self._engine.variant(each.id)) for each in list(self._engine.scenes.values()))
-        return next(
-            (each for each, its in kin if its.cut is None and its.voxels == variant.voxels), None
-        )
+        for scene in list(self._engine.scenes.values()):
+            other = self._engine.variant(scene.id)
+            if other.cut is None and other.voxels == variant.voxels:
+                return scene
+        return None
 
     def _at(self, scene: Scene, variant: SceneVariant, time: int) -> Scene:
         """Return the scene at another time step, with the voxels of a scene that has them
@@ -316,14 +317,8 @@ class Variants:
         """
         try:
             digest = cut_digest(scene.volume, cut)
-            volume = next(
-                (
-                    each.volume
-                    for each in self._engine.scenes.values()
-                    if each.volume.digest == digest
-                ),
-                None,
-            )
-            return cut_open(scene, cut, name, volume)
+            same = (each for each in self._engine.scenes.values() if each.volume.digest == digest)
+            like = next(same, None)
+            return cut_open(scene, cut, name, like.volume if like else None)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "cut") from None
