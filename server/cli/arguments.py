@@ -1,5 +1,5 @@
-"""What commands share: the modules that do their work, the options of views and of work, and how a
-volume is taken.
+"""Arguments that commands share: options of views, of volumes and of work, and the modules that
+do the work.
 """
 
 import json
@@ -37,11 +37,11 @@ COMMAND_MODULES = {
     "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }
-"""The module that does a command's work; ``settings`` are read by pydantic."""
+"""The module that does the work of a command; "settings" is the one that reads settings."""
 
 
 def module_of(command: str) -> Any:
-    """The module that does a command's work, loaded now: help is answered without any of them."""
+    """Import the module of a command, now: help is printed without any of them."""
     with waiting("starting"):
         return import_module(COMMAND_MODULES[command])
 
@@ -49,20 +49,20 @@ def module_of(command: str) -> Any:
 Command = Callable[..., Any]
 
 FIRST_HEADING = "Options"
-"""The heading of options of no group."""
+"""The heading of options without a group."""
 
 VIEW_GROUPS = {
     heading: tuple(knob.name for knob in KNOB_GROUPS[heading])
     for heading in (FIRST_HEADING, "Camera", "Light", "Picture")
 }
-"""The knobs that are options of a view, by the headings of help."""
+"""The knobs that are options of a view, by heading."""
 
 
 def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
-    """The options of a view with their help; the azimuth and the like take a ``span`` such as
-    first:last too.
+    """Return the options of a view with their help. Options in RANGE_OPTIONS also take a ``span``
+    such as first:last.
 
-    Where a command has defaults of its own, ``otherwise`` has them by name.
+    ``otherwise`` describes, by name, the defaults of a command that differ from the usual ones.
     """
     otherwise = {"azimuth": "", "elevation": "", "distance": "all of it is seen"} | otherwise
     fitted = {
@@ -79,14 +79,14 @@ def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
 
 
 RANGE_OPTIONS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
-"""Options of a view that also take ranges, where there are many views."""
+"""Options of a view that also take ranges in commands that make several views."""
 
 VIEW_OPTIONS = view_options()
 FILM_OPTIONS = view_options("first:last")
 GRID_OPTIONS = view_options("first:last:step")
 
 DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
-"""Options that a reference, which is radiance alone, does not read."""
+"""Options that ``reference`` does not read, as it stores radiance."""
 
 PICTURE_OPTIONS = (
     "window",
@@ -130,7 +130,9 @@ RAW_HELP = (
 
 
 def options(table: dict[str, str]) -> Callable[[Command], Command]:
-    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+    """Return a decorator that adds a text option for each row; values are checked when they are
+    read, as those of HTTP are.
+    """
 
     def decorate(command: Command) -> Command:
         for name, text in reversed(table.items()):
@@ -147,11 +149,11 @@ VOLUME_OPTIONS = (
     *("axes", "raw", "solid", "smooth", "pieces", "environment"),
     *("cut", "surfaces", "hide", "material"),
 )
-"""Options of ``volume_options``; those that are given follow the # of a target."""
+"""Options of ``volume_options``; given ones are appended to the target after a #."""
 
 
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options of VOLUME_OPTIONS, which become parts of the command's target."""
+    """Add the options VOLUME_OPTIONS to a command, and append given ones to its target."""
 
     @click.option(
         "--axes",
@@ -196,9 +198,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
-    """A command's target with what its options say of the volume after its #; None where nothing is
-    said of none.
-    """
+    """Append options about the volume to a command's target after a #; None if there is neither."""
     for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
@@ -208,7 +208,7 @@ def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str 
 
 
 def raw_option(command: Command) -> Command:
-    """Decorator: the option of ``volume_options`` that says what bare voxels are, alone."""
+    """Add only the option --raw, which describes a file without a header."""
 
     @click.option("--raw", help=RAW_HELP)
     @wraps(command)
@@ -219,18 +219,18 @@ def raw_option(command: Command) -> Command:
 
 
 EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-"""The type of an option that names a file which must be there."""
+"""Type of an option that names an existing file."""
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 
 Check = Callable[[click.Context, click.Parameter, str | None], float | None]
-"""A callback of an option that is a number."""
+"""A callback that reads an option as a number."""
 
 
 def checked(read: Callable[[str], float]) -> Check:
-    """Callback of an option: what ``read`` makes of its text; BadParameter says why where it is
-    refused.
+    """Return a callback that reads the text of an option by ``read``; its ValueError becomes
+    BadParameter.
     """
 
     def check(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
@@ -243,7 +243,7 @@ def checked(read: Callable[[str], float]) -> Check:
 
 
 def number(low: float, high: float) -> Check:
-    """Callback of an option that is a number from ``low`` to ``high``."""
+    """Return a callback for a number from ``low`` to ``high``."""
     return checked(Span(low, high).read)
 
 
@@ -256,13 +256,13 @@ age = checked(seconds_of_age)
 
 
 def settings_from(config: Path | None = None, **given: Any) -> "Settings":
-    """The settings: options first, then the environment, then a file; UsageError names what is
-    wrong.
+    """Read the settings: options first, then the environment, then a file. Raises UsageError
+    that names the wrong one.
     """
     settings: Settings = module_of("settings").settings_from(config, **given)
     return settings
 
 
 def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> None:
-    """Print facts, for a script or for a person."""
+    """Print facts, as JSON or as text for a person."""
     click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))

@@ -1,5 +1,5 @@
-"""The ``isogi`` command: what each command takes. The module that does its work is loaded when it
-is called.
+"""The ``isogi`` command line: the arguments of each command. The module that does its work is
+loaded when it is called.
 """
 
 import gc
@@ -52,25 +52,27 @@ BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 
 
 def main() -> None:
-    """Run the command line and leave with its exit status."""
+    """Run the command line, and exit with its status."""
     keep_memory_small()
     let_all_names_be_written()
-    gc.set_threshold(
-        50_000
-    )  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
+    # A command creates 200,000 objects that it keeps: to search these for garbage took a tenth of
+    # its start.
+    gc.set_threshold(50_000)
     sys.exit(run(sys.argv[1:]))
 
 
 def let_all_names_be_written() -> None:
-    """Have stdout and stderr take any text: a file's name may be one that their encoding lacks."""
+    """Let stdout and stderr escape characters that their encoding lacks: file names may hold
+    any.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on
-    stderr.
+    """Run one command; return 0 if it is done, 1 if it failed, 2 for wrong use or bad input.
+    Errors are one line on stderr.
     """
     try:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
@@ -93,7 +95,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def complain(message: str, status: int) -> int:
-    """Say on stderr, in one line, what is wrong; gives the exit status back."""
+    """Print one line on stderr that says what is wrong; return the exit ``status``."""
     click.echo(f"isogi: {' '.join(message.split())}", err=True)
     return status
 
@@ -107,7 +109,8 @@ def complain(message: str, status: int) -> int:
 @click.pass_context
 def cli(context: click.Context) -> None:
     """Look at isosurfaces of volumes in light from all around."""
-    if context.invoked_subcommand != "serve":  # which says it in its log
+    # ``serve`` writes these sentences to its log.
+    if context.invoked_subcommand != "serve":
         for sentence in module_of("settings").unknown_variables():
             complain(sentence, 0)
 
@@ -547,9 +550,7 @@ def store() -> None:
 
 
 def store_at(where: str | None) -> Any:
-    """The store that is named, else the one that the settings name. Raises StoreError where there
-    is none.
-    """
+    """Open the named store, else that of the settings. Raises StoreError if there is none."""
     return module_of("store").existing_store(settings_from(store=where))
 
 

@@ -1,4 +1,4 @@
-"""Help: options in groups, each by what it is for, and examples."""
+"""Help of commands: options in groups by subject, and examples."""
 
 from importlib import import_module
 from pathlib import Path
@@ -79,7 +79,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("isogi store prune --keep-gb 20 --yes", "deletes it"),
     ),
 }
-"""Each command, by its words after ``isogi``: lines to type, and what each is for."""
+"""Examples of each command, by its words after ``isogi``: lines to type, with explanations."""
 
 
 HELP_GROUPS = {
@@ -125,7 +125,7 @@ HELP_GROUPS = {
     "Streams": ("streams", "stream_bytes", "stream_rate", "stream_idle_seconds"),
     "Log": ("log_format", "log_level"),
 }
-"""The options of each group, by name; those of none come first, under Options."""
+"""The options of each group, by name; options without a group come first, under Options."""
 
 MAX_EXAMPLE_COLUMNS = 46
 """Columns of the longest example that has its explanation on the same line."""
@@ -135,7 +135,7 @@ class WithExamples(click.Command):
     """A command whose help ends with examples."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the command's lines of EXAMPLES."""
+        """Write the examples of the command."""
         rows = EXAMPLES.get(ctx.command_path.partition(" ")[2], ())
         if rows:
             with formatter.section("Examples"):
@@ -162,26 +162,28 @@ class GroupedCommand(WithExamples):
 
 
 def group_of(name: str) -> str:
-    """The group that an option is in."""
+    """Return the heading of the group that an option belongs to."""
     return next((title for title, names in HELP_GROUPS.items() if name in names), FIRST_HEADING)
 
 
 class Group(WithExamples, click.Group):
-    """A group of commands with such help."""
+    """A group of commands with this kind of help."""
 
     command_class = GroupedCommand
 
 
 class Commands(Group):
-    """The commands of ``isogi``. What is no command but names a volume or a scene is served."""
+    """The commands of ``isogi``. A word that is no command but names a volume or a scene is
+    served.
+    """
 
     group_class = Group
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where
-        there is none.
+        """Find the command; ``isogi FILE`` is ``isogi serve FILE``. Raises UsageError if there
+        is none.
         """
         word = args[0]
         if word in self.commands or word.startswith("-"):
@@ -192,23 +194,23 @@ class Commands(Group):
 
 
 def names_target(word: str) -> bool:
-    """Whether a word names a file, a folder, a demo or a URL rather than a command."""
+    """Return True if a word names a file, a folder, a demo or a URL rather than a command."""
     path = Path(word.partition("#")[0])
     return word.startswith("demo:") or "://" in word or bool(path.suffix) or path.exists()
 
 
 class SettingsCommand(GroupedCommand):
-    """A command that takes all settings. Its help is made late, for settings load a library that
-    takes its time.
+    """A command that takes all settings. Its options are made when they are needed, as the
+    settings import pydantic, which is slow.
     """
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The command's own parameters and the settings' options."""
+        """Return the command's parameters and the options of all settings."""
         *own, help_option = super().get_params(ctx)
         return [*own, *import_module("server.cli.setting_options").setting_options(), help_option]
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option, and then the examples."""
+        """List the settings that have no option, then the examples."""
         with formatter.section("Only in the environment or the file"):
             formatter.write_dl(import_module("server.cli.setting_options").secrets())
         super().format_epilog(ctx, formatter)

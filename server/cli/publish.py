@@ -1,5 +1,5 @@
-"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and light, and a page for
-them.
+"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and rotations of the
+light, and a page that shows them.
 """
 
 import itertools
@@ -32,7 +32,7 @@ MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""
 
 DEFAULT_AZIMUTHS = "0:345:15"
-"""Azimuths of the grid where nothing else moves."""
+"""Azimuths of the grid if no parameter has several values."""
 
 PAGE_SUFFIXES = {".html", ".htm"}
 """Suffixes of pages that are one file."""
@@ -42,8 +42,8 @@ PAGE_TEMPLATE = Path(__file__).with_name("published.html")
 
 @dataclass(frozen=True)
 class PageRequest(ReelRequest):
-    """A page that is asked for, with a ``caption``. One that draws by itself may take so many
-    ``megabytes``.
+    """A page that a command asks for, with a ``caption``. An interactive page may take
+    ``megabytes`` at most.
     """
 
     megabytes: float | None = None
@@ -51,16 +51,16 @@ class PageRequest(ReelRequest):
 
     @property
     def one_file(self) -> bool:
-        """Whether the page is to be one file, and not a folder."""
+        """Return True if the page is to be one file, and not a folder."""
         return self.output.suffix.lower() in PAGE_SUFFIXES
 
 
 def publish(
     target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
-    """Render the pictures that are not there yet, write the page, and say how good they are.
+    """Render the pictures that are missing, and write the page; return facts about its quality.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError,
+    Raises SceneError, VolumeError, LightError and ViewError before any work, and StoreError,
     WorkersError and OSError later.
     """
     if request.megabytes is not None:
@@ -92,8 +92,8 @@ def publish(
 
 
 def check_output(output: Path) -> None:
-    """Raise ViewError where a page cannot be written there: no folder is around it, or what is
-    there is no folder, or for a page that is one file no file.
+    """Raise ViewError if a page cannot be written there: its parent folder is missing, or a
+    file is where a folder is needed, or the reverse.
     """
     check_folder(output)
     if output.suffix.lower() in PAGE_SUFFIXES:
@@ -104,8 +104,8 @@ def check_output(output: Path) -> None:
 
 
 def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
-    """The values of each parameter that is given as first:last:step; azimuths all around where none
-    is.
+    """Return the values of each parameter given as first:last:step; azimuths all around if there is
+    none.
 
     Raises ParameterError.
     """
@@ -122,7 +122,7 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
 
 
 def values_in(name: str, text: str) -> list[float]:
-    """The numbers in a text such as 0:90:15. Raises ParameterError."""
+    """Return the numbers of a text such as 0:90:15. Raises ParameterError."""
     numbers = [finite(part) for part in text.split(":")]
     sensible = (
         len(numbers) == 3
@@ -139,8 +139,8 @@ def values_in(name: str, text: str) -> list[float]:
 def shots_of(
     sliders: Mapping[str, list[float]], knobs: Mapping[str, str]
 ) -> dict[str, FrameParams]:
-    """The parameters of each picture of the grid, by the name of its file: the places of its
-    sliders.
+    """Return the parameters of each picture of the grid, by file name, which holds the places
+    of the sliders.
     """
     shots = {}
     for places in itertools.product(*(range(len(values)) for values in sliders.values())):
@@ -153,9 +153,7 @@ def shots_of(
 
 
 def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, caption: str) -> str:
-    """The page, with all that it shows but the pictures: it needs no server, nor another file of
-    text.
-    """
+    """Return the HTML of the page, which needs no other file but the pictures."""
     facts = reel.summary()
     quality = (
         f"{facts['final']:.0%} of the pictures final at a relative error of "
@@ -180,9 +178,7 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, captio
 
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
-    """The place of a slider where the page begins: the nearest to what the scene is seen with at
-    first.
-    """
+    """Return the place where a slider starts: the value closest to the first view of the scene."""
     front = dict(zip(("azimuth", "elevation"), scene.front, strict=True))
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
@@ -196,15 +192,13 @@ def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
 
 
 def ground_colour(background: str) -> str:
-    """What is behind the surfaces of pictures as CSS has it: ``#rrggbb``, empty where that is the
-    page itself.
-    """
+    """Return the background of the pictures as a CSS colour, empty if it is transparent."""
     if background == "transparent":
         return ""
     return f"#{coded(np.array(ground_of(background))).tobytes().hex()}"
 
 
 def published(facts: Mapping[str, Any]) -> str:
-    """What ``publish`` did, for a person."""
+    """Return the facts of ``publish`` as text for a person."""
     grid = " × ".join(f"{count} {name}" for name, count in facts["sliders"].items())
     return f"{said(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"
