@@ -94,6 +94,8 @@ MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary
 
 def scene_schema(scene: Scene) -> SceneSchema:
     """Return the document of one scene."""
+    # The scene file gives facts, the plan the rest; environments and notes of the server are added
+    # by the route.
     shown = shown_histogram(scene.volume)
     return SceneSchema(
         id=scene.id,
@@ -230,6 +232,7 @@ def camera_schema(
     front, above = scene.front
     azimuth = front if azimuth is None else azimuth
     elevation = above if elevation is None else elevation
+    # A scene file that places its camera is not fitted.
     if first.placed:
         target = first.target or scene.volume.world_centre
         distance = first.distance or KNOBS["distance"].default
@@ -249,6 +252,7 @@ def fit(
     scene = renderer.prepared.scene
     found = fitted_to_all(renderer, stands, projection or scene.settings.projection)
     target, distance = found or (scene.volume.world_centre, KNOBS["distance"].default)
+    # Few digits suffice for a camera, and keep addresses short.
     x, y, z = (float(f"{value:.6g}") for value in target)
     return (x, y, z), float(f"{distance:.4g}")
 
@@ -449,6 +453,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
     spec = renderer.caches.spec("gi")
     scene = prepared.scene
     volume = prepared.scene.volume
+    # The local light model that a card draws while texels are missing.
     model = RotatedLight(spec, view).local_model("lambert", (0.0, 0.0))
     return CardScene(
         grid=grid_of(scene),

@@ -134,6 +134,7 @@ def configure(form: str, level: str) -> None:
     Handlers that libraries such as Dask installed when they were imported are removed, as they
     write lines of their own form.
     """
+    # Remove handlers of libraries that are imported already.
     for logger in logging.root.manager.loggerDict.values():
         if isinstance(logger, logging.Logger):
             logger.handlers.clear()

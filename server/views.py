@@ -137,6 +137,7 @@ def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
             f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.",
             name,
         )
+    # Numbers that are left out stay those of the scene.
     shine = replace(
         scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()}
     )

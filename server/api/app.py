@@ -87,6 +87,7 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
         lifespan=lifespan,
         middleware=middleware(settings, metrics, closing),
     )
+    # Routes and middleware find these by ``request.app.state``.
     app.state.service = service
     app.state.settings = settings
     app.state.metrics = metrics
@@ -109,6 +110,8 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         expose_headers=EXPOSED,
     )
     bearers = settings.bearers
+    # Refusals get ids and safe headers too, so these come first; shutdown comes before access, so
+    # that it counts all requests.
     return [
         Middleware(Requests, metrics=metrics),
         Middleware(SafeHeaders),
@@ -132,6 +135,7 @@ async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         start = asyncio.create_task(service.start())
         resumption = asyncio.create_task(resume(service))
         yield
+        # Stop compiling first: the start may still wait for it.
         resumption.cancel()
         service.engine.stop()
         await start

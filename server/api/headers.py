@@ -61,6 +61,8 @@ def frame_headers(
     The preferences of a client change the answer until the frame is final, so that caches must vary
     by them until then.
     """
+    # Some headers depend on the frame: time left if it is not final, projected or finer texels if
+    # it has some.
     if time_left is not None and not frame.final:
         left = {"Isogi-Time-Left": time_left_header(time_left)}
         if time_left.overdue:
@@ -232,6 +234,7 @@ def preferences(headers: Iterable[str]) -> Preferences:
 
     A wait longer than is allowed is reduced to the longest.
     """
+    # A member is a name, perhaps with a value and parameters: name=value;parameter.
     found: dict[str, str] = {}
     for member in (member for header in headers for member in MEMBER.findall(header)):
         name, _, value = member.partition(";")[0].partition("=")

@@ -37,6 +37,7 @@ class Requests:
             return
         number = request_id(Headers(scope=scope).get("x-request-id"))
         begun = time.perf_counter()
+        # Log records and problems of this request find its id in the context.
         REQUEST_ID.set(number)
         status: int = HTTPStatus.INTERNAL_SERVER_ERROR
         headers = Headers()
@@ -51,6 +52,7 @@ class Requests:
             elif message["type"] == "websocket.accept":
                 status = HANDSHAKE
             elif message["type"] == "websocket.close" and status != HANDSHAKE:
+                # A socket that is closed before it was accepted gets 403 from the server.
                 status = HTTPStatus.FORBIDDEN
             await send(message)
 

@@ -193,6 +193,7 @@ class Inbox:
             ) from None
         if message["type"] == "websocket.disconnect":
             return None
+        # A message, even one that is refused, counts and keeps the stream's place.
         self._count_one()
         self._place.use()
         text = message.get("text")
@@ -356,6 +357,7 @@ class Session:
         working = asyncio.create_task(self._work())
         try:
             await asyncio.wait({reading, working}, return_when=asyncio.FIRST_COMPLETED)
+            # Raise the error of the task that ended.
             for task in (reading, working):
                 if task.done():
                     await task
@@ -494,6 +496,7 @@ class Session:
         self._metrics.count_picture(
             "draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds
         )
+        # The first picture of a view measures how quickly the stream follows.
         if self._shows is not None:
             self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))
             self._shows = None

@@ -189,6 +189,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def placed(**given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
         placing = {key: given.pop(key) for key in VOLUME_OPTIONS}
+        # A probe's file is relative to the present directory, not to the volume.
         if "." in (placing["environment"] or ""):
             placing["environment"] = str(Path(placing["environment"]).resolve())
         given[name] = placed_target(given[name], placing)

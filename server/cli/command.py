@@ -74,6 +74,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command; return 0 if it is done, 1 if it failed, 2 for wrong use or bad input.
     Errors are one line on stderr.
     """
+    # Errors of use and input exit with 2, errors at work with 1.
     try:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
     except click.Abort:
@@ -320,6 +321,7 @@ def prewarm(
     work = module_of("prewarm")
     workers = {name: given.pop(name) for name in WORK_OPTIONS}
     times = given.pop("times")
+    # Refuse options that do not go together.
     fields = work.fields_given(given)
     if go_on and (set(fields) - {"deadline"} or times or dry_run or server):
         raise click.UsageError(
@@ -328,6 +330,7 @@ def prewarm(
     if detach and not server:
         raise click.UsageError("--detach leaves a server to it: say which by --server.")
     order = work.order_of(fields)
+    # Bake here: the rest of an earlier order, or the order.
     if server is None:
         settings = settings_from(**workers)
         if go_on:
@@ -338,6 +341,7 @@ def prewarm(
             done = [rest]
         else:
             done = work.prewarm_series(scene, times, order, settings, dry_run)
+    # A server has its own workers and scenes: options of the work here mean nothing to it.
     elif named := [
         name.replace("_", "-")
         for name, value in {"times": times, **workers}.items()

@@ -128,6 +128,7 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
             f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw"
         )
     stem = output.name[: -len(suffix)]
+    # Leading zeros keep files in order.
     digits = len(str(len(turns)))
     names = (
         f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}"

@@ -52,6 +52,7 @@ def film_path(
         )
     if views:
         return along([{**given, **view} for view in views], scene, frames, short=True)
+    # Without anything that moves, the camera turns once around.
     if not swept and not still:
         start = given.get("azimuth", defaults(scene)["azimuth"])
         given = {**given, "azimuth": f"{start}:{finite_number('azimuth', start) + 360.0!r}"}
@@ -268,6 +269,7 @@ def steps_in(text: str, scene: Scene) -> list[int]:
         raise ParameterError(
             f"times must be all, a step, or first:last:step, not {shown(text)}.", "times"
         )
+    # all, or first:last:step with both ends included.
     if found is None:
         first = "0"
         last = str(count - 1)

@@ -88,6 +88,7 @@ def prewarm_series(
             scene = first
         else:
             scene = at_time(first, step, first.id)
+        # Time that a step does not use is shared by the later ones.
         now = time.monotonic()
         if order.deadline is None:
             left = None
@@ -198,6 +199,7 @@ def desk_of(
 
 def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of an order that the options give."""
+    # Options that are left out take the defaults of the order.
     fields = {name: value for name, value in given.items() if value not in (None, ())}
     file = fields.pop("views_file", None)
     directions = [direction_in(text) for text in fields.pop("directions", ())]

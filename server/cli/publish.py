@@ -63,6 +63,7 @@ def publish(
     Raises SceneError, VolumeError, LightError and ViewError before any work, and StoreError,
     WorkersError and OSError later.
     """
+    # Refuse options of interactive pages.
     if request.megabytes is not None:
         raise ParameterError(
             "--megabytes is for a page that draws by itself: give --interactive too.", "megabytes"
@@ -77,6 +78,7 @@ def publish(
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
     knobs = with_first_view(scene, knobs)
+    # Check each picture of the grid before the first is rendered.
     shots = shots_of(
         sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)}
     )
@@ -172,6 +174,7 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, captio
         ],
         "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
     }
+    # A < within JSON could end the script element.
     return PAGE_TEMPLATE.read_text(encoding="utf-8").replace(
         "{DATA}", json.dumps(document).replace("<", "\\u003c")
     )
@@ -183,6 +186,7 @@ def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0
+    # Distances of angles are taken the short way round.
     away = np.abs(np.array(values) - usual)
     if name in PERIODIC_ANGLES:
         turn = 360.0

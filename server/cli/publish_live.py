@@ -266,6 +266,7 @@ def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Of
         most = math.inf
     else:
         most = 1e6 * megabytes
+    # Offers become smaller and less exact.
     best = offer = next(some)
     while offer.nbytes > most and (coarser := next(some, None)):
         offer = coarser
@@ -288,6 +289,7 @@ def too_large(best: Offer, smallest: Offer, most: float) -> str:
         )
         return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
     light = smallest.facts["light_bytes"]
+    # Files besides the light do not shrink: if these are too large, no target helps.
     beside = smallest.nbytes - light
     if beside >= most:
         return f"{sentence} {more}. Its volume and the page alone take {beside / 1e6:.2f} MB."

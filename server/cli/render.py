@@ -220,6 +220,7 @@ def seen_whole(
     """
     scene = renderer.prepared.scene
     turned = [from_front(scene, shot) for shot in shots]
+    # Fitting each of many pictures would take long, and neighbours differ little.
     few = np.unique(np.linspace(0, len(turned) - 1, LOOKED_AT).round().astype(int))
     stands = [stand_of(scene, turned[n], settings) for n in few]
     target, distance = fit(renderer, stands, shots[0].projection)
@@ -255,6 +256,7 @@ def draw_refined(
         def show(frame: Frame) -> None:
             nonlocal shown
             left = engine.time_left(scene, frame, max_error)
+            # Progress is the share of time that has passed; it never decreases.
             passed = time.monotonic() - begun
             if frame.final:
                 done = 1.0
@@ -352,6 +354,7 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
     else:
         former = None
     found = former
+    # The reference needs no store of light: a temporary one serves its renderer.
     with (
         tempfile.TemporaryDirectory(prefix="isogi-reference-") as store,
         tqdm(unit="path", unit_scale=True) as bar,

@@ -127,6 +127,7 @@ class Server(uvicorn.Server):
         """Accept the connections that wait and no more, complete requests, then close the app."""
         self.stopping()
         self.closing.begin()
+        # Connections in the queue of the socket have perhaps sent a request already.
         last = [each for listener in sockets or () for each in queued(listener)]
         for server in self.servers:
             server.close()
@@ -197,6 +198,7 @@ def leave() -> None:
     """Kill all child processes, which may still be starting, release semaphores that Python
     would report as leaked, and exit.
     """
+    # Spare the resource tracker of Python, which cleans up shared memory after this process.
     tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
     try:
         for each in psutil.Process().children(recursive=True):

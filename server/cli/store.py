@@ -43,6 +43,7 @@ def stats(root: Store, texels: bool) -> dict[str, Any]:
     with Progress("counting", "chunk") as bar:
         census = census_of(root, texels, bar.count)
     layers = [layer_facts(count, root.now()) for count in census.counts.values()]
+    # A quick count has not read chunks: it knows neither texels nor paths.
     if not texels:
         layers = [
             {key: value for key, value in layer.items() if key not in ("texels", "paths")}

@@ -110,6 +110,7 @@ def light_files(
     volume = renderer.prepared.scene.volume
     ends = volume.normalise_span(span.low, span.high)
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
+    # Order chunks by their visibility in the first view, so that the page is lit soon.
     seen = [each.at for each in seen_chunks(renderer, first, target, renderer.tiles)]
     places = {at: place for place, at in enumerate(seen)}
     chunks = sorted((index for index, _ in texels), key=lambda at: places.get(at, len(seen)))
@@ -227,6 +228,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     for name in sorted(files, key=lambda each: each == PAGE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])
+    # Delete files that the new page does not name.
     for old in (path for room in ("light", "volume") for path in (folder / room).glob("*.bin")):
         if old.relative_to(folder).as_posix() not in files:
             old.unlink()

@@ -110,6 +110,7 @@ BETTER = 0.5
 def remarks(found: StiffnessSchema) -> list[Remark]:
     """Return the remarks about a volume, the most important first."""
     own = found.surfaces[found.own]
+    # A scene without a surface gets that remark instead of those on surfaces.
     finders = SEEN if own.cells else (nothing,)
     return [remark for find in (*finders, *ALWAYS) for remark in find(found, own)]
 
@@ -361,6 +362,7 @@ def stiffness_schema(scene: Scene) -> StiffnessSchema:
     levels = np.array([scene.volume.normalise_isovalue(each) for each in asked], np.float32)
     with closing(Tiles()) as tiles:
         found = measure_stiffness(PreparedScene(scene).field, levels, tiles.run)
+    # Normalised isovalues may coincide; several surfaces then share a place.
     places = np.searchsorted(found.levels, levels)
     return StiffnessSchema(
         surfaces=[
@@ -379,6 +381,7 @@ def isovalues_of(scene: Scene) -> list[float]:
     """
     low, high = scene.isovalues
     spread = np.linspace(0.0, 1.0, ISOVALUES + 2)[1:-1]
+    # Combine the ends, as their difference may overflow.
     values = low * (1.0 - spread) + high * spread
     if (
         not scene.volume.dtype.startswith(("float", "bool"))

@@ -86,6 +86,8 @@ def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
     times spacing.
     """
     low, high = ((", ".join(f"{number:.6g}" for number in corner)) for corner in volume.bounds)
+    # Leave the place out if it says nothing: the first voxel at the origin, without unit or patient
+    # axes.
     if volume.axes:
         pointing = f"voxel axes point to {', '.join(volume.axes)}; "
     else:
@@ -229,6 +231,7 @@ def shown_places(found: StiffnessSchema) -> list[int]:
     """Return the places of MAX_TABLE_ROWS evenly spaced surfaces, of the scene's, and of the
     one with the largest expected error.
     """
+    # Spread MAX_TABLE_ROWS places from the first to the last surface.
     step = (len(found.surfaces) - 1) / (MAX_TABLE_ROWS - 1)
     errors = [0.0 if surface.error is None else surface.error.likely for surface in found.surfaces]
     return sorted(
@@ -335,6 +338,7 @@ def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
 
 def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]:
     """Yield name and text of the isovalue, its origin, and the appearance of the surface."""
+    # A preset was found in the values, unless the scene gives the isovalue, as demos do.
     given = "isovalue" in scene.source.document or str(
         scene.source.document.get("volume")
     ).startswith("demo:")
@@ -411,6 +415,7 @@ def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
     """
     each = facts.plan.bytes_per_texel
     texels = facts.plan.texels
+    # The number of texels near a surface grows with the square of the lattice density.
     one = min(TEXELS_PER_CELL * own.cells * scene.settings.lattice**2, texels.shown) * each
     whole = (
         f"about {megabytes(one)} of light for this surface, "

@@ -184,6 +184,7 @@ class SideBakes:
             raise ValueError("A stage of the scene's own light has a bake already.")
         caches = stage.caches
         name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
+        # Hold the caches weakly: a scene may be dropped while its bake goes on.
         self._readers[name] = caches
 
         def arrived(spec: str, index: Index, shown: Isovalue | None) -> None:

@@ -122,6 +122,7 @@ class RenderEngine:
             self.store = store
         else:
             self.store = Store(whereabouts(StoreUrl.of(store or default_store())))
+        # Each scene may keep this much; LoadedScenes drops scenes if all together keep more.
         self._memory = shared(memory)
         self._loaded = LoadedScenes(self._load, memory)
         self._bakes: dict[str, str] = {}
@@ -130,12 +131,14 @@ class RenderEngine:
         self._tiles = Tiles()
         self.baker = baker or Baker(workers=None if scheduler else workers)
         self.workers = EngineWorkers(self.baker, self.store.url, workers, scheduler)
+        # Workers of this machine open shared memory; those of a cluster read copies in the store.
         if self.workers.joins:
             self._share = share_by_store(self.store)
         else:
             self._share = SharedScenes().share
         self._side_bakes = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
+        # Checks of pictures have a separate pool of threads, so that frames do not queue behind them.
         self._checking = Tiles()
         self._promises = Promises()
         self._estimator = TimeEstimator()
@@ -163,6 +166,7 @@ class RenderEngine:
         self.kernels.first()
         if self._stopped.is_set():
             return
+        # A store that is only read, or full, is found out now; its light is shown all the same.
         with suppress(StoreReadOnlyError, StoreFullError):
             self.store.check_writable()
         for scene in list(self.scenes.values()):
@@ -291,6 +295,7 @@ class RenderEngine:
         try:
             return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
         finally:
+            # Frames grow their scene: make room afterwards, when the frame holds what it needs.
             self._loaded.settle()
 
     def unlit_frame(

@@ -129,6 +129,7 @@ class EngineWorkers:
             except Exception as error:
                 self._error = WorkersError(f"Cannot start the workers: {error}")
                 log.exception("%s", self._error)
+            # Only a scheduler that is not there yet is worth waiting for.
             if not isinstance(self._error, WorkersAwayError):
                 return
             self._stopped.wait(SCHEDULER_RETRY_SECONDS)
@@ -140,6 +141,7 @@ class EngineWorkers:
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
         self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
+        # The pool calls the baker when workers come or return.
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)
         self._baker.prepare()

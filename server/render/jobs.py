@@ -167,6 +167,7 @@ class Jobs:
             return running
         place = self._limit.enter(client)
         owner = client[0]
+        # Make room among ended jobs, and replace an ended job with the same id.
         self._forget()
         if key is None:
             job = Job(process, title, owner=owner)
@@ -246,6 +247,7 @@ async def run_job(job: Job, work: Work, place: Place) -> None:
     try:
         job.end(Status.SUCCESSFUL, "This is done.", await place.keep(work(job)))
     except BusyError as error:
+        # The place was lost to another client, or the work itself was refused.
         job.end(Status.DISMISSED if place.lost else Status.FAILED, str(error))
     except IsogiError as error:
         job.end(Status.FAILED, str(error))

@@ -118,12 +118,14 @@ class Prefetch:
             self._open += 1
             if not self._serves(level):
                 self._cancelled.set()
+        # Frames come first: preparations use the same threads.
         try:
             yield
         finally:
             with self._lock:
                 self._open -= 1
                 self._note(level)
+                # Resume with what the slider will reach next.
                 if (
                     self._coming
                     and not self._open
@@ -175,6 +177,7 @@ class Prefetch:
                 self._prepare(isovalue, cancelled)
             except Cancelled:
                 return
+            # Another move may have changed the list meanwhile.
             with self._lock:
                 if self._coming[:1] == [isovalue]:
                     del self._coming[0]
@@ -400,6 +403,7 @@ def loaded(
         scene.default_exposure,
         caches.chunk_store("gi"),
     )
+    # If the store has larger layers already, these are used: show their plan.
     planned = replace(
         scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
     )

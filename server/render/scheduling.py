@@ -259,6 +259,7 @@ class Renders:
         at rest are then forgotten.
         """
         if name not in self._clients:
+            # Forget clients at rest now, so that the table does not grow with every address.
             self._clients = {
                 each: kept for each, kept in self._clients.items() if not self._places.at_rest(kept)
             }
@@ -296,6 +297,7 @@ class Renders:
         ``work`` gets an event that is set once all callers were cancelled. A caller whose rank
         never gives up does not join work that may give up.
         """
+        # Join a flight, or start one.
         key = key, rank.until == math.inf
         flight = self._flights.get(key) or self._begin(key, work, rank)
         flight.waiting += 1
@@ -458,6 +460,7 @@ class LongRenders(Renders):
                 raise BusyError(LONG_WORK_WAITS, "paths") from None
             yield
         finally:
+            # Free the slot of a work that had begun, or leave the queue, and let the next one in.
             if begun.done() and not begun.cancelled():
                 self._at_work.discard(rank.client)
             else:

@@ -105,6 +105,7 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
         raise LightError("The picture is black: give one with light in it.")
     if height > MAX_PROBE_SHAPE[0]:
         image = made_small(image)
+    # Encode the radiance anew, so that the file holds nothing else that came with it.
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
     # Equal light has an equal id, whatever its name: it is kept and baked once.
@@ -247,6 +248,7 @@ def placing_lines(grid: Grid) -> str:
     orientation = Orientation.of(grid)
     if not orientation.placed and not orientation.letters and not orientation.unit:
         return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
+    # Rows are the world vectors between neighbouring voxels.
     steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
     if orientation.letters in NRRD_SPACES:
         space = f"space: {NRRD_SPACES[orientation.letters]}"
@@ -362,6 +364,7 @@ class UploadFolder:
         with name_folder_in_errors(self.path):
             self.path.mkdir(0o700, parents=True, exist_ok=True)
             self.path.chmod(0o700)
+            # Without the lock, another server's drafts would be deleted.
             self._lock = self._take()
             for path in self.path.glob(f"*{UNFINISHED_SUFFIX}"):
                 path.unlink()

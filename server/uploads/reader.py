@@ -118,6 +118,7 @@ def rehearse(head: bytes) -> None:
 
 def limit(voxels: int, seconds: float) -> None:
     """Limit memory, time and file size of this process from now on; it can open no more files."""
+    # Beyond what the start of the process took: files that are open stay open.
     limits = {
         resource.RLIMIT_AS: mapped_bytes() + LIBRARY_BYTES + PER_VOXEL * voxels,
         resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),

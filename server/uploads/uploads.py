@@ -237,6 +237,7 @@ class Uploads:
         try:
             self.folder.open()
         except (UploadFolderError, FullError) as error:
+            # If uploads were not asked for, start without them.
             if self._settings.uploads_mb is not None:
                 raise
             self.on = False
@@ -247,6 +248,7 @@ class Uploads:
         left = self.quota
         for kept in self.folder.volumes:
             try:
+                # Volumes above the quota stay on disk, but are not shown.
                 left -= kept.held
                 if left < 0:
                     raise FullError(
@@ -373,6 +375,7 @@ class Uploads:
             try:
                 self._engine.admit(self._scene(kept))
             except Exception:
+                # A volume that cannot be shown is not kept.
                 self.folder.remove(number)
                 raise
         return kept, True

@@ -126,6 +126,7 @@ async def read_card(
         )
 
     document = await service.compute(request, work)
+    # The version of the document is a digest of all else in it.
     tag = tag_of(document.model_dump_json())
     headers = {"ETag": tag, "Cache-Control": "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
@@ -186,6 +187,7 @@ async def read_chunks(
         return look_at(renderer, picture.view, picture.target, renderer.tiles)
 
     look = await service.compute(request, work)
+    # Looking has found the texels that are missing; request them for this client.
     coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
     return listed(look.seen, len(coming))
 
@@ -290,6 +292,7 @@ async def packed(
         renderer.prepared.scene.require_texels()
         named = chunk_names(chunks, renderer.prepared.chunks)
         found = pack(renderer, named, params.max_error or scene.target_error)
+        # The address names versions: the answer lasts only if these are the present ones.
         current = tuple(each.version for each in named) == found.versions
         return binary_answer(request, found.blocks, current and found.alone)
 

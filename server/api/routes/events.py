@@ -110,8 +110,8 @@ async def events_of(
                     place.check()
                     if not new:
                         yield event("progress", await progress(service, picture, shown, viewer))
-                    # Not final, and nothing is coming: the light was given up.
                     elif not (shown.frame.final or shown.coming):
+                        # Not final, and nothing is coming: the light was given up.
                         yield event(
                             "failed",
                             coverage(shown) | {"detail": reason(service, shown.frame, viewer)},

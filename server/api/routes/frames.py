@@ -210,6 +210,7 @@ def defer(
     async def work(job: Job) -> Iterable[Result]:
         frame = await complete(service, picture, job)
         tag = entity_tag(frame, form, exposure, params)
+        # The address asks for the version that was baked, which caches keep for ever.
         named = [
             *(pair for pair in query if pair[0] not in REPLACED),
             ("f", form),
@@ -291,6 +292,7 @@ async def follow(
     """
     with service.updates.pending(bake, baking.coming, since) as pending:
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
+            # Ask for the chunks now and then, as the request expires otherwise.
             done = needed - waiting
             left = await asyncio.to_thread(baking.time_left)
             job.report(done / needed, f"{done} of {needed} chunks are baked.", left)

@@ -229,6 +229,7 @@ def health(
     else:
         compiling = Compiling(**progress._asdict())
     notes = [*bakes, *service.engine.notes(), *service.uploads.notes()]
+    # Reasons name paths and keys: without a token, only say that there are some.
     if not bearer_of(request.scope).may("look"):
         lacks = [NOT_READY][: len(lacks)]
         notes = [NOTED][: len(notes)]

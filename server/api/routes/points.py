@@ -153,6 +153,7 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     plane = volume.plane(axis, params.at)
     if params.is_picture:
         return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
+    # Values that are sent may be off by a millionth of their range, computed without overflow.
     values = values_npy(plane, VALUE_TOLERANCE * volume.core[1] - VALUE_TOLERANCE * volume.core[0])
     if packed:
         values = gzip.compress(values, GZIP_LEVEL)
