@@ -138,7 +138,7 @@ class RenderEngine:
             self._share = SharedScenes().share
         self._side_bakes = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
-        # Checks of pictures have a separate pool of threads, so that frames do not queue behind them.
+        # Checks of pictures have separate threads, so that frames do not queue behind them.
         self._checking = Tiles()
         self._promises = Promises()
         self._estimator = TimeEstimator()
