@@ -114,18 +114,14 @@ def scene_schema(scene: Scene) -> SceneSchema:
         shadings=list(VIEW_SHADINGS),
         lights=[light_schema(light) for light in scene.lighting.lights],
         albedo=scene.surfaces.albedo,
-        albedos=None
-        if scene.surfaces.albedos is None
-        else Range(min=scene.surfaces.albedos[0], max=scene.surfaces.albedos[1]),
+        albedos=albedo_range(scene),
         colours=colour_scale(scene),
         surfaces=[SurfaceSchema(**each.table) for each in scene.surfaces.pinned],
         clear=scene.surfaces.clear,
         material=write_material_text(material_settings(scene.surfaces.material)),
         transmission=scene.surfaces.transmission,
         materials=material_schemas(scene),
-        shines=(list(SHINE_KINDS) if scene.surfaces.colours is None else ["plastic"])
-        if scene.surfaces.shine
-        else [],
+        shines=shines(scene),
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,
@@ -140,6 +136,25 @@ def scene_schema(scene: Scene) -> SceneSchema:
         plan=plan_schema(scene),
         read_only=False,
     )
+
+
+def albedo_range(scene: Scene) -> Range | None:
+    """Return the albedos that views may ask for; None if they may not choose one."""
+    if scene.surfaces.albedos is None:
+        return None
+    low, high = scene.surfaces.albedos
+    return Range(min=low, max=high)
+
+
+def shines(scene: Scene) -> list[str]:
+    """Return the kinds of shine that views may ask for: none if the surface is diffuse, and plastic
+    only if it is coloured by data.
+    """
+    if not scene.surfaces.shine:
+        return []
+    if scene.surfaces.colours is not None:
+        return ["plastic"]
+    return list(SHINE_KINDS)
 
 
 def volume_schema(scene: Scene) -> VolumeSchema:
@@ -335,9 +350,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
         if isinstance(knob.kind, Span)
     }
     spans |= {"isovalue": scene.isovalues, "time": (0, scene.volume.moment[1] - 1)}
-    if scene.surfaces.albedos is None:
-        spans |= {}
-    else:
+    if scene.surfaces.albedos is not None:
         spans |= {"albedo": scene.surfaces.albedos}
     return {name: Range(min=low, max=high) for name, (low, high) in spans.items()}
 
@@ -345,7 +358,9 @@ def ranges(scene: Scene) -> dict[str, Range]:
 def point_schema(
     scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float
 ) -> PointSchema:
-    """Return what the ``pixel`` (column, row) of a frame shows."""
+    """Return the document of one ``pixel`` (column, row) of a frame: its surface point, its
+    light and its error.
+    """
     orientation = scene.volume.orientation
     point = point_at(frame, *pixel, scene)
     if point is None:

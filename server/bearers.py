@@ -1,6 +1,4 @@
-"""Bearers of tokens: what they may do, and what belongs to them; and clients, as limits count
-them.
-"""
+"""Bearers of tokens: their rights and their property; and clients, as limits count them."""
 
 import tomllib
 from collections.abc import Collection, Mapping

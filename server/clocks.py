@@ -42,8 +42,8 @@ def watched() -> bool:
 
 @contextmanager
 def waiting(what: str) -> Iterator[None]:
-    """Draw a clock with the text ``what`` for the block, if it takes longer than REDRAW_SECONDS
-    and stderr is a terminal.
+    """Draw a clock with a text for the block, if the block takes longer than REDRAW_SECONDS and
+    stderr is a terminal.
     """
     bars: list[Any] = []
 

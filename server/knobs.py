@@ -127,7 +127,7 @@ KNOB_GROUPS = {
             "environment",
             Words(40, "studio"),
             (
-                f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an "
+                f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or the id of an "
                 "uploaded environment"
             ),
         ),
@@ -135,21 +135,21 @@ KNOB_GROUPS = {
             "cut",
             Planes(),
             (
-                "Planes along the volume's axes, in world units, such as x>40;z<10: light comes in "
-                "where they cut"
+                "Planes across the volume's axes, in world units, such as x>40;z<10, that take "
+                "matter away: light enters there"
             ),
             otherwise="",
         ),
         Knob(
             "time",
             Span(0, MOST_STEPS, whole=True),
-            "Which step of a series in time, each with light of its own",
+            "Step of a series in time, each with separate light",
             own=lambda scene: scene.volume.moment[0] if scene.volume.moment[1] > 1 else None,
         ),
         Knob(
             "smooth",
             Span(0, MOST_SMOOTH),
-            "A Gaussian that smooths the volume before its surface, with light of its own",
+            "Width of a Gaussian that smooths the volume, with separate light for each width",
             unit="voxels",
             own=_smooth,
         ),
@@ -157,19 +157,19 @@ KNOB_GROUPS = {
             "surfaces",
             Words(100, "0.4,off"),
             (
-                "The share of rays that passes each pinned surface, 0 to 1, or off to hide it, "
+                "The share of rays that pass each pinned surface, 0 to 1, or off to hide it, "
                 "such as 0.4,off"
             ),
         ),
         Knob(
             "hide",
             Words(2000, "3,4"),
-            "The labels of a segmentation that are hidden, by their values, such as 3,4, or none",
+            "Labels of a segmentation to hide, by their values, such as 3,4, or none",
         ),
         Knob(
             "material",
             Words(200, "glass,index=1.3"),
-            "What the surface is made of: diffuse, glass or subsurface, with its index, "
+            "Material of the surface: diffuse, glass or subsurface, with its index, "
             "absorption or mean_free_path,"
             " such as glass,index=1.3",
         ),
@@ -178,15 +178,15 @@ KNOB_GROUPS = {
         Knob(
             "isovalue",
             Isovalue(),
-            "Value of the surface, in the volume's own units, within the scene's range",
+            "Value of the surface, in the volume's units, within the scene's range",
             own=lambda scene: scene.isovalue,
         ),
         Knob(
             "projection",
             Choice(PROJECTIONS),
             (
-                "How rays leave the camera, from the eye or side by side; what is at the target is "
-                "as large in both"
+                "How rays leave the camera: from the eye, or in parallel; the target has the same "
+                "size in both"
             ),
             own=lambda scene: scene.settings.projection,
         ),
@@ -217,14 +217,13 @@ KNOB_GROUPS = {
             "up",
             XYZ,
             "World x,y,z that points up",
-            otherwise="0,0,1 with eye, else the orbit's own",
+            otherwise="0,0,1 with eye, else the orbit's",
         ),
         Knob(
             "window",
             Planes(),
-            "Planes that take away what the eye would see there, in world units: x>40, or a "
-            "normal such as 0,1,-1<12.5,"
-            " with ; between them. All light stays; what is cut open shows its values",
+            "Planes that hide matter from the eye, in world units: x>40, or a normal such as "
+            "0,1,-1<12.5, separated by ;. Light is unchanged; cut faces show the volume's values",
             otherwise="",
         ),
     ),
@@ -244,7 +243,7 @@ KNOB_GROUPS = {
             "albedo",
             Colour(),
             (
-                "The share of the light that the surface reflects, one number or r,g,b, within the "
+                "Share of the light that the surface reflects, one number or r,g,b, within the "
                 "scene's albedos"
             ),
             own=_albedo,
@@ -252,7 +251,7 @@ KNOB_GROUPS = {
         Knob(
             "shine",
             Choice(SHINE_KINDS),
-            "What the surface shines as, where the scene has a shine",
+            "Kind of the surface's shine, if the scene has one",
             own=_shine("shine"),
         ),
         *(
@@ -262,7 +261,7 @@ KNOB_GROUPS = {
         Knob(
             "glow",
             Span(0, MAX_GLOW_STRENGTH),
-            "How bright what glows is, where something does, over the scene's own",
+            "Brightness of glowing parts, relative to the scene's, if something glows",
             1.0,
             own=lambda scene: 1.0 if scene.lighting.glowing.any else None,
         ),
@@ -271,7 +270,7 @@ KNOB_GROUPS = {
         Knob(
             "shading",
             Choice(VIEW_SHADINGS),
-            "How the surface is lit: gi by light from all around",
+            "How the surface is lit; gi: by global illumination",
             "gi",
         ),
         Knob(
@@ -283,7 +282,7 @@ KNOB_GROUPS = {
         Knob(
             "antialias",
             Choice(("on", "off")),
-            "Whether pixels at edges are the mean of 8 to 16 samples",
+            "Make pixels at edges the mean of 8 to 16 samples",
             otherwise="on, off in npy",
         ),
         Knob(
@@ -296,17 +295,16 @@ KNOB_GROUPS = {
         Knob(
             "samples",
             Span(1, 4096, whole=True),
-            "Paths per pixel, of path_traced alone",
+            "Paths per pixel, for path_traced only",
             16,
             own=_none,
         ),
         Knob(
             "overlay",
             Choice(OVERLAYS),
-            "Marks over the picture: provisional hatches what is not final; error colours each "
-            "pixel by its estimated"
-            " relative error on a log scale (the scene's error_scale), and hatches what has no "
-            "light yet",
+            "Marks over the picture: provisional hatches pixels that are not final; error colours "
+            "each pixel by its estimated relative error on a log scale (the scene's error_scale), "
+            "and hatches pixels without light",
             "none",
             own=_none,
         ),

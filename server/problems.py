@@ -154,10 +154,11 @@ def problem(status: int, detail: str, instance: str, **more: Any) -> JSONRespons
     body = problem_document(
         status, detail, instance, **({"request_id": number} if number else {}), **more
     )
-    headers = {"X-Content-Type-Options": "nosniff"} | (
-        {"Retry-After": RETRY_AFTER_SECONDS[status]} if status in RETRY_AFTER_SECONDS else {}
-    )
-    headers |= {"X-Request-ID": number} if number else {}
+    headers = {"X-Content-Type-Options": "nosniff"}
+    if status in RETRY_AFTER_SECONDS:
+        headers["Retry-After"] = RETRY_AFTER_SECONDS[status]
+    if number:
+        headers["X-Request-ID"] = number
     return JSONResponse(body, status, headers, "application/problem+json")
 
 

@@ -36,9 +36,9 @@ FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
 
 def cores() -> int:
     """Return the number of cores that this process may use, at least 1."""
-    return max(
-        1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1
 
 
 class Settings(BaseSettings):
@@ -55,13 +55,16 @@ class Settings(BaseSettings):
         description="Processes that compute light; default: one per core.",
     )
     store: str | None = Field(
-        None, description="Path or URL of the cache; default: the user's cache folder."
+        None, description="Path or URL of the light's store; default: in the user's cache folder."
     )
     store_seconds: float = Field(
-        5, gt=0, le=600, description="Time for one call to an object store."
+        5, gt=0, le=600, description="Seconds for one call to an object store."
     )
     store_retries: int = Field(
-        2, ge=0, le=100, description="Times that such a call is tried again when it fails."
+        2,
+        ge=0,
+        le=100,
+        description="Times that a call to an object store is tried again if it fails.",
     )
     store_cache_mb: int = Field(
         1024,
@@ -73,9 +76,8 @@ class Settings(BaseSettings):
         4096,
         ge=0,
         le=1 << 30,
-        description="Megabytes of light for single isovalues that the store keeps; what was "
-        "unused longest goes when"
-        " another isovalue is shown.",
+        description="Megabytes of projected texels, light for single isovalues, that the store "
+        "keeps; the light unused longest is deleted when another isovalue is shown.",
     )
     memory_mb: int = Field(
         1024,
@@ -88,23 +90,23 @@ class Settings(BaseSettings):
         ge=1,
         le=1 << 20,
         description="Megabytes of voxels, mapped from a copy on the disk, that a process "
-        "holds; volumes of an eighth"
-        " of it or less are in memory without a copy.",
+        "holds; volumes of at most an eighth of it are in memory without a copy.",
     )
     volume_cache: str | None = Field(
         None,
         description=(
-            "Folder of such copies, on a disk of this machine; default: in the user's cache folder."
+            "Folder of copies of volumes, on a disk of this machine; default: in the user's cache "
+            "folder."
         ),
     )
     volume_cache_mb: int = Field(
         1 << 16,
         ge=0,
         le=1 << 30,
-        description="Megabytes of such copies; those used last are kept.",
+        description="Megabytes of copies of volumes; those used last are kept.",
     )
     scheduler: str | None = Field(
-        None, description="Address of a Dask scheduler instead of own workers, tls://…."
+        None, description="Address of a Dask scheduler whose workers bake, tls://…"
     )
     scheduler_ca: FilePath | None = Field(
         None,
@@ -114,7 +116,7 @@ class Settings(BaseSettings):
         ),
     )
     scheduler_cert: FilePath | None = Field(
-        None, description="File of the certificate, PEM, that the scheduler is shown."
+        None, description="File of this server's certificate for the scheduler, PEM."
     )
     scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
     insecure_scheduler: bool = Field(
@@ -127,52 +129,50 @@ class Settings(BaseSettings):
     token: SecretStr | None = Field(
         None,
         min_length=16,
-        description="What clients show as 'Authorization: Bearer', or a browser once as "
-        "/?token=; needed where the"
-        " host is not loopback. No option, for all users of a machine see those.",
+        description="Token that clients send as 'Authorization: Bearer', or a browser once as "
+        "/?token=; needed if the host is not loopback. It has no option, as all users of a "
+        "machine see options.",
     )
     token_file: str | None = Field(
-        None, description="File that holds the token, where the environment does not."
+        None, description="File that holds the token, if the environment does not."
     )
     tokens_file: FilePath | None = Field(
         None,
         description=(
-            "TOML file of tokens by name, each with what it may: look, bake, upload, admin."
+            "TOML file of tokens by name, each with its scopes: look, bake, upload, admin."
         ),
     )
     allowed_hosts: Names | None = Field(
         None,
         description="Host names that requests may use, comma-separated; default: the loopback "
-        "names when"
-        " listening on loopback (a defence against DNS rebinding), else any.",
+        "names if the server listens on loopback (a defence against DNS rebinding), else any.",
     )
     allowed_origins: Names = Field(
         (),
         description=(
-            "Origins such as https://lab.example whose pages may ask too, "
+            "Origins such as https://lab.example whose pages may use this server, "
             "comma-separated; default: none."
         ),
     )
     trusted_proxies: Names = Field(
         (),
         description="Addresses or networks of proxies whose X-Forwarded-For and "
-        "X-Forwarded-Proto are believed,"
-        " comma-separated; default: none.",
+        "X-Forwarded-Proto are trusted, comma-separated; default: none.",
     )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(
         2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
     )
     max_body_bytes: int = Field(
-        64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413."
+        64 * 1024, ge=0, description="Most bytes in the body of a request; above that: 413."
     )
     uploads_mb: int | None = Field(
         None,
         ge=0,
         le=1 << 20,
-        description="Megabytes that uploads may take in all; 0: no uploads; default: "
-        f"{UPLOADS_MB} where this machine"
-        " alone reaches the server (on loopback, without allowed_hosts), else 0.",
+        description="Megabytes that all uploads together may take; 0: no uploads; default: "
+        f"{UPLOADS_MB} if only this machine reaches the server (on loopback, without "
+        "allowed_hosts), else 0.",
     )
     uploads: str | None = Field(
         None, description="Folder of uploads; default: in the user's data folder."
@@ -183,76 +183,75 @@ class Settings(BaseSettings):
         le=1 << 16,
         description="Most megabytes of one upload, and of its voxels at 4 bytes each.",
     )
-    upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
+    upload_seconds: int = Field(300, ge=1, description="Seconds for an upload to arrive.")
     reading_seconds: float = Field(
         4,
         ge=0.1,
-        description=(
-            "Processor time to read an upload that came, and for every 8 MB of it a second more."
-        ),
+        description=("Seconds of processor time to read an upload, plus one for every 8 MB of it."),
     )
     exports_mb: int = Field(
         384,
         ge=0,
         le=1 << 16,
-        description="Megabytes of exported files, each and in all, the newest kept; 0: no exports.",
+        description="Megabytes of exported files, each and all together; the newest are kept; "
+        "0: no exports.",
     )
     hand_out_voxels: bool | None = Field(
         None,
-        description="Whether pages may have the voxels and the light of scenes, to draw by "
-        "themselves; default: yes,"
-        " but where a token is asked for.",
+        description="Hand out the voxels and the light of scenes, so that pages can draw them; "
+        "default: yes, unless a token is required.",
     )
-    max_connections: int = Field(512, ge=1, description="Connections at once.")
+    max_connections: int = Field(512, ge=1, description="Connections at a time.")
     max_client_connections: int = Field(
-        256, ge=1, description="Connections at once from one address."
+        256, ge=1, description="Connections at a time from one address."
     )
-    head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")
-    body_seconds: int = Field(10, ge=1, description="Time for the body of a request.")
+    head_seconds: int = Field(10, ge=1, description="Seconds for the head of a request.")
+    body_seconds: int = Field(10, ge=1, description="Seconds for the body of a request.")
     stall_seconds: int = Field(
-        20, ge=1, description="Time for which a client may take less than 1 kB a second."
+        20, ge=1, description="Seconds for which a client may take less than 1 kB a second."
     )
     max_unsent_mb: int = Field(
         1024,
         ge=1,
         description=(
-            "Megabytes of answers that clients are yet to take; beyond that the slowest is closed."
+            "Megabytes of answers that clients have not taken yet; above that the slowest is "
+            "closed."
         ),
     )
     idle_seconds: int = Field(
-        5, ge=1, description="Time for which a connection without a request is kept."
+        5, ge=1, description="Seconds for which a connection without a request is kept."
     )
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,
         le=256,
-        description="Frames rendered or waited for at once; default: two per core, 4 at least.",
+        description="Frames rendered at a time; default: two per core, at least 4.",
     )
     render_queue: int = Field(
-        64, ge=0, description="Frames that may wait for a thread; beyond that: 429."
+        64, ge=0, description="Frames that may wait for a thread; above that: 429."
     )
     queue_seconds: float = Field(
-        10, gt=0, description="Seconds that a frame may wait for a thread; beyond that: 429."
+        10, gt=0, description="Seconds that a frame may wait for a thread; after that: 429."
     )
     streams: int = Field(
-        64, ge=0, description="Streams and listeners to events at once; beyond that: 429."
+        64, ge=0, description="Streams and listeners to events at a time; above that: 429."
     )
-    jobs: int = Field(16, ge=0, description="Jobs at once; beyond that: 429.")
-    stream_bytes: int = Field(
-        16384, ge=256, description="Bytes of one message that a stream takes."
-    )
-    stream_rate: int = Field(600, ge=1, description="Messages that a stream takes in a second.")
+    jobs: int = Field(16, ge=0, description="Jobs at a time; above that: 429.")
+    stream_bytes: int = Field(16384, ge=256, description="Most bytes of one message to a stream.")
+    stream_rate: int = Field(600, ge=1, description="Most messages to a stream in a second.")
     stream_idle_seconds: float = Field(
-        3600, gt=0, description="Seconds without a message that end a stream."
+        3600, gt=0, description="Seconds without a message after which a stream is closed."
     )
     shutdown_seconds: int = Field(
-        10, ge=0, description="How long a stopping server finishes open requests."
+        10, ge=0, description="Seconds for which a stopping server completes open requests."
     )
     log_format: Literal["text", "json"] = Field(
-        "text", description="Lines of the log: text, or json."
+        "text", description="Format of the log's lines: text or json."
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        "warning", description="What is logged: debug, info (with each request), warning or error."
+        "warning",
+        description="Lowest level that is logged: debug, info (with each request), warning or "
+        "error.",
     )
 
     @field_validator("host")
@@ -261,7 +260,7 @@ class Settings(BaseSettings):
         """Return the host if it is an address; raise ValueError for a Unix socket."""
         if value.startswith("unix:") or "/" in value:
             raise ValueError(
-                "isogi listens at addresses and not at sockets of the file system: give one such "
+                "isogi listens at addresses, not at sockets of the file system: give one such "
                 "as 127.0.0.1, and have a proxy listen at the socket"
             )
         return value

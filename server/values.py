@@ -170,13 +170,11 @@ class Colour(Kind):
         """Return the three numbers of a number, a text or a sequence. Raises ValueError for
         anything else.
         """
-        parts = (
-            value.split(",")
-            if isinstance(value, str)
-            else value
-            if isinstance(value, list | tuple)
-            else [value]
-        )
+        parts: Any = [value]
+        if isinstance(value, str):
+            parts = value.split(",")
+        elif isinstance(value, list | tuple):
+            parts = value
         numbers = tuple(map(finite, parts))
         if len(numbers) not in (1, 3) or not all(0.0 <= number <= 1.0 for number in numbers):
             raise ValueError(

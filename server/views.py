@@ -46,6 +46,9 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         raise ViewError(
             f"width × height × samples must be at most {settings.max_paths} paths, not {paths}."
         )
+    window = None
+    if params.window is not None:
+        window = read_window(params.window).in_box(scene.volume.orientation)
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
@@ -62,9 +65,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         and params.antialias == "on"
         and params.shading != "path_traced",
         orientation=scene.volume.orientation,
-        window=None
-        if params.window is None
-        else read_window(params.window).in_box(scene.volume.orientation),
+        window=window,
     )
 
 

@@ -424,8 +424,7 @@ export interface PixelCounts {
 }
 
 /**
- * The light that is stored per texel for this scene, the expected errors, and what was left
- * out.
+ * The light that is stored per texel for this scene, the expected errors, and the omissions.
  *
  * `indirect_order` is the order of reflected light, null if that has no harmonics; paths
  * continue in `branches` ways from their first hit; `samples` is the largest number for a
@@ -453,7 +452,8 @@ export interface Plan {
 }
 
 /**
- * What one pixel shows; all members but `hit` and `unit` are null if it shows no surface.
+ * The surface point of one pixel; all members but `hit` and `unit` are null if it shows no
+ * surface.
  *
  * `position` and the outward unit `normal` are in the world, whose lengths have the `unit`,
  * empty if unknown; `sides` are the sides of a patient on which the coordinates lie, such as

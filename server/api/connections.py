@@ -34,9 +34,7 @@ UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 
 
 
 class StreamConnection(WebSocketsSansIOProtocol):
-    """A WebSocket connection that logs no errors for what clients send, and is patient with
-    slow links.
-    """
+    """A WebSocket connection that logs no errors of clients, and is patient with slow links."""
 
     def data_received(self, data: bytes) -> None:
         """Read data. Refuse a handshake that cannot be parsed, such as one with too many
@@ -168,7 +166,7 @@ class ServerConfig(Config):
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
             ws=StreamConnection,
             ws_max_size=settings.stream_bytes,
-            ws_per_message_deflate=False,  # pictures are compressed as they are
+            ws_per_message_deflate=False,  # Pictures are compressed already.
             ws_ping_interval=PING,
             ws_ping_timeout=PING,
         )
@@ -343,8 +341,8 @@ class Connection(H11Protocol):
             and self.cycle.response_started
             and not self.cycle.response_complete
         )
-        # An answer under way, or no request at all, leaves nothing to say.
         self._end_cycle()
+        # Close without an answer if one is under way, or if no request has begun.
         if (
             answering
             or (self.waits and not self.conn.trailing_data[0])

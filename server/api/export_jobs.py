@@ -18,7 +18,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
+from server.api.prewarm_jobs import Prewarm, finish_thread, lower_priority
 from server.api.service import Service
 from server.errors import ForbiddenError
 from server.exports.lit_files import (
@@ -152,7 +152,7 @@ class Export:
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
         """Run some work on a thread; if cancelled, ask it to stop, and wait for its end."""
-        return await to_its_end(
+        return await finish_thread(
             asyncio.get_running_loop().run_in_executor(None, work), self.cancelled
         )
 
@@ -173,7 +173,7 @@ class Export:
 
     def _make(self, output: Path, report: Callable[[int, int], None]) -> None:
         """Make the file, on a thread of lower priority. Raises Cancelled, and VolumeError."""
-        stand_back()
+        lower_priority()
         view = self.view
         exposure = self.params.exposure or self.scene.default_exposure
         with closing(Tiles(1)) as tiles:

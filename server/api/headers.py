@@ -200,10 +200,9 @@ MEMBER = re.compile(r'(?:[^,"]|"(?:[^"\\]|\\.)*"?)+')
 """One member of a list header; commas in quoted parts are text."""
 
 PREFER_DESCRIPTION = (
-    "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, where wait_ms is left out;"
-    f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, "
-    "answer with a job that bakes"
-    " it. Others are ignored."
+    "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, if wait_ms is left out; "
+    f"{LONGEST_WAIT // 1000} at most. respond-async: if the frame is not final by then, answer "
+    "with a job that bakes it. Others are ignored."
 )
 
 Params = TypeVar("Params", bound=ViewParams)

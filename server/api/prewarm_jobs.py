@@ -123,7 +123,7 @@ class Prewarm:
         record = self._record()
         with ThreadPoolExecutor(1, "prewarm") as thread:
             working = loop.run_in_executor(thread, self._run, loop, report, record)
-            summary = await to_its_end(working, self.cancelled)
+            summary = await finish_thread(working, self.cancelled)
         if summary.failures:
             raise WorkersError(str(summary))
         return summary
@@ -138,7 +138,7 @@ class Prewarm:
 
     def _run(self, loop: asyncio.AbstractEventLoop, tell: Report, record: Record | None) -> Summary:
         """Carry out the order, on the thread."""
-        stand_back()
+        lower_priority()
 
         def report(step: Step) -> None:
             loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
@@ -237,7 +237,7 @@ class Prewarm:
         return frame
 
 
-async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
+async def finish_thread(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
     """Return the result of a thread's work. If cancelled, ask the thread to stop, and wait for
     its end.
     """
@@ -250,7 +250,7 @@ async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) 
         raise
 
 
-def stand_back() -> None:
+def lower_priority() -> None:
     """Lower the priority of this thread, on systems with a niceness for each thread (Linux)."""
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
@@ -263,7 +263,7 @@ LEASE = 20.0
 """Seconds without a change of its record after which a prewarm counts as abandoned."""
 
 
-class Silence:
+class RecordAges:
     """Measures how long the record of each prewarm has not changed, by this process's clock:
     clocks of machines differ and jump.
     """
@@ -271,13 +271,13 @@ class Silence:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Create without any record seen."""
         self._clock = clock
-        self._heard: dict[str, tuple[datetime, float]] = {}
+        self._seen: dict[str, tuple[datetime, float]] = {}
 
     def of(self, document: RecordDocument) -> float:
         """Return the seconds since a prewarm's document was first seen in its present state."""
-        if self._heard.get(document.id, (None, 0.0))[0] != document.updated:
-            self._heard[document.id] = document.updated, self._clock()
-        return self._clock() - self._heard[document.id][1]
+        if self._seen.get(document.id, (None, 0.0))[0] != document.updated:
+            self._seen[document.id] = document.updated, self._clock()
+        return self._clock() - self._seen[document.id][1]
 
 
 async def resume(service: Service) -> None:
@@ -285,38 +285,40 @@ async def resume(service: Service) -> None:
     another server if its records stop changing.
     """
     await service.startup.lit.wait()
-    silence = Silence()
+    ages = RecordAges()
     if service.startup.failure:
         held = []
     else:
-        held = await taken_up(service, silence)
+        held = await resume_abandoned(service, ages)
     # From now on an unknown job is unknown, and not still to come.
     service.resumed.set()
     while held:
         await asyncio.sleep(BEAT)
-        held = await taken_up(service, silence)
+        held = await resume_abandoned(service, ages)
 
 
-async def taken_up(service: Service, silence: Silence) -> list[RecordDocument]:
+async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDocument]:
     """Start the prewarms that no process works on; return the others, which another server has,
     or for which there was no room.
     """
     try:
         found = await asyncio.to_thread(
             lambda: [
-                each for each in recorded_prewarms(service.engine.store) if ours(service, each)
+                each
+                for each in recorded_prewarms(service.engine.store)
+                if is_resumable(service, each)
             ]
         )
     except StoreError as error:
-        log.warning("Prewarms that were stopped are not taken up: %s", error)
+        log.warning("Stopped prewarms are not resumed: %s", error)
         return []
-    free = {document.id for document in found if silence.of(document) > LEASE or document.left}
+    free = {document.id for document in found if ages.of(document) > LEASE or document.left}
     return [
-        document for document in found if not (document.id in free and begun(service, document))
+        document for document in found if not (document.id in free and resumed(service, document))
     ]
 
 
-def ours(service: Service, document: RecordDocument) -> bool:
+def is_resumable(service: Service, document: RecordDocument) -> bool:
     """Return True if a prewarm was started by a server, is open, and its scene is shown here
     with the same light.
     """
@@ -330,7 +332,7 @@ def ours(service: Service, document: RecordDocument) -> bool:
     )
 
 
-def begun(service: Service, document: RecordDocument) -> bool:
+def resumed(service: Service, document: RecordDocument) -> bool:
     """Start a prewarm again under its former id, for the rest of its time; return False if
     there are too many jobs.
     """

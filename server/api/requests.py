@@ -176,9 +176,9 @@ class HeadAsGet:
             return
 
         async def bodiless(message: Message) -> None:
-            await send(
-                {**message, "body": b""} if message["type"] == "http.response.body" else message
-            )
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
 
         asked = {**scope, "method": "GET"}
         await self.app(asked, receive, bodiless)

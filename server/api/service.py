@@ -158,8 +158,8 @@ class Service:
         job = self.job(key)
         if not bearer.owns(job.owner):
             raise ForbiddenError(
-                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may "
-                "an admin."
+                f"The job '{job.id}' belongs to '{job.owner}': only the owner or an admin may "
+                "dismiss it."
             )
         return await self.jobs.dismiss(job.id)
 

@@ -33,7 +33,7 @@ from server.settings import Settings
 from server.values import Span
 
 
-def mixed(newest: float, before: float, fresh: float) -> float:
+def running_mean(newest: float, before: float, fresh: float) -> float:
     """Return the running mean with the ``newest`` value, whose weight is ``fresh``; ``before``
     is the former mean, 0 if there is none.
     """
@@ -68,11 +68,11 @@ class Drafts:
 
     def shown(self, seconds: float) -> None:
         """Note the seconds that the client took to show a draft, as it reports them."""
-        self._shown = mixed(seconds, self._shown, FRESH)
+        self._shown = running_mean(seconds, self._shown, FRESH)
 
     def drawn(self, seconds: float) -> None:
         """Note the seconds that a draft took to draw, and choose the size of the next one."""
-        self._drawn = mixed(seconds, self._drawn, FRESH)
+        self._drawn = running_mean(seconds, self._drawn, FRESH)
         took = self._drawn + self._shown
         pixels = (HALF / QUARTER) ** 2
         # Time is proportional to the number of pixels.
@@ -307,7 +307,7 @@ def answer(
     )
 
 
-def complaint(request: Any, error: IsogiError, path: str) -> str:
+def problem_message(request: Any, error: IsogiError, path: str) -> str:
     """Return a problem document about the message with this id, null if it has none."""
     document = problem_document(status_of(error), str(error), path, **parameter_named(error))
     return json.dumps({"id": request if isinstance(request, int) else None, "problem": document})
@@ -376,7 +376,7 @@ class Session:
             self._metrics.count_motion(self._motion.drafts, self._motion.seconds)
 
     async def _read(self) -> None:
-        """Read messages until the client leaves; answer invalid ones with a complaint."""
+        """Read messages until the client leaves; answer invalid ones with a problem document."""
         while (text := await self._inbox.next()) is not None:
             request: Any = None
             try:
@@ -384,7 +384,7 @@ class Session:
                 request = message.get("id")
                 self._take(read_message(message))
             except IsogiError as error:
-                await self._send(complaint(request, error, self._socket.url.path))
+                await self._send(problem_message(request, error, self._socket.url.path))
 
     def _take(self, message: ViewRequest | Receipt) -> None:
         """Take in a message."""
@@ -424,7 +424,7 @@ class Session:
                 self._showing.result()
 
     async def _show(self, request: ViewRequest, params: FrameParams) -> None:
-        """Answer a view request, or send a complaint about it."""
+        """Answer a view request, or send a problem document about it."""
         if not request.pictures:
             return
         try:
@@ -433,15 +433,14 @@ class Session:
                 self._scene, params, client_of(self._socket.scope)
             )
             picture = self._service.picture_of(self._lit, smoothed(params, form))
-            await (
-                self._draft(request, params, picture)
-                if request.moving
-                else self._rest(request, params, picture, form)
-            )
+            if request.moving:
+                await self._draft(request, params, picture)
+            else:
+                await self._rest(request, params, picture, form)
         except IsogiError as error:
             if why := refusal(error):
                 self._metrics.refused.labels(why).inc()
-            await self._send(complaint(request.id, error, self._socket.url.path))
+            await self._send(problem_message(request.id, error, self._socket.url.path))
 
     async def _draft(
         self, request: ViewRequest, params: FrameParams, picture: PictureRequest
@@ -539,11 +538,10 @@ router = APIRouter(prefix="/v1/scenes/{scene}")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
-    """The client sends views, the newest wins: drafts while it moves, the full picture at rest,
-    better as light comes.
+    """Send pictures of the views that the client sends, the newest view first: drafts while it
+    moves, the full picture at rest, better ones as light is baked.
 
-    Refused with a problem before it begins where the scene is unknown, or too many streams are
-    open.
+    Refused with a problem document if the scene is unknown, or if too many streams are open.
     """
     try:
         found = service.scene(scene)

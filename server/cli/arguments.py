@@ -64,7 +64,7 @@ def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
 
     ``otherwise`` describes, by name, the defaults of a command that differ from the usual ones.
     """
-    otherwise = {"azimuth": "", "elevation": "", "distance": "all of it is seen"} | otherwise
+    otherwise = {"azimuth": "", "elevation": "", "distance": "fitted to the surface"} | otherwise
     fitted = {
         name: replace(KNOBS[name], default=None, otherwise=usual)
         for name, usual in otherwise.items()
@@ -72,10 +72,10 @@ def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
     knobs = {
         name: fitted.get(name, KNOBS[name]) for names in VIEW_GROUPS.values() for name in names
     }
-    return {
-        name: f"{knob.text[:-1]}; or {span}." if span and name in RANGE_OPTIONS else knob.text
-        for name, knob in knobs.items()
-    }
+    texts = {name: knob.text for name, knob in knobs.items()}
+    if span:
+        texts |= {name: f"{texts[name][:-1]}; or {span}." for name in RANGE_OPTIONS}
+    return texts
 
 
 RANGE_OPTIONS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
@@ -100,31 +100,29 @@ REPORT_OPTIONS = {
 }
 PREWARM_OPTIONS = {
     "views": (
-        "Directions of each isovalue, spread over all sides; default: 12 where none are given."
+        "Directions for each isovalue, spread over all sides; default: 12 if none are given."
     ),
-    "times": "Steps of a series in time, each with light of its own: all, 3, 0:9 or 0:9:3.",
+    "times": "Steps of a series in time, each with separate light: all, 3, 0:9 or 0:9:3.",
     "target_error": "Relative error of pictures at which light is final.",
     **{name: KNOBS[name].text for name in ("distance", "fov", "width", "height")},
 }
 WORK_OPTIONS = {
     "workers": "Processes that compute light; default: one per core.",
-    "store": "Path or URL where light is kept; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to compute on, tls://…, instead of own workers.",
-    "scheduler_ca": "File of the authority, PEM, that signed its certificate.",
-    "scheduler_cert": "File of the certificate, PEM, that it is shown.",
-    "scheduler_key": "File of that certificate's key, PEM.",
+    "store": "Path or URL of the light's store; default: in the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler whose workers bake, tls://…",
+    "scheduler_ca": "File of the authority, PEM, that signed the scheduler's certificate.",
+    "scheduler_cert": "File of this client's certificate, PEM.",
+    "scheduler_key": "File of the certificate's key, PEM.",
     "insecure_scheduler": "Join a scheduler without certificates.",
 }
 SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-LIGHT_HELP = (
-    f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
-)
+LIGHT_HELP = f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
 
 RAW_HELP = (
-    "What a file without a header holds: sizes along x, y, z, type and byte order, such "
+    "The content of a file without a header: sizes along x, y, z, type and byte order, such "
     "as 256x256x128,uint8,little."
 )
 
@@ -159,8 +157,8 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--axes",
         type=click.Choice(["world", "raw"]),
         help=(
-            "Where the volume lies: as its file says, or raw, its voxels' indices times "
-            "spacing; default: world."
+            "Place of the volume: as its file says, or raw, voxel index times spacing; default: "
+            "world."
         ),
     )
     @click.option("--raw", help=RAW_HELP)
@@ -168,20 +166,20 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--solid",
         type=click.Choice(["above", "below"]),
         help=(
-            "Which side of the isovalue is solid; default: above; below where most of the "
+            "Side of the isovalue that is solid; default: above, but below if most of the "
             "border is above."
         ),
     )
     @click.option(
         "--smooth",
         help=(
-            "Smooth the volume by a Gaussian of so many voxels, 0 to 8: about 1 takes the "
-            "dimples of noise away; default: 0."
+            "Width in voxels, 0 to 8, of a Gaussian that smooths the volume: about 1 removes "
+            "dimples due to noise; default: 0."
         ),
     )
     @click.option(
         "--pieces",
-        help="Show no pieces of fewer voxels than this, such as specks of noise; default: 0, all.",
+        help="Hide pieces of fewer voxels than this, such as specks of noise; default: 0, none.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})

@@ -20,7 +20,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import film_path, steps_in, view_in, views_in
-from server.cli.reel import Reel, ReelRequest, said
+from server.cli.reel import Reel, ReelRequest, quality_line
 from server.cli.render import is_placed
 from server.errors import LibraryError, ParameterError
 from server.parameters import FrameParams, read
@@ -62,7 +62,7 @@ MOVIE_COLOUR_OPTIONS += [
     "-color_range",
     "tv",
 ]
-"""What players need to know of the pictures: sRGB, by the matrix of BT.709."""
+"""Tags that tell players the colour space of the pictures: sRGB, by the matrix of BT.709."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def shots_of(
 
 def filmed(facts: Mapping[str, Any]) -> str:
     """Return the facts of ``film`` as text for a person."""
-    return said(facts, "frames")
+    return quality_line(facts, "frames")
 
 
 def check_movie(output: Path, width: int, height: int) -> None:

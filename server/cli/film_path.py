@@ -68,8 +68,8 @@ def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list
     """Return the views of ``frames`` frames along the keyframes ``keys``. Angles take the ``short``
     way if that is set, else the way that their numbers say.
 
-    A path that ends where it began moves evenly; any other starts and ends at rest. Raises
-    ParameterError.
+    A closed path, whose last keyframe equals the first, moves evenly; any other starts and ends at
+    rest. Raises ParameterError.
     """
     names = list(dict.fromkeys(name for key in keys for name in key))
     usual = defaults(scene)
@@ -145,11 +145,11 @@ def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
 
 
 def is_closed(name: str, rows: np.ndarray) -> bool:
-    """Return True if a parameter ends where it began; angles after whole turns."""
+    """Return True if a parameter ends at its first value; angles after whole turns."""
     way = np.abs(rows[-1] - rows[0])
-    return bool(
-        np.all((np.minimum(way % 360.0, -way % 360.0) if name in PERIODIC_ANGLES else way) < 1e-9)
-    )
+    if name in PERIODIC_ANGLES:
+        way = np.minimum(way % 360.0, -way % 360.0)
+    return bool(np.all(way < 1e-9))
 
 
 def text_of(name: str, row: np.ndarray) -> str:

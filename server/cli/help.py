@@ -11,7 +11,7 @@ from server.cli.arguments import FIRST_HEADING, VIEW_GROUPS
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "": (
         ("isogi engine.nhdr", "serve a volume: open the address in a browser"),
-        ("isogi inspect engine.nhdr", "what isogi makes of it"),
+        ("isogi inspect engine.nhdr", "a summary of it"),
         ("isogi render engine.nhdr -o engine.png", "a picture of it"),
     ),
     "serve": (
@@ -34,7 +34,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "reference": (
         (
             "isogi reference engine.toml -o truth.npz --azimuth 40 --time 10m",
-            "goes on where it stopped",
+            "continues the file",
         ),
     ),
     "report": (
@@ -46,11 +46,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
             "isogi prewarm engine.toml --isovalue 60:120:5 --views 12",
             "13 isovalues, 12 views of each",
         ),
-        ("isogi prewarm engine.toml --continue", "goes on where it was stopped"),
+        ("isogi prewarm engine.toml --continue", "resumes the stopped one"),
     ),
     "inspect": (
         ("isogi inspect engine.nhdr", "the facts that matter"),
-        ("isogi inspect engine.toml --plan", "all of them, and what will be computed"),
+        ("isogi inspect engine.toml --plan", "all facts, and the plan of the light"),
         ("isogi inspect engine.nhdr --picture stiffness.png", "how steep its surfaces are"),
     ),
     "convert": (
@@ -70,12 +70,12 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("isogi publish engine.toml -o engine --isovalue 60:160:20", "a slider of the isovalue"),
     ),
     "bench": (("isogi bench engine.nhdr --size 256", "half a minute"),),
-    "store": (("isogi store stats", "what the user's own store holds"),),
-    "store verify": (("isogi store verify", "the user's own store"),),
+    "store": (("isogi store stats", "the user's store"),),
+    "store verify": (("isogi store verify", "the user's store"),),
     "store repair": (("isogi store repair s3://bucket/light --delete", "a store elsewhere"),),
     "store stats": (("isogi store stats /light --quick", "without reading its chunks"),),
     "store prune": (
-        ("isogi store prune --older-than 30d", "lists what would go"),
+        ("isogi store prune --older-than 30d", "lists what would be deleted"),
         ("isogi store prune --keep-gb 20 --yes", "deletes it"),
     ),
 }
@@ -84,11 +84,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
 
 HELP_GROUPS = {
     **{title: names for title, names in VIEW_GROUPS.items() if title != FIRST_HEADING},
-    "Light that is kept": (
+    "Store and memory": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),
     ),
-    "Who computes": (
+    "Workers and threads": (
         *(
             "workers",
             "scheduler",
@@ -99,7 +99,7 @@ HELP_GROUPS = {
         ),
         *("render_threads", "render_queue", "queue_seconds", "jobs"),
     ),
-    "Who may ask, and for how much": (
+    "Access and limits": (
         *(
             "token_file",
             "tokens_file",

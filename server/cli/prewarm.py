@@ -43,11 +43,11 @@ __all__ = [
     "detach",
     "fields_given",
     "follow",
-    "go_on",
     "order_of",
     "prewarm",
     "prewarm_series",
-    "tell",
+    "print_summaries",
+    "resume",
 ]
 
 
@@ -123,7 +123,7 @@ def prewarm_scene(
         bar.begin("loading kernels")
         with working(scene, settings, with_workers=not dry) as engine:
             bar.begin("planning")
-            context = desk_of(engine, scene, order, partial(show, bar), begun)
+            context = context_of(engine, scene, order, partial(show, bar), begun)
             context.rung = rung
             what = wanted(context, order, settings)
             if dry:
@@ -137,7 +137,7 @@ def prewarm_scene(
                 raise Cancelled(PREWARM_STOPPED) from None
 
 
-def tell(summaries: Iterable[Summary], as_json: bool) -> int:
+def print_summaries(summaries: Iterable[Summary], as_json: bool) -> int:
     """Print each of the ``summaries`` as it comes; return the number of chunks that could not
     be baked.
     """
@@ -154,7 +154,7 @@ def show(bar: Progress, step: Step) -> None:
     bar.show(step.done, step.total, step.left)
 
 
-def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
+def resume(target: str, settings: Settings, deadline: float | None) -> Summary:
     """Resume the last prewarm of a scene that was not completed. Raises SceneError if there is
     none.
     """
@@ -170,7 +170,7 @@ def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
     return prewarm(target, document.order.model_copy(update={"deadline": deadline}), settings)
 
 
-def desk_of(
+def context_of(
     engine: RenderEngine,
     scene: Scene,
     order: PrewarmOrder,

@@ -18,7 +18,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import PERIODIC_ANGLES
-from server.cli.reel import Reel, ReelRequest, said
+from server.cli.reel import Reel, ReelRequest, quality_line
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
@@ -95,7 +95,7 @@ def publish(
 
 def check_output(output: Path) -> None:
     """Raise ViewError if a page cannot be written there: its parent folder is missing, or a
-    file is where a folder is needed, or the reverse.
+    file has the name of the folder, or the reverse.
     """
     check_folder(output)
     if output.suffix.lower() in PAGE_SUFFIXES:
@@ -181,7 +181,9 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, captio
 
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
-    """Return the place where a slider starts: the value closest to the first view of the scene."""
+    """Return the place at which a slider starts: the value closest to the first view of the
+    scene.
+    """
     front = dict(zip(("azimuth", "elevation"), scene.front, strict=True))
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
@@ -205,4 +207,4 @@ def ground_colour(background: str) -> str:
 def published(facts: Mapping[str, Any]) -> str:
     """Return the facts of ``publish`` as text for a person."""
     grid = " × ".join(f"{count} {name}" for name, count in facts["sliders"].items())
-    return f"{said(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"
+    return f"{quality_line(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"

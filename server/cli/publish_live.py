@@ -19,7 +19,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import card_obstacles
-from server.cli.prewarm import desk_of, show
+from server.cli.prewarm import context_of, show
 from server.cli.publish import PageRequest, check_output
 from server.cli.render import working
 from server.errors import ParameterError
@@ -63,7 +63,7 @@ PAGE_BACKGROUNDS = ("light", "dark")
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
+class PagePlan:
     """The page that is to be made: the ``request``, the parameters and the view that it starts
     with, its isovalues, and the ``goal``, a relative error.
     """
@@ -76,7 +76,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Offer:
+class PageVersion:
     """A page: its ``files``, and ``facts`` about it, including the error of its pictures."""
 
     files: Mapping[str, bytes]
@@ -109,26 +109,26 @@ def publish(
     check_output(request.output)
     goal = request.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
-    span, params = asked(scene, knobs)
+    span, params = first_view_of(scene, knobs)
     view = view_of(scene, params, settings)
-    with at_work(scene, settings, request.begun) as context:
+    with prewarming(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
         # Take the page with the most exact light that fits the size.
-        offer = fitting(
-            offers(context, Wish(request, params, view, span, goal), settings),
+        version = first_fitting(
+            page_versions(context, PagePlan(request, params, view, span, goal), settings),
             request.megabytes,
             goal,
         )
     if request.one_file:
-        write_whole(request.output, offer.files[PAGE])
+        write_whole(request.output, version.files[PAGE])
     else:
-        write_files(request.output, offer.files)
-    facts = {"file": str(request.output), "one_file": request.one_file, **offer.facts}
-    facts["bytes"] = offer.nbytes
+        write_files(request.output, version.files)
+    facts = {"file": str(request.output), "one_file": request.one_file, **version.facts}
+    facts["bytes"] = version.nbytes
     return {**facts, "seconds": request.passed}
 
 
-def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
+def first_view_of(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
     """Return the isovalues of the page, and the parameters of its first view. Raises
     ParameterError.
     """
@@ -179,47 +179,49 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
 
 
 @contextmanager
-def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
+def prewarming(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
     """Start an engine with workers, and yield the context in which light of the scene is baked."""
     with Progress() as bar:
         bar.begin("loading kernels")
         with working(scene, settings) as engine:
-            yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
+            yield context_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
-def offers(context: PrewarmContext, wish: Wish, settings: Settings) -> Iterator[Offer]:
+def page_versions(
+    context: PrewarmContext, planned: PagePlan, settings: Settings
+) -> Iterator[PageVersion]:
     """Bake the light until the error of pictures is at the goal; yield the page with ever fewer
     bits for its light.
     """
     renderer = context.renderer
     target = context.target
-    span = wish.span
+    span = planned.span
     views = [
-        replace(each, albedo=wish.view.albedo)
+        replace(each, albedo=planned.view.albedo)
         for each in views_of(context, span.low, span.high, settings)
     ]
-    codings = [coding_at(renderer, share * wish.goal) for share in ROUNDING_SHARES]
+    codings = [coding_at(renderer, share * planned.goal) for share in ROUNDING_SHARES]
     # Measure the pictures with the first, finest coding.
-    baked = bake_range(context, (span.low, span.high), codings[0], views, wish.goal)
+    baked = bake_range(context, (span.low, span.high), codings[0], views, planned.goal)
     volume = volume_files(renderer, span)
-    document = document_of(renderer, wish.params, wish.view, span)
-    first = first_view(renderer, wish.params, document["scene"]["start"], settings)
-    poster = poster_of(renderer, wish.params, first, target)
+    document = document_of(renderer, planned.params, planned.view, span)
+    first = first_view(renderer, planned.params, document["scene"]["start"], settings)
+    poster = poster_of(renderer, planned.params, first, target)
     for coding in codings:
         # Coarser codings need no new light, only other files.
         light = light_files(renderer, span, coding, target, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
-        facts["target_error"] = wish.goal
+        facts["target_error"] = planned.goal
         known = {
             "files": list(light),
             "steps": coding.steps.tolist(),
-            "background": ground_of(wish.params),
-            "caption": wish.request.caption or "",
+            "background": ground_of(planned.params),
+            "caption": planned.request.caption or "",
             **facts,
         }
-        files = files_of({**document, "light": known}, poster, {**volume, **light}, wish.request)
+        files = files_of({**document, "light": known}, poster, {**volume, **light}, planned.request)
         sizes = {"volume_bytes": size_of(volume), "light_bytes": size_of(light)}
-        yield Offer(files, {**facts, **sizes})
+        yield PageVersion(files, {**facts, **sizes})
 
 
 def files_of(
@@ -258,24 +260,26 @@ def page_facts(scene: Scene, span: Span, baked: RangeLight, error: TotalError) -
     }
 
 
-def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Offer:
-    """Return the first offer that is small enough. Raises ViewError if none is, or if its
+def first_fitting(
+    versions: Iterator[PageVersion], megabytes: float | None, target: float
+) -> PageVersion:
+    """Return the first version that is small enough. Raises ViewError if none is, or if its
     pictures miss the target.
     """
     if megabytes is None:
         most = math.inf
     else:
         most = 1e6 * megabytes
-    # Offers become smaller and less exact.
-    best = offer = next(some)
-    while offer.nbytes > most and (coarser := next(some, None)):
-        offer = coarser
-    if offer.nbytes > most or (offer is not best and offer.error > max(target, best.error)):
-        raise ViewError(too_large(best, offer, most))
-    return offer
+    # Versions become smaller and less exact.
+    best = version = next(versions)
+    while version.nbytes > most and (coarser := next(versions, None)):
+        version = coarser
+    if version.nbytes > most or (version is not best and version.error > max(target, best.error)):
+        raise ViewError(too_large(best, version, most))
+    return version
 
 
-def too_large(best: Offer, smallest: Offer, most: float) -> str:
+def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
     """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit."""
     sentence = (
         f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "

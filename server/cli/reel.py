@@ -177,7 +177,8 @@ class Reel:
             shot = shots[name]
             seconds = request.share(len(missing) - done)
             scene = self._at(variants, shot.time)
-            with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
+            step = nullcontext() if scene is self._scene else at_step(scene.volume.moment[0])
+            with step:
                 view = view_of(scene, shot, settings)
             # Draw the picture with its share of the time.
             later = time_of_others(spent, len(missing) - done - 1)
@@ -233,7 +234,7 @@ def time_of_others(spent: Sequence[float], count: int) -> TimeLeft | None:
     return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
 
 
-def said(facts: Mapping[str, Any], what: str) -> str:
+def quality_line(facts: Mapping[str, Any], what: str) -> str:
     """Return the quality of the pictures as text for a person; ``what`` names the pictures."""
     size = f"{facts['pictures']} {what} of {facts['width']} × {facts['height']}"
     error = f"error {facts['error']['median']:.4f}, at worst {facts['error']['worst']:.4f}"

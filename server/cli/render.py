@@ -114,7 +114,7 @@ def render(
 
 
 def why_empty(scene: Scene, view: View) -> str:
-    """Return a sentence that says why a picture shows no surface, and what to do."""
+    """Return a sentence that explains why a picture shows no surface, with advice."""
     low, high = scene.volume.value_range
     if low == high:
         return f"No surface: all values are {low:.6g}."
@@ -135,7 +135,7 @@ def why_empty(scene: Scene, view: View) -> str:
 
 
 def stopped_by(frame: Frame) -> str:
-    """Return what ended the rendering of a frame: "target", "samples" or "time"."""
+    """Return the reason for the end of a frame's rendering: "target", "samples" or "time"."""
     if frame.final:
         return "target"
     if frame.view.shading == "path_traced":

@@ -157,7 +157,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     service: Service = app.state.service
 
     def stopping() -> None:
-        """End in time; at once where nobody was served, and no kernel need be waited for."""
+        """Exit in time; soon if nobody was served yet, without waiting for kernels."""
         if not watching.done():
             click.echo("isogi: stopped before it was ready", err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))

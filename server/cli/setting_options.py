@@ -79,7 +79,7 @@ def unknown_variables() -> list[str]:
 
 def hint(name: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown name: the known variable that resembles it, apart from the
-    prefix; else where all are listed.
+    prefix; else the command that lists all.
     """
     words = {each.removeprefix(PREFIX): each for each in known}
     if close := get_close_matches(name.removeprefix(PREFIX).upper(), words, 1):

@@ -46,7 +46,7 @@ class SurfaceSchema(BaseModel):
 
 
 class Remark(BaseModel):
-    """A remark about a volume: what it means, what isogi does about it, what a person can do."""
+    """A remark about a volume: its meaning, the treatment by isogi, and advice."""
 
     about: str
     means: str
@@ -138,7 +138,7 @@ def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
             none = ""
         else:
             none = " Nothing is stiff there."
-        can = ["measure it for a view of yours: isogi report."]
+        can = ["measure it for your views: isogi report."]
         yield Remark(about="error", means=f"{means}{none}", can=can)
 
 
@@ -147,11 +147,11 @@ def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     if own.steep >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.steep)} of the surface lies on steps: within two voxels the value "
-            "leaps from one plateau to"
-            " another, and the texels around it have isosurfaces of their own that nobody sees."
+            "leaps from one plateau to another, and the texels around it lie on isosurfaces that "
+            "are not visible."
         )
         does = (
-            "lights the texels at the edge of a plateau half-way of the step, where the surface is."
+            "lights the texels at the edge of a plateau halfway up the step, where the surface is."
         )
         yield Remark(about="steep", means=means, does=does, can=list(CURES))
 
@@ -160,14 +160,13 @@ def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """Remark that the field hardly changes."""
     if own.plateau >= REMARKABLE_SHARE:
         means = (
-            f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's "
-            "corners have the isovalue"
-            " itself, or one has no gradient. The surface follows the voxels there, and "
-            "rounding says where it lies."
+            f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's corners "
+            "have the isovalue itself, or one has no gradient. The surface follows the voxels "
+            "there, and its place depends on rounding."
         )
         does = (
-            "counts a voxel at the isovalue as outside, and leaves out void texels, such as "
-            "have no gradient."
+            "counts a voxel at the isovalue as outside, and leaves out void texels, such as those "
+            "without a gradient."
         )
         can = ["choose an isovalue between two values that voxels have, and not one of them."]
         yield Remark(about="plateau", means=means, does=does, can=can)
@@ -178,15 +177,15 @@ def noisy(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     if own.noisy >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.noisy)} of the surface is noisy, or has detail as fine as two "
-            "voxels: normals stray by 26°"
-            " or more within a cell, and texels side by side lie on surfaces that have little "
-            "in common."
+            "voxels: normals vary by 26° or more within a cell, and neighbouring texels lie on "
+            "surfaces that have little in common."
         )
         does = (
-            "takes normals from the gradient smoothed over 4 × 4 × 4 voxels; the surface "
-            "stays as it is."
+            "takes normals from the gradient smoothed over 4 × 4 × 4 voxels; the surface is "
+            "unchanged."
         )
-        cures = () if own.steep >= REMARKABLE_SHARE else CURES  # they are given once
+        # The remark on steps has the same cures.
+        cures = () if own.steep >= REMARKABLE_SHARE else CURES
         yield Remark(about="noisy", means=means, does=does, can=[*cures, *calmer(found, own)])
 
 
@@ -204,7 +203,7 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
 def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """Remark that voxels next to the surface are not numbers."""
     if own.holes > 0.0:
-        means = f"{percent(own.holes)} of the surface lies next to voxels that are no numbers."
+        means = f"{percent(own.holes)} of the surface lies next to voxels that are not numbers."
         does = (
             "shows no surface in the eight cells around such a voxel: there is a gap, and "
             "light passes."
@@ -213,7 +212,7 @@ def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
             about="holes",
             means=means,
             does=does,
-            can=["fill them in before, where gaps are not meant."],
+            can=["fill them in beforehand, if gaps are not intended."],
         )
 
 
@@ -232,7 +231,7 @@ def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
         yield Remark(
             about="box",
             means=means,
-            can=["pad the volume with voxels outside, where that is not meant."],
+            can=["pad the volume with voxels outside, if that is not intended."],
         )
 
 
@@ -240,11 +239,10 @@ def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
     """Remark that some texels can hold no light."""
     if found.void > 0.0:
         means = (
-            f"{percent(found.void)} of the texels that can be shown have no gradient, no side "
-            "of their own in a"
-            " thin wall, or no room in a crease."
+            f"{percent(found.void)} of the visible texels have no gradient, no definite side of "
+            "a thin wall, or no room in a crease."
         )
-        does = "never bakes them, and interpolates between the texels around that hold light."
+        does = "never bakes them, and interpolates between neighbouring texels that hold light."
         yield Remark(about="void", means=means, does=does)
 
 
@@ -256,7 +254,7 @@ def coarse(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
             "voxel are terraces."
         )
         yield Remark(
-            about="coarse", means=means, can=["keep more digits, where the values come from."]
+            about="coarse", means=means, can=["keep more digits in the source of the values."]
         )
 
 
@@ -264,10 +262,10 @@ def mark(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
     """Remark that a value looks like a mark of missing data."""
     if found.mark is not None:
         means = (
-            f"Many voxels have the value {found.mark:.10g}, which is far from all others: "
-            "it looks like a mark."
+            f"Many voxels have the value {found.mark:.10g}, far from all others: it may mark "
+            "missing data."
         )
-        can = [f"say so in the scene, missing = {found.mark:.10g}: these voxels are then holes."]
+        can = [f"set missing = {found.mark:.10g} in the scene: these voxels are then holes."]
         yield Remark(about="missing", means=means, can=can)
 
 

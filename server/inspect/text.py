@@ -129,7 +129,7 @@ def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
         )
     yield (
         "texel",
-        f"{plan.bytes_per_texel} bytes, beside {plan.full_bytes_per_texel} for any scene in S1",
+        f"{plan.bytes_per_texel} bytes, instead of {plan.full_bytes_per_texel} for any scene in S1",
     )
     yield (
         "texels",
@@ -330,7 +330,7 @@ def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
     )
     yield from axes(volume)
     if volume.holes:
-        holes = f"{volume.holes:,} voxels are no numbers: holes"
+        holes = f"{volume.holes:,} voxels are not numbers: holes"
     else:
         holes = "no holes"
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {holes}"

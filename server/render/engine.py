@@ -73,9 +73,9 @@ def time_of_paths(
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(
-        work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD)
-    )
+    if left.pace is None:
+        return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
+    return TimeLeft.of(work, log_normal_ratios(UNREHEARSED_SPREAD))
 
 
 REMEMBERED = 4096

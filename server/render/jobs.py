@@ -68,8 +68,8 @@ def now() -> datetime:
 
 @dataclass(eq=False)
 class Job:
-    """A job of a ``process``, such as "frame"; the ``title`` says what it works on. It belongs to
-    its ``owner``.
+    """A job of a ``process``, such as "frame"; the ``title`` names its subject. It belongs to its
+    ``owner``.
 
     ``progress`` is in percent and never falls. Work reports its progress by ``report``; a
     ``document`` that it sets is served as the job's result.

@@ -210,9 +210,10 @@ def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
         value = coming[-1] + pace
         # A slow slider stays in its group for a while: go to the nearest value of the next group.
         if group_of(value, levels) == group:
-            value = float(
-                levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf)
-            )
+            if pace > 0.0:
+                value = float(levels[group + 1])
+            else:
+                value = float(np.nextafter(levels[group], -math.inf))
         coming.append(value)
     return [value for value in coming[1:] if math.isfinite(value)]
 

@@ -65,8 +65,8 @@ class SceneVariant:
 
     @classmethod
     def of(cls, scene: Scene, change: Change) -> "SceneVariant":
-        """Return the variant of a ``scene`` that a ``change`` asks for, leaving out changes to what
-        the scene is already.
+        """Return the variant of a ``scene`` that a ``change`` asks for, without changes that leave
+        the scene as it is.
 
         Raises ParameterError if a parameter cannot be read.
         """

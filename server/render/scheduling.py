@@ -18,10 +18,10 @@ from server.errors import BusyError
 from worker.bake_requests import Account, FairClock
 
 USUAL_WORK_SECONDS = 0.02
-"""Seconds that a client's work is taken to need before any has ended."""
+"""Seconds that a client's work is expected to take before any has ended."""
 
 NEWEST_WORK_WEIGHT = 0.3
-"""How much the newest work of a client counts in what its work usually takes."""
+"""Weight of a client's newest work in the running mean of the time that its work takes."""
 
 DEBT = 2.0
 """Seconds by which a client may be behind the others for work that it had before, at most:
@@ -284,8 +284,8 @@ class Renders:
                 await asyncio.gather(working, return_exceptions=True)
                 raise
             finally:
-                # an error in it would hold itself, and all arrays on its way, until garbage is
-                # looked for
+                # An error in the future would hold itself, and all arrays in its traceback, until
+                # garbage is collected.
                 del working
 
     async def share(

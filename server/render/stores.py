@@ -1,4 +1,4 @@
-"""The store that settings name, and a probe that says whether it answers."""
+"""The store of the settings, and a probe that checks if it answers."""
 
 import threading
 import time

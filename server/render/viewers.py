@@ -58,7 +58,8 @@ async def run_until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
     finally:
         working.cancel()
         ending.cancel()
-        del working, ending  # an error in them would hold itself until garbage is looked for
+        # An error in a future would hold itself until garbage is collected.
+        del working, ending
 
 
 async def disconnected(request: Request) -> None:

@@ -313,7 +313,7 @@ def read_owners(path: Path) -> dict[str, list[str]]:
         return {str(number): [str(name) for name in names] for number, names in owners.items()}
     except (ValueError, AttributeError, TypeError, RecursionError):
         raise UploadFolderError(
-            f"{path}, which says whose volumes are, is damaged: mend it, or delete it."
+            f"The list of owners {path} is damaged: repair it, or delete it."
         ) from None
 
 
@@ -485,7 +485,7 @@ class UploadFolder:
         else:
             kept = None
         if kept is None:
-            log.warning("%s is no %s that isogi has kept: it is left alone", path, kind)
+            log.warning("%s is not a %s that isogi has written: it is ignored", path, kind)
         return kept
 
 

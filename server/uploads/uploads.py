@@ -190,9 +190,7 @@ async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
         async with asyncio.timeout(seconds):
             return await anext(stream, None)
     except TimeoutError:
-        raise SlowUploadError(
-            f"Nothing of the upload came for {seconds:g} s: send it again."
-        ) from None
+        raise SlowUploadError(f"The upload stopped for {seconds:g} s: send it again.") from None
     except ClientDisconnect:
         raise Cancelled("The client left before its upload was whole.") from None
 
@@ -340,8 +338,8 @@ class Uploads:
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
                 raise ForbiddenError(
-                    f"The upload '{number}' belongs to another: its sender or an admin may "
-                    "delete it."
+                    f"The upload '{number}' belongs to another client: only its sender or an admin "
+                    "may delete it."
                 )
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)

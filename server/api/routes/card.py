@@ -17,6 +17,7 @@ from isogi_core.frame.card.blocks import Look, SeenChunk, known_light, known_tra
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
 from server.answers import card_schema, chunk_list, voxel_version
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
@@ -188,7 +189,9 @@ async def read_chunks(
 
     look = await service.compute(request, work)
     # Looking has found the texels that are missing; request them for this client.
-    coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
+    coming: frozenset[Index] = frozenset()
+    if look.frame:
+        coming = await service.request_light(picture, look.frame, viewer)
     return listed(look.seen, len(coming))
 
 

@@ -45,10 +45,10 @@ from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
-APPLIED = {"Preference-Applied": {"description": "What of the Prefer header was heeded."}}
+APPLIED = {"Preference-Applied": {"description": "The preferences that were applied."}}
 HEADERS = APPLIED | {
     "Isogi-Time-Left": {
-        "description": "Seconds until all is final, where known: low=12.0, likely=20.0, high=41.0."
+        "description": "Seconds until all is final, if known: low=12.0, likely=20.0, high=41.0."
     },
     "Server-Timing": {"description": "; ".join(f"{name}: {what}" for name, what in STAGES.items())},
 }
@@ -118,8 +118,8 @@ async def read_frame(
         viewer = stream_viewer(request)
     else:
         viewer = request_viewer(request)
-    # A request for later has a viewer of its own: its light is dropped here, as the job requests
-    # it.
+    # A request that may become a job has a separate viewer. Its requests for light are dropped, as
+    # the job repeats them.
     if (now := await service.render(request, scene, params, answer, viewer)) is not None:
         return now
     service.leave(viewer)

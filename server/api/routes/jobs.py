@@ -121,8 +121,8 @@ async def read_job(job: JobId, service: ServiceDep, response: Response) -> JobSc
 
 @router.get("/{job}/results", responses=JOB_PROBLEMS)
 async def read_results(job: JobId, service: ServiceDep, response: Response) -> Summary:
-    """Return the summary of a prewarm: what was asked, what there was to do, what it took, and
-    how good the light is.
+    """Return the summary of a prewarm: its order, the amount of work, its cost, and the quality
+    of the light.
     """
     response.headers["Cache-Control"] = "no-store"
     found = service.job(job)

@@ -151,8 +151,8 @@ class Compiling(BaseModel):
 
 
 class Ready(BaseModel):
-    """Whether frames can be served, and whether the light that they lack is baked; with reasons if
-    not, and with notes for the operator if so.
+    """The state of the service: ``ready`` if frames can be served, ``bakes`` if the light that they
+    lack is baked; with reasons if not, and with notes for the operator if so.
 
     While kernels of light are ``compiling``, frames are served without light.
     """

@@ -66,10 +66,10 @@ async def read_point(
     service: ServiceDep,
     preferences: PreferencesDep,
 ) -> PointSchema:
-    """Return what the picture of the same view shows at a place: position, value, normal, light,
-    and its error.
+    """Return the surface point at a place of the picture: position, value, normal, light, and its
+    error.
 
-    If that picture was not drawn lately, one ray is cast: the error is then that of the pixel, and
+    If the picture was not drawn lately, one ray is cast: the error is then that of the pixel, and
     light is requested for it alone.
     """
     params, applied = preferences.fill(params)

@@ -66,7 +66,7 @@ async def read_scene(
     scene: SceneDep, params: VariantParamsDep, service: ServiceDep, client: ClientDep
 ) -> SceneSchema:
     """Return one scene: volume, histogram, defaults and ranges of all parameters, and the plan
-    of what is baked.
+    of its light.
     """
     lit = await service.variant(scene, params, client)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)

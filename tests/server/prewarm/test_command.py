@@ -19,7 +19,7 @@ from isogi_core.frame import projected_texels
 from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
-from server.api.prewarm_jobs import Silence
+from server.api.prewarm_jobs import RecordAges
 from server.cli.prewarm import prewarm
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, RecordDocument, Summary
@@ -254,7 +254,7 @@ def test_a_record_knows_its_process_and_the_time_left(blocks: Path) -> None:
 
 def test_silence_is_counted_by_the_clock_of_who_listens(blocks: Path) -> None:
     clock = [7.0]
-    silence = Silence(lambda: clock[0])
+    silence = RecordAges(lambda: clock[0])
     document = Record("store", load_scene(blocks), order_of({}), "server").document
     future = document.model_copy(update={"updated": document.updated + timedelta(days=1)})
     heard = []
