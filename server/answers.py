@@ -349,6 +349,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
         for name, knob in KNOBS.items()
         if isinstance(knob.kind, Span)
     }
+    # Ranges that depend on the scene replace the general ones.
     spans |= {"isovalue": scene.isovalues, "time": (0, scene.volume.moment[1] - 1)}
     if scene.surfaces.albedos is not None:
         spans |= {"albedo": scene.surfaces.albedos}

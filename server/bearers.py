@@ -80,6 +80,7 @@ def site_of(host: str) -> str:
         address = ip_address(host)
     except ValueError:
         return host
+    # An IPv4 client of a dual-stack socket is counted by its IPv4 address.
     if isinstance(address, IPv6Address) and address.ipv4_mapped:
         return str(address.ipv4_mapped)
     if address.version == 4:
@@ -110,6 +111,7 @@ def read_bearer(name: str, table: Any) -> Bearer:
     )
     if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
         raise ValueError(right)
+    # Never quote the token in an error: it may be logged.
     token = table["token"]
     scopes = table["scopes"]
     if not isinstance(token, str) or len(token) < MIN_TOKEN_CHARACTERS or not are_scopes(scopes):

@@ -119,6 +119,7 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             facts["traceback"] = self.formatException(record.exc_info)
+        # Names of files may hold bytes that are no UTF-8: make them readable.
         return json.dumps(
             {
                 name: readable(each) if isinstance(each, str) else each

@@ -205,6 +205,7 @@ def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
     """
     values: dict[str, Any] = {}
     for name, value in pairs:
+        # A repeated name is ambiguous, and never intended.
         if name in values:
             raise ParameterError(f"{name} is given more than once: give it once.", name)
         values[name] = value
@@ -216,6 +217,7 @@ def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
 
 def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     """Return the first finding of pydantic as one sentence about one parameter."""
+    # Later findings are often consequences of the first one.
     first = error.errors(include_url=False)[0]
     name = ".".join(map(str, first["loc"]))
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
@@ -460,6 +462,7 @@ def layers_of(text: str, depth: int, most: int) -> tuple[int, int]:
         first, last = map(int, found.groups())
     else:
         first, last = (0, 0)
+    # Text that is no range becomes an empty one, which is refused too.
     if not first < last <= depth or last - first > most:
         raise UnknownPartError(
             f"There are no layers '{text[:40]}': name up to {most} from 0 to {depth}, as "

@@ -88,6 +88,7 @@ def negotiate(accept: str | None) -> str:
         ranges = dict(map(media_range, accept.split(",")))
     else:
         ranges = {"*/*": 1.0}
+    # ``max`` returns the first of equal ones: png wins a tie.
     best = max(FORMATS, key=lambda name: quality(MEDIA_TYPES[name], ranges))
     if quality(MEDIA_TYPES[best], ranges) <= 0:
         offered = ", ".join(MEDIA_TYPES.values())
@@ -129,6 +130,7 @@ def encode(
     """
 
     if form != "npy":
+        # A stream sends drafts as jpeg, whatever the background: jpeg has no transparency.
         if (form, params.background) == ("jpeg", "transparent"):
             behind = "dark"
         else:
@@ -167,6 +169,7 @@ def values_npy(values: np.ndarray, near: float) -> bytes:
     Integers are exact, other values differ by at most ``near``. NaN and infinity need a
     floating-point type.
     """
+    # Only float32 may round values; integer types must hold them exactly.
     form = next(
         (form for form in SLICE_TYPES if off(form, values) <= (near if form == "<f4" else 0.0)),
         "<f8",
@@ -194,6 +197,7 @@ def npy_parts(frame: Frame) -> Iterator[bytes]:
     """
     height, width = frame.state.shape
     yield npy_header(height, width)
+    # Round BAND to whole rows of the picture.
     rows = max(BAND // (4 * PLANES_PER_PIXEL * width), 1)
     for first in range(0, height, rows):
         yield planes(frame, first, min(first + rows, height)).tobytes()

@@ -50,6 +50,7 @@ class Progress:
         self._promise = Promise(time.monotonic)
         self._clock = ExitStack()
         self._opening = threading.RLock()
+        # A timer draws the clock for work that is silent at first.
         self._later = threading.Timer(clocks.REDRAW_SECONDS, self._begin_late, (soon,))
         self._later.daemon = True
         if soon and clocks.watched():
@@ -181,6 +182,7 @@ def left_text(left: TimeLeft) -> str:
     low, likely, high = (
         span(max(seconds, 1.0), digits=2) for seconds in (left.low, left.likely, left.high)
     )
+    # Leave the range out if it rounds to one value.
     if low == high:
         text = f"about {likely} left"
     else:

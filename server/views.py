@@ -171,6 +171,7 @@ def camera_of(scene: Scene, params: ViewParams) -> Camera:
         )
         if params.up is not None:
             camera = replace(camera, up=params.up)
+    # Rendering works in the axes of the volume's box, which an oblique scan rotates in the world.
     return scene.in_box(camera, params.projection)
 
 
@@ -182,6 +183,7 @@ def light_of(scene: Scene, params: ViewParams) -> Quaternion:
         turn = unit_quaternion(params.light)
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
+    # The identity is no rotation, whatever spells it.
     if not scene.lighting.rotating and abs(turn[0]) < 1 - 1e-12:
         raise ViewError(
             "This scene's light does not turn (rotating = false): leave light and its angles out."

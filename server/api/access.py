@@ -35,6 +35,8 @@ class KnownHosts:
         ):
             await self.app(scope, receive, send)
             return
+        # A page of another site that resolves its name to this address is refused here: it names
+        # its own host.
         detail = (
             "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
         )
@@ -230,6 +232,7 @@ class TokenBearers:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return None
+        # A browser may hold cookies of several tokens, such as one that was sent by a colleague.
         held = [token for token in self.tokens if token.is_in(cookies)]
         return max(held, key=lambda token: token.bearer.reach, default=None)
 

@@ -251,6 +251,7 @@ class Connection(H11Protocol):
         if not self._unsent:
             self._taken = self.loop.time()
             self._unsent = self.unsent
+        # Answers that wait for slow clients take memory of all.
         slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
         if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
             min(slow, key=lambda each: each._taken).drop("memory")
@@ -358,6 +359,7 @@ class Connection(H11Protocol):
 
     def refuse(self, status: int, sentence: str) -> None:
         """Answer with a problem document, without the app, and close after LINGER seconds."""
+        # Stop the app, and write the answer to the connection.
         self._end_cycle()
         answer = problem(status, sentence, "/")
         headers = [*answer.raw_headers, (b"connection", b"close")]
@@ -368,6 +370,8 @@ class Connection(H11Protocol):
         ):
             self.transport.write(self.conn.send(event) or b"")
         self._refused = True
+        # Read on for a while: closing at once would reset the connection while the client still
+        # sends.
         self.transport.write_eof()
         self.loop.call_later(LINGER, self.transport.close)
 
@@ -387,6 +391,8 @@ class Connection(H11Protocol):
         """Return True if the client has taken less than PACE of an answer for ``stall_seconds``."""
         unsent = self.unsent
         least = self._unsent - PACE * self.settings.stall_seconds
+        # Measure again if all is sent, more is queued, or enough was taken since the last
+        # measurement.
         if not unsent or unsent > self._unsent or unsent <= least:
             self._unsent = unsent
             self._taken = now
@@ -425,6 +431,7 @@ def too_many(
     """
     everybody = list(connections)
     own = [each for each in everybody if site_at(each) == site_at(one)]
+    # A client above its limit competes with its own connections only.
     if len(own) > settings.max_client_connections and not settings.trusts(host_of(one)):
         return own
     if len(everybody) > settings.max_connections:

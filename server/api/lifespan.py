@@ -193,6 +193,7 @@ class Startup:
         try:
             await asyncio.to_thread(self._engine.open)
             await asyncio.to_thread(prepare)
+            # If all kernels are compiled, lit pictures are ready with the first ones.
             if self._engine.kernels.progress is None:
                 await self._light()
         except Exception as error:

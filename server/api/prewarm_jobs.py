@@ -194,6 +194,7 @@ class Prewarm:
                 what = wanted(context, self.order, self.service.settings)
                 return carry_out(context, what, begun)
             except StoreError as error:
+                # Count from the first failure: later ones do not extend the time.
                 given_up = min(given_up, time.monotonic() + LONGEST_AWAY)
                 if time.monotonic() > given_up:
                     raise
@@ -216,6 +217,7 @@ class Prewarm:
         order is cancelled.
         """
         coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
+        # Look for cancellation between waits, as the frame may take long.
         try:
             while True:
                 with suppress(TimeoutError):
@@ -312,6 +314,7 @@ async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDoc
     except StoreError as error:
         log.warning("Stopped prewarms are not resumed: %s", error)
         return []
+    # A prewarm is free if its process has ended, or has not written its record for a LEASE.
     free = {document.id for document in found if ages.of(document) > LEASE or document.left}
     return [
         document for document in found if not (document.id in free and resumed(service, document))

@@ -277,6 +277,7 @@ class Service:
         for the ``viewer``.
         """
         watch = watch or Stopwatch()
+        # Light that comes from now on may be missing in the frame.
         since = self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
@@ -397,6 +398,7 @@ class Service:
                 )
             return None
 
+        # Share the work among clients that open the same view.
         threads = self.threads.of(picture.view)
         if viewer.bakes and not threads.crowded:
             frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST_PATIENCE))

@@ -207,6 +207,7 @@ class Inbox:
 
     def _count_one(self) -> None:
         """Count a message in the present second. Raises StreamError if there are too many."""
+        # Whole seconds are precise enough to stop a flood.
         second = int(asyncio.get_running_loop().time())
         if second == self._second:
             self._count = self._count + 1
@@ -290,6 +291,7 @@ def answer(
         named = {}
     else:
         named = {"chunks": [each.model_dump() for each in chunks]}
+    # A draft is never final, though all light of its smaller picture may be there.
     return json.dumps(
         {
             "id": request,

@@ -65,6 +65,8 @@ def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
     ``otherwise`` describes, by name, the defaults of a command that differ from the usual ones.
     """
     otherwise = {"azimuth": "", "elevation": "", "distance": "fitted to the surface"} | otherwise
+    # The camera is fitted to the surface unless options place it, so angles and distance have no
+    # fixed default.
     fitted = {
         name: replace(KNOBS[name], default=None, otherwise=usual)
         for name, usual in otherwise.items()

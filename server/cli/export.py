@@ -155,6 +155,7 @@ def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) ->
         )
     if suffix in WRITERS:
         check_lattice(scene)
+    # OME-Zarr holds no rotation, and a folder that exists is not overwritten.
     if suffix == ".zarr":
         for path in files:
             check_zarr(path, scene.volume.orientation.affine(scene.volume.spacing))
@@ -200,11 +201,13 @@ def convert(target: str, output: Path) -> dict[str, Any]:
         raise ParameterError(
             f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr."
         )
+    # Open the volume of a file without the scene around it.
     settings = SceneSettings(find_source(target, {}))
     name = settings.text("volume", "")
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
     grid, _ = open_own(settings)
+    # Refuse values that isogi could not show.
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)

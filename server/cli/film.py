@@ -141,6 +141,8 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
+    # A change that all views share becomes part of the target; views that differ in one are refused
+    # later.
     for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
@@ -193,6 +195,7 @@ def check_movie(output: Path, width: int, height: int) -> None:
     suffix = output.suffix.lower()
     if suffix in MOVIE_CODECS:
         encoder(suffix)
+        # Colours are stored at half resolution (4:2:0).
         if width % 2 or height % 2:
             raise ViewError(
                 f"A {suffix} needs even width and height, not {width} × {height}: change them."

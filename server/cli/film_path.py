@@ -198,6 +198,7 @@ def view_in(text: str) -> dict[str, str]:
             for name, value in parse_qsl(urlsplit(text).query)
             if name not in ON_THE_PAGE
         }
+    # Otherwise the text is a list of name=value.
     pairs = [part.partition("=") for part in text.split(",")]
     if not all(name and equals for name, equals, _ in pairs):
         raise ParameterError(
@@ -218,6 +219,7 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
         return view
     if not HEX_COLOUR.fullmatch(tint):
         raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
+    # The tint is the hue of an albedo whose largest channel is given.
     most = max(
         finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(",")
     )

@@ -183,6 +183,7 @@ def context_of(
         deadline = math.inf
     else:
         deadline = begun + order.deadline
+    # Frames and checks are drawn in this process, without requests.
     return PrewarmContext(
         engine,
         scene,

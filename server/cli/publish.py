@@ -114,6 +114,7 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
     given = {name: values_in(name, text) for name, text in knobs.items() if ":" in text}
     sliders = given or {"azimuth": values_in("azimuth", DEFAULT_AZIMUTHS)}
     count = 1
+    # Stop as soon as the product is too large.
     for values in sliders.values():
         count *= len(values)
         if count > MOST_PICTURES:

@@ -114,6 +114,7 @@ def table(facts: Mapping[str, Any]) -> str:
     """Return the content of a store as text: each volume, and below it its layers."""
     lines = []
     volume = None
+    # Layers are sorted by volume: write its name once.
     for layer in facts["layers"]:
         if layer["volume"] != volume:
             volume = layer["volume"]

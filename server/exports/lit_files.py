@@ -332,11 +332,13 @@ def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[
     else:
         colours = [""]
     columns = columns_of(spec)
+    # Grey transfer has one array per band, coloured transfer one per colour.
     arrays = {
         f"{name}{colour}": np.zeros((*shape, own.stop - own.start), np.float32)
         for name, own in columns.items()
         for colour in colours
     }
+    # Scatter the coefficients of texels into the arrays, chunk by chunk.
     for rows, transfer in transfers(caches, view.shading, voxels):
         places = tuple(voxels[rows].T)
         for name, own in columns.items():

@@ -208,6 +208,7 @@ def fits_of(
     """
     fits = []
     for aspect in ASPECTS:
+        # The shorter side has FIT_SIDE pixels.
         width, height = round(FIT_SIDE * max(aspect, 1.0)), round(FIT_SIDE / min(aspect, 1.0))
         camera = camera_schema(
             renderer,

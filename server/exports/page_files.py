@@ -146,6 +146,7 @@ def module_order(first: str) -> list[str]:
     def visit(name: str) -> None:
         if name in order:
             return
+        # Depth first: imports come before the module.
         for each in imports(name):
             visit(each)
         order.append(name)

@@ -251,6 +251,7 @@ class LoadedScene:
         """Return the scene with finer texels, loaded when first asked for. Raises StoreError."""
         with self._lock:
             if self._finer is None:
+                # Voxels and maps are shared; texels, light and views have memory of their own.
                 prepared = self.renderer.prepared.beside(finer(self.scene))
                 memory = self.memory.finer
                 caches = Caches(prepared, self.renderer.caches.store, memory.light)
@@ -497,6 +498,7 @@ class LoadedScenes:
         ]
         for scene in idle:
             self.drop(scene)
+        # Freed memory stays with the allocator otherwise.
         if idle:
             give_memory_back()
 

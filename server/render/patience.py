@@ -35,6 +35,7 @@ class Patience:
         patience.
         """
         now = self._clock()
+        # Progress, or preparation, restarts the wait.
         if preparing or progress != self._seen:
             self._since = now
             self._seen = progress

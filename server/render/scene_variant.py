@@ -70,12 +70,14 @@ class SceneVariant:
 
         Raises ParameterError if a parameter cannot be read.
         """
+        # Read the parameters; errors name the parameter.
         pinned = len(scene.surfaces.pinned)
         clears = _read_parameter(
             "surfaces", lambda text: read_clears(text, pinned), change.surfaces
         )
         made = _read_parameter("material", read_material_text, change.material)
         hidden = _read_parameter("hide", read_hidden, change.hide)
+        # A change to the value that the scene has is no change: it shares the scene's light.
         if made is None or made_of(scene, made):
             material = None
         else:

@@ -30,6 +30,7 @@ class Pending:
         """Note an update of a chunk, and set the events that it completes. ``more`` says that
         the chunk will have further updates.
         """
+        # Any update shows something new; only the last one of a chunk ends the wait for it.
         if index in self.chunks:
             self.some.set()
             if not more:

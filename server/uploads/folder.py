@@ -139,6 +139,7 @@ def read_environment(path: Path) -> Upload | None:
     kept = Upload(
         ENVIRONMENT_KIND, path.stem, unquote(name), (int(width), int(height)), path.stat().st_size
     )
+    # The size of the file must be that of header and pixels: else it was cut off.
     if kept.bytes == head.end() + 4 * int(width) * int(height):
         return kept
     return None
@@ -280,6 +281,7 @@ def read_volume(path: Path) -> Upload | None:
     kind, *sizes, name = (part.decode() for part in head.groups())
     x, y, z = map(int, sizes)
     kept = Upload(VOLUME_KIND, path.stem, unquote(name), (x, y, z), path.stat().st_size)
+    # The size of the file must be that of header and voxels: else it was cut off.
     widths = {name: int(code[1]) for code, name in NRRD_TYPES.items()}
     whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
     return kept if kept.bytes == whole else None

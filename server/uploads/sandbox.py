@@ -112,6 +112,7 @@ def confine() -> list[str]:
     Protections are independent: if one is missing, the others hold.
     """
     lacking = []
+    # From the outside in: become nobody while calls are still allowed, and give up calls last.
     for name, protect in {
         "another user": become_nobody,
         "Landlock": give_up_paths,

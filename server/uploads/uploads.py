@@ -145,6 +145,7 @@ class Reader:
         """
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(f"{seconds}\n".encode())
+        # A child that is killed, by its limits or the sandbox, closes stdout without an answer.
         line = await self._process.stdout.readline()
         status = await self._process.wait()
         if not line:

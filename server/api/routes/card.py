@@ -65,6 +65,7 @@ def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Res
     change.
     """
     packs = takes_gzip(request.headers.get("accept-encoding", ""))
+    # Digests of parts are computed once; the encoding belongs to the tag, as ETags are strong.
     tag = tag_of(hashlib.blake2b(b"".join(each.digest for each in parts)).digest(), packs)
     headers = {
         "ETag": tag,

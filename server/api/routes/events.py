@@ -178,6 +178,7 @@ async def progress(
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Return the reason why a frame is not final though no more light is coming."""
+    # From the most specific reason to the general one.
     if frame.quality.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
