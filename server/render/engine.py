@@ -337,17 +337,19 @@ class RenderEngine:
         If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
         are lit while texels are baked. CHECK stands for either in the returned set.
         """
-        beside = frozenset({CHECK} if frame.refinable else ())
-        if beside:
+        checking = frozenset({CHECK} if frame.refinable else ())
+        if checking:
             self._checks.request(scene, frame.view, target, viewer)
         else:
             self._checks.leave(viewer)
         # A picture that is checked needs no texels now, and a store that is only read takes none.
         if frame.checkable or self.store.only_read():
-            return beside
+            return checking
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
-        return beside | self.baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
+        return checking | self.baker.request(
+            bake, stage.demands, stage.target, viewer, stage.enough
+        )
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """Return the bake that a ``frame`` needs light of next, and the stage of it: see
@@ -542,7 +544,7 @@ class RenderEngine:
         """Load a scene and add its bakes to the baker. Raises StoreError."""
         # Share maps with a loaded scene of the same volume.
         same_volume = [name for name, each in self.scenes.items() if each.volume is scene.volume]
-        beside = next(filter(None, map(self._loaded.held, same_volume)), None)
+        sibling = next(filter(None, map(self._loaded.held, same_volume)), None)
         # Until a variant has light, that of the scene which it was cut from stands in, or that of a
         # similar variant.
         variant = self.variant(scene.id)
@@ -557,7 +559,7 @@ class RenderEngine:
             self._tiles,
             self._memory,
             share=self._share,
-            beside=beside,
+            sibling=sibling,
             whole=whole,
         )
         # Replace the bakes of this scene that have changed, and keep the others with their queues.

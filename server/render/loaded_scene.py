@@ -104,7 +104,8 @@ class Prefetch:
         self._preparing: float | None = None
         self._closed = False
         self._cancelled = threading.Event()
-        self._cancelled.set()  # as it is whenever nothing is at work
+        # The event is set whenever nothing is being prepared.
+        self._cancelled.set()
 
     @contextmanager
     def frame(self, isovalue: Isovalue) -> Iterator[None]:
@@ -345,17 +346,17 @@ def load_scene_parts(
     tiles: Tiles,
     memory: Memory,
     share: ShareAssets = share_nothing,
-    beside: LoadedScene | None = None,
+    sibling: LoadedScene | None = None,
     whole: LoadedScene | None = None,
 ) -> LoadedScene:
     """Prepare a scene and open its layers in a ``store``; workers open the assets that ``share``
     returns. Raises StoreError.
 
-    ``beside`` is a loaded scene of the same volume, whose maps it shares. The light of a ``whole``
+    ``sibling`` is a loaded scene of the same volume, whose maps it shares. The light of a ``whole``
     scene stands in for missing light of one that is cut from it, or of another time step.
     """
-    if beside:
-        prepared = beside.renderer.prepared.beside(scene)
+    if sibling:
+        prepared = sibling.renderer.prepared.beside(scene)
     else:
         prepared = PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)

@@ -62,7 +62,7 @@ class SceneKernels:
         """Compile and load the kernels of pictures without light. The other kernels are
         compiled in the background from now on.
         """
-        # Compilers are forked from a small process that is started before this one grows.
+        # Start the process that compilers are forked from: it loads meanwhile.
         if self.progress is not None:
             start_fork_server()
         self._all.begin(self._stopped, COMPILER_NICENESS, START_METHOD)
