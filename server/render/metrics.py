@@ -50,14 +50,12 @@ class Metrics:
         )
         self.seconds = Histogram(
             "isogi_request_seconds",
-            "Time to the end of the answer.",
+            "Seconds to the end of the answer.",
             ["route"],
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
-        self.open = Gauge(
-            "isogi_requests_in_progress", "Requests that are worked on.", registry=registry
-        )
+        self.open = Gauge("isogi_requests_in_progress", "Requests in progress.", registry=registry)
         self.frames = Counter(
             "isogi_frames",
             (
@@ -69,20 +67,20 @@ class Metrics:
         )
         self.stages = Histogram(
             "isogi_frame_stage_seconds",
-            "Time of a frame's stages.",
+            "Seconds of a frame's stages.",
             ["stage"],
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
         self.ages = Histogram(
             "isogi_stream_picture_age_seconds",
-            "Time from when a stream's view came until the first picture of it is sent.",
+            "Seconds from the arrival of a stream's view to the sending of its first picture.",
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
         self.rates = Histogram(
             "isogi_stream_pictures_per_second",
-            "Drafts a second of each stream that ended, while its view moved.",
+            "Drafts per second of each stream that has ended, while its view moved.",
             buckets=RATES,
             registry=registry,
         )
@@ -91,13 +89,13 @@ class Metrics:
         )
         self.refused = Counter(
             "isogi_refusals",
-            "Requests, and views of streams, that were refused, and why.",
+            "Requests, and views of streams, that were refused, by reason.",
             ["why"],
             registry=registry,
         )
         self.closed = Counter(
             "isogi_connections_closed",
-            "Connections that the server gave up, and why.",
+            "Connections that the server closed, by reason.",
             ["why"],
             registry=registry,
         )
@@ -189,24 +187,30 @@ class BakingCollector(Collector):
             "isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting
         )
         yield GaugeMetricFamily(
-            "isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age
+            "isogi_queue_age_seconds", "Seconds for which the oldest chunk has waited.", tally.age
         )
         yield GaugeMetricFamily(
-            "isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight
+            "isogi_tasks_in_flight", "Tasks that workers are running.", tally.in_flight
         )
         yield GaugeMetricFamily(
-            "isogi_chunks_given_up", "Chunks that failed too often.", tally.given_up
+            "isogi_chunks_given_up",
+            "Chunks that were given up after repeated failures.",
+            tally.given_up,
         )
-        yield GaugeMetricFamily("isogi_workers", "Baking processes that there are.", tally.workers)
+        yield GaugeMetricFamily("isogi_workers", "Processes that bake.", tally.workers)
         busy = min(tally.in_flight / max(tally.workers, 1), 1.0)
         yield GaugeMetricFamily(
-            "isogi_workers_utilization", "Share of them that have a task.", busy
+            "isogi_workers_utilization", "Share of the workers that have a task.", busy
         )
         yield CounterMetricFamily(
-            "isogi_tasks_done", "Tasks that workers did, of one or more chunks each.", tally.done
+            "isogi_tasks_done",
+            "Tasks that workers completed, of one or more chunks each.",
+            tally.done,
         )
         yield CounterMetricFamily(
-            "isogi_chunks_baked", "Chunks that tasks added light to, each time.", tally.chunks
+            "isogi_chunks_baked",
+            "Chunks that tasks added light to, counted each time.",
+            tally.chunks,
         )
         yield CounterMetricFamily("isogi_tasks_failed", "Chunks whose task failed.", tally.failed)
         yield CounterMetricFamily(
@@ -219,10 +223,10 @@ class BakingCollector(Collector):
         )
         yield CounterMetricFamily("isogi_paths", "Paths that were baked.", tally.paths)
         yield CounterMetricFamily(
-            "isogi_texels_kept", "Texels whose light a cut left as it was.", tally.kept
+            "isogi_texels_kept", "Texels whose light was kept when the volume was cut.", tally.kept
         )
         yield CounterMetricFamily(
-            "isogi_worker_deaths", "Baking processes that were lost.", tally.deaths
+            "isogi_worker_deaths", "Baking processes that died.", tally.deaths
         )
 
 
@@ -237,8 +241,12 @@ class StoreCollector(Collector):
         calls = self._calls
         for name, about, counts in (
             ("isogi_store_calls", "Calls to the store, by kind.", calls.count),
-            ("isogi_store_failures", "Such calls that failed.", calls.failed),
-            ("isogi_store_seconds", "Time that such calls took.", calls.seconds),
+            ("isogi_store_failures", "Calls to the store that failed, by kind.", calls.failed),
+            (
+                "isogi_store_seconds",
+                "Seconds that calls to the store took, by kind.",
+                calls.seconds,
+            ),
         ):
             family = CounterMetricFamily(name, about, labels=["call"])
             for kind, number in list(counts.items()):
@@ -266,7 +274,7 @@ class ServerCollector(Collector):
             "isogi_uploads_quota_bytes", "Bytes that uploads may take.", self._quota()
         )
         yield GaugeMetricFamily(
-            "isogi_uploads_free_bytes", "Bytes of these that are free.", self._free()
+            "isogi_uploads_free_bytes", "Bytes of the quota of uploads that are free.", self._free()
         )
 
 
@@ -287,9 +295,7 @@ class JobsCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """Yield the number of known jobs of each status."""
-        family = GaugeMetricFamily(
-            "isogi_jobs", "Jobs that are known, by their status.", labels=["status"]
-        )
+        family = GaugeMetricFamily("isogi_jobs", "Known jobs, by status.", labels=["status"])
         for status, number in self._jobs.counts().items():
             family.add_metric([status.value], number)
         yield family
