@@ -1,4 +1,6 @@
-"""Answers: the schemas filled for a scene, its plan, and the coverage of a frame."""
+"""Answers: the documents about a scene, its plan, the coverage of a frame, and the data of a
+graphics card.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -87,11 +89,13 @@ from server.values import Span
 from worker.progress import TimeLeft
 
 MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary()
-"""The materials of the scenes in use that were asked."""
+"""Materials of the scenes in use whose materials were asked for."""
 
 
 def scene_schema(scene: Scene) -> SceneSchema:
-    """The document of one scene."""
+    """Return the document of one scene."""
+    # The scene file gives facts, the plan the rest; environments and notes of the server are added
+    # by the route.
     shown = shown_histogram(scene.volume)
     return SceneSchema(
         id=scene.id,
@@ -110,18 +114,14 @@ def scene_schema(scene: Scene) -> SceneSchema:
         shadings=list(VIEW_SHADINGS),
         lights=[light_schema(light) for light in scene.lighting.lights],
         albedo=scene.surfaces.albedo,
-        albedos=None
-        if scene.surfaces.albedos is None
-        else Range(min=scene.surfaces.albedos[0], max=scene.surfaces.albedos[1]),
+        albedos=albedo_range(scene),
         colours=colour_scale(scene),
         surfaces=[SurfaceSchema(**each.table) for each in scene.surfaces.pinned],
         clear=scene.surfaces.clear,
         material=write_material_text(material_settings(scene.surfaces.material)),
         transmission=scene.surfaces.transmission,
         materials=material_schemas(scene),
-        shines=(list(SHINE_KINDS) if scene.surfaces.colours is None else ["plastic"])
-        if scene.surfaces.shine
-        else [],
+        shines=shines(scene),
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,
@@ -138,8 +138,27 @@ def scene_schema(scene: Scene) -> SceneSchema:
     )
 
 
+def albedo_range(scene: Scene) -> Range | None:
+    """Return the albedos that views may ask for; None if they may not choose one."""
+    if scene.surfaces.albedos is None:
+        return None
+    low, high = scene.surfaces.albedos
+    return Range(min=low, max=high)
+
+
+def shines(scene: Scene) -> list[str]:
+    """Return the kinds of shine that views may ask for: none if the surface is diffuse, and plastic
+    only if it is coloured by data.
+    """
+    if not scene.surfaces.shine:
+        return []
+    if scene.surfaces.colours is not None:
+        return ["plastic"]
+    return list(SHINE_KINDS)
+
+
 def volume_schema(scene: Scene) -> VolumeSchema:
-    """The facts of a scene's volume."""
+    """Return the facts about a scene's volume."""
     volume = scene.volume
     orientation = scene.volume.orientation
     names = ("name", "size", "spacing", "dtype", "value_range", "holes")
@@ -158,7 +177,7 @@ def volume_schema(scene: Scene) -> VolumeSchema:
 
 
 def colour_scale(scene: Scene) -> ColourScale | None:
-    """The colours of the surface by data, None where it has one albedo."""
+    """Return the scale of a surface that is coloured by data; None if it has one albedo."""
     if scene.surfaces.colours is None:
         return None
     scale = scene.surfaces.colours.scale
@@ -181,7 +200,9 @@ def colour_scale(scene: Scene) -> ColourScale | None:
 
 
 def material_schemas(scene: Scene) -> list[MaterialSchema]:
-    """All materials; a scene is asked once, as its probes are read again for each."""
+    """Return all materials. Computed once for a scene, as its probes are read again for each
+    material.
+    """
     if scene not in MATERIALS_OF:
         MATERIALS_OF[scene] = [
             material_schema(kind, found) for kind, found in find_materials(scene).items()
@@ -190,8 +211,8 @@ def material_schemas(scene: Scene) -> list[MaterialSchema]:
 
 
 def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
-    """A material by its ``kind``, as a scene would have it, or why it cannot: see
-    ``find_materials``.
+    """Return the document of a material by its ``kind``: its numbers in the scene ``found``, or
+    the reason why the scene cannot have it. See ``find_materials``.
     """
     if isinstance(found, str):
         return MaterialSchema(kind=kind, refused=found)
@@ -204,7 +225,7 @@ def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
 
 
 def light_schema(light: Light) -> LightSchema:
-    """One light: its type as in a scene file, and its name for a person."""
+    """Return one light: its type as in a scene file, and a name for people."""
     return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
 
 
@@ -215,16 +236,18 @@ def camera_schema(
     elevation: float | None,
     projection: str | None = None,
 ) -> CameraSchema:
-    """The camera that shows a view's surface whole at every azimuth, and large; the whole volume,
-    where none is to be seen of it. A scene that says where its first camera is has that one.
+    """Return the camera that shows the surface of a view whole at every azimuth, as large as that
+    allows; the whole volume if no surface is visible.
 
-    The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
+    A first camera that the scene file places is returned as it is. The ``view`` is in perspective;
+    the camera is for a ``projection``, by default the scene's.
     """
     scene = renderer.prepared.scene
     first = scene.settings.first
     front, above = scene.front
     azimuth = front if azimuth is None else azimuth
     elevation = above if elevation is None else elevation
+    # A scene file that places its camera is not fitted.
     if first.placed:
         target = first.target or scene.volume.world_centre
         distance = first.distance or KNOBS["distance"].default
@@ -236,20 +259,21 @@ def camera_schema(
 def fit(
     renderer: Renderer, stands: Sequence[Stand], projection: str | None
 ) -> tuple[Vector, float]:
-    """The target and the distance, rounded, at which cameras see their surfaces whole: see
+    """Return the target and the distance, rounded, at which cameras see their surfaces whole: see
     ``fitted_to_all``.
 
-    They see the whole volume where none is to be seen.
+    They see the whole volume if no surface is visible.
     """
     scene = renderer.prepared.scene
     found = fitted_to_all(renderer, stands, projection or scene.settings.projection)
     target, distance = found or (scene.volume.world_centre, KNOBS["distance"].default)
+    # Few digits suffice for a camera, and keep addresses short.
     x, y, z = (float(f"{value:.6g}") for value in target)
     return (x, y, z), float(f"{distance:.4g}")
 
 
 def plan_schema(scene: Scene) -> PlanSchema:
-    """The scene's plan, and which of its texels are ever lit."""
+    """Return the scene's plan, and the counts of texels that may be lit."""
     plan = scene.plan
     return PlanSchema(
         representation=plan.representation,
@@ -273,7 +297,9 @@ def plan_schema(scene: Scene) -> PlanSchema:
 
 
 def turned_out(scene: Scene) -> list[str]:
-    """What was decided about a volume that is inside out, in a sentence."""
+    """Return a note if the volume was found to be inside out, so that matter below the isovalue
+    is solid.
+    """
     if scene.solid == "above" or "solid" in scene.source.document:
         return []
     return [
@@ -285,7 +311,7 @@ def turned_out(scene: Scene) -> list[str]:
 
 
 def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
-    """The isovalues, from one to another, where texels are projected, in the units of the volume's
+    """Return the ranges of isovalues whose texels are projected, in the units of the volume's
     file.
     """
     ends = [[scene.volume.file_value(end) for end in span] for span in scene.projection.spans()]
@@ -293,7 +319,7 @@ def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lobe_schema(lobe: Lobe) -> LobeSchema:
-    """One lobe of a light."""
+    """Return one lobe of a light."""
     return LobeSchema(
         azimuth=lobe.azimuth,
         elevation=lobe.elevation,
@@ -303,28 +329,29 @@ def lobe_schema(lobe: Lobe) -> LobeSchema:
 
 
 def layer_schema(layer: Layer) -> LayerSchema:
-    """One layer of a plan."""
+    """Return one layer of a plan."""
     names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
     return LayerSchema(**{name: getattr(layer, name) for name in names}, nodes=list(layer.nodes))
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:
-    """What each knob of a scene is where it is left out."""
+    """Return the value of each parameter of a view if it is left out; parameters without one
+    are left out.
+    """
     own = {name: knob.default_of(scene) for name, knob in KNOBS.items()}
     return {name: value for name, value in own.items() if value is not None}
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
-    """What each number may be."""
+    """Return the range of each numeric parameter."""
     spans = {
         name: (knob.kind.low, knob.kind.high)
         for name, knob in KNOBS.items()
         if isinstance(knob.kind, Span)
     }
+    # Ranges that depend on the scene replace the general ones.
     spans |= {"isovalue": scene.isovalues, "time": (0, scene.volume.moment[1] - 1)}
-    if scene.surfaces.albedos is None:
-        spans |= {}
-    else:
+    if scene.surfaces.albedos is not None:
         spans |= {"albedo": scene.surfaces.albedos}
     return {name: Range(min=low, max=high) for name, (low, high) in spans.items()}
 
@@ -332,11 +359,14 @@ def ranges(scene: Scene) -> dict[str, Range]:
 def point_schema(
     scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float
 ) -> PointSchema:
-    """What a pixel, by column and row, of a frame shows."""
+    """Return the document of one ``pixel`` (column, row) of a frame: its surface point, its
+    light and its error.
+    """
     orientation = scene.volume.orientation
     point = point_at(frame, *pixel, scene)
     if point is None:
         return PointSchema(hit=False, unit=orientation.unit)
+    # Develop the one pixel as a picture would show it.
     shown = lit(
         np.array([[point.radiance]], np.float32),
         np.full((1, 1), FINAL, np.uint8),
@@ -360,7 +390,9 @@ def point_schema(
 
 
 def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
-    """The size of a scene's surface, in the world; an area of 0 where there is none."""
+    """Return the area and the enclosed volume of a scene's surface, in world units; an area of
+    0 if there is none.
+    """
     prepared = renderer.prepared
     volume = prepared.scene.volume
     place = prepared.scene.volume.orientation
@@ -370,7 +402,7 @@ def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
 
 
 def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
-    """How far the frame is."""
+    """Return the coverage and the error of a frame."""
     return Coverage(
         chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
         pixels=PixelCounts(surface=frame.surface, **frame.counts),
@@ -388,21 +420,21 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
 
 
 CARD_FORMAT = 1
-"""Version of what is sent: counts up when an older page cannot read it."""
+"""Version of the format of card data; raised if older pages cannot read it."""
 
 VOXELS_KEPT = Obstacle(
     "voxels kept",
     "This server hands out no voxels: it draws all pictures itself (hand_out_voxels).",
 )
-"""What keeps cards from drawing anything that this server shows."""
+"""The obstacle that keeps graphics cards from drawing anything of this server."""
 
 LINKS = CardLinks(chunks="card/chunks", light="card/light/", transfer="card/transfer/")
 TONE = CardTone(gain=TONE_GAIN, toe=TONE_TOE, shoulder=TONE_SHOULDER)
 
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:
-    """What keeps a card from drawing a view; whether the server ``hands_out`` voxels. Raises
-    ViewError.
+    """Return the reasons why a card cannot draw a view; ``hands_out`` says if the server hands
+    out voxels. Raises ViewError.
     """
     own = [] if hands_out else [VOXELS_KEPT]
     return own + find_obstacles(prepared.scene, view, prepared.voxel_codes.nbytes)
@@ -411,8 +443,8 @@ def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list
 def card_schema(
     renderer: Renderer, view: View, query: Sequence[tuple[str, str]], hands_out: bool
 ) -> CardSchema:
-    """The document of a ``view``; addresses of voxels go on with a ``query``. Its version is not
-    filled in yet.
+    """Return the card document of a ``view``. Addresses of voxels carry the ``query``. The
+    caller fills in the version.
     """
     found = card_obstacles(renderer.prepared, view, hands_out)
     if found:
@@ -432,11 +464,12 @@ def card_schema(
 
 
 def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]]) -> CardScene:
-    """All that drawing a view takes besides voxels and texels."""
+    """Return all that drawing a view needs besides voxels and texels."""
     prepared = renderer.prepared
     spec = renderer.caches.spec("gi")
     scene = prepared.scene
     volume = prepared.scene.volume
+    # The local light model that a card draws while texels are missing.
     model = RotatedLight(spec, view).local_model("lambert", (0.0, 0.0))
     return CardScene(
         grid=grid_of(scene),
@@ -464,7 +497,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
 
 
 def grid_of(scene: Scene) -> CardGrid:
-    """The grid of a scene's volume."""
+    """Return the grid of a scene's volume."""
     placed = scene.volume.orientation
     return CardGrid(
         size=scene.volume.size,
@@ -477,7 +510,7 @@ def grid_of(scene: Scene) -> CardGrid:
 
 
 def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> CardVolume:
-    """The codes of a volume, and the addresses of their slabs."""
+    """Return the coding of a volume's voxels, and the addresses of its slabs."""
     codes = prepared.voxel_codes
     more = urlencode([*query, ("version", voxel_version(prepared.scene))])
     slabs = [CardSlab(first=a, last=b, href=f"card/volume/{a}-{b}?{more}") for a, b in codes.slabs]
@@ -492,12 +525,12 @@ def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> Card
 
 
 def voxel_version(scene: Scene) -> str:
-    """What names the codes of a scene's voxels; 32 hexadecimal digits."""
+    """Return the version of the codes of a scene's voxels: 32 hexadecimal digits."""
     return scene.volume.digest[:30] + f"{CARD_FORMAT:02x}"
 
 
 def plan_of(renderer: Renderer) -> CardPlan:
-    """What texels keep."""
+    """Return the layout of the light that texels keep."""
     scene = renderer.prepared.scene
     spec = renderer.caches.spec("gi")
     return CardPlan(
@@ -513,12 +546,13 @@ def plan_of(renderer: Renderer) -> CardPlan:
 
 
 def card_light(light: RotatedLight) -> CardLight:
-    """A light that is not turned, in the unit of its bake spec."""
+    """Return the unturned light, in units of its bake spec."""
     scale = raw_scale(light.spec)
     columns = light.reflected / light.spec.unit * scale
     squares = light.square * scale
     firsts = light.spec.firsts.tolist()
     terms = light.seen.terms
+    # Each term of the light meets its own range of coefficients.
     parts = [
         (term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)
     ]
@@ -543,13 +577,13 @@ def card_light(light: RotatedLight) -> CardLight:
 
 
 def colour_rows(rows: np.ndarray) -> Colours:
-    """Three rows of numbers."""
+    """Return a (3, n) array as three lists."""
     red, green, blue = rows.tolist()
     return red, green, blue
 
 
 def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
-    """The chunks that a view reads."""
+    """Return the documents of chunks that a view reads."""
     return [
         CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final)
         for each in seen
@@ -557,10 +591,10 @@ def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
 
 
 def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
-    """The chunks that the view of a ``frame`` reads, most visible first; none where it is drawn
+    """Return the chunks that the view of a ``frame`` reads, most visible first; none if it is drawn
     without texels.
 
-    Raises what ``seen_chunks`` does.
+    Raises as ``seen_chunks`` does.
     """
     if frame.quality.lacking is None or frame.view.shading != "gi":
         return []

@@ -1,4 +1,4 @@
-"""Bearers: who shows a token, what that lets them do, and what is theirs."""
+"""Bearers of tokens: their rights and their property; and clients, as limits count them."""
 
 import tomllib
 from collections.abc import Collection, Mapping
@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 TOKEN_SCOPES = ("look", "bake", "upload", "admin")
-"""What a token may allow: to see pictures of what is baked; to have light baked, by looking too,
-and to dismiss one's own jobs; to upload volumes, and delete one's own; and everything, /metrics and
-what is others' among it."""
+"""Scopes of a token. look: see pictures with the light that is baked. bake: also have light
+baked, and dismiss the bearer's jobs. upload: also upload volumes, and delete the bearer's.
+admin: everything, including /metrics and what belongs to others.
+"""
 
 MIN_TOKEN_CHARACTERS = 16
 """Characters of a token, at least."""
@@ -18,7 +19,7 @@ MIN_TOKEN_CHARACTERS = 16
 
 @dataclass(frozen=True)
 class Bearer:
-    """Who shows a ``token``: a ``name``, empty where the server has one token or none, and the
+    """The bearer of a ``token``: a ``name``, empty if the server has one token or none, and the
     ``scopes``.
     """
 
@@ -27,60 +28,59 @@ class Bearer:
     scopes: frozenset[str] = frozenset(TOKEN_SCOPES)
 
     def may(self, scope: str) -> bool:
-        """Whether the token allows what the scope stands for."""
+        """Return True if the token has this scope, or is an admin's."""
         return scope in self.scopes or "admin" in self.scopes
 
     @property
     def reach(self) -> int:
-        """How many scopes the token allows."""
+        """Return the number of scopes that the token allows."""
         return sum(map(self.may, TOKEN_SCOPES))
 
     def owns(self, owner: str) -> bool:
-        """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to
-        change.
+        """Return True if the bearer may change what belongs to ``owner``; an empty owner is
+        nobody.
         """
         return owner in ("", self.name) or "admin" in self.scopes
 
 
 ANY_BEARER = Bearer()
-"""Whoever asks a server that wants no token."""
+"""The bearer of all requests if the server requires no token."""
 
 TOKENLESS_BEARER = Bearer(scopes=frozenset())
-"""Whoever asks without a token what is open to probes, where the server wants one."""
+"""The bearer of requests without a token to paths for probes, if the server requires one."""
 
 BEARER_SCOPE_KEY = "isogi.bearer"
-"""Where a request's scope (ASGI) holds its bearer."""
+"""Key of the bearer in a request's ASGI scope."""
 
 
 def bearer_of(scope: Mapping[str, Any]) -> Bearer:
-    """Who sends a request or opens a socket, by its ASGI ``scope``."""
+    """Return the bearer of a request or socket, by its ASGI ``scope``."""
     bearer = scope.get(BEARER_SCOPE_KEY, ANY_BEARER)
     assert isinstance(bearer, Bearer)
     return bearer
 
 
 SITE_PREFIX_BITS = 64
-"""Leading bits of an IPv6 address that stand for one client: each has all addresses that begin
-so.
-"""
+"""Leading bits of an IPv6 address that identify one client: it has all addresses that begin so."""
 
 
 def client_of(scope: Mapping[str, Any]) -> tuple[str, str]:
-    """Who counts as one client where clients share: a bearer's name, and the address that the
-    request comes from.
+    """Return the client of a request as limits count it: the name of its bearer, and its
+    address.
     """
     host = (scope.get("client") or ("",))[0]
     return bearer_of(scope).name, site_of(host)
 
 
 def site_of(host: str) -> str:
-    """The address as limits count it: a network of SITE_PREFIX_BITS bits for IPv6, where one client
-    has many.
+    """Return an address as limits count it: for IPv6, the network of SITE_PREFIX_BITS bits, as
+    one client has many addresses.
     """
     try:
         address = ip_address(host)
     except ValueError:
         return host
+    # An IPv4 client of a dual-stack socket is counted by its IPv4 address.
     if isinstance(address, IPv6Address) and address.ipv4_mapped:
         return str(address.ipv4_mapped)
     if address.version == 4:
@@ -89,8 +89,8 @@ def site_of(host: str) -> str:
 
 
 def read_bearers(path: Path) -> tuple[Bearer, ...]:
-    """The bearers in a TOML file: tables by name, each with a ``token`` and ``scopes``. Raises
-    ValueError.
+    """Read the bearers in a TOML file: tables by name, each with a ``token`` and ``scopes``.
+    Raises ValueError.
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -103,7 +103,7 @@ def read_bearers(path: Path) -> tuple[Bearer, ...]:
 
 
 def read_bearer(name: str, table: Any) -> Bearer:
-    """One bearer. Raises ValueError, which names no token."""
+    """Read one bearer. Raises ValueError, whose message holds no token."""
     some = list(TOKEN_SCOPES[:2])
     right = (
         f"[{name}] must have a token of {MIN_TOKEN_CHARACTERS} characters or more, and "
@@ -111,6 +111,7 @@ def read_bearer(name: str, table: Any) -> Bearer:
     )
     if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
         raise ValueError(right)
+    # Never quote the token in an error: it may be logged.
     token = table["token"]
     scopes = table["scopes"]
     if not isinstance(token, str) or len(token) < MIN_TOKEN_CHARACTERS or not are_scopes(scopes):
@@ -119,7 +120,7 @@ def read_bearer(name: str, table: Any) -> Bearer:
 
 
 def are_scopes(given: object) -> bool:
-    """Whether these are scopes, and any at all."""
+    """Return True if ``given`` is a collection of scopes that is not empty."""
     return (
         isinstance(given, Collection)
         and bool(given)

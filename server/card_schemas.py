@@ -1,4 +1,6 @@
-"""What a page needs to draw a scene on its visitor's graphics card, as JSON: see docs/card.md."""
+"""Schemas of the data with which a page draws a scene on its visitor's graphics card: see
+docs/card.md.
+"""
 
 from pydantic import BaseModel
 
@@ -10,11 +12,11 @@ Colours = tuple[list[float], list[float], list[float]]
 
 
 class CardGrid(BaseModel):
-    """Voxels along x, y, z, and the world: ``world = rotation · box + origin``, ``box = voxel index
-    · spacing``.
+    """Voxels along x, y, z, and their place in the world: ``world = rotation · box + origin``,
+    ``box = voxel index · spacing``.
 
-    Shadow rays start ``offset`` voxels along the normal, which is that of the B-spline's gradient
-    where ``smooth``.
+    Shadow rays start ``offset`` voxels along the normal, which is the gradient of the B-spline if
+    ``smooth``.
     """
 
     size: tuple[int, int, int]
@@ -26,7 +28,7 @@ class CardGrid(BaseModel):
 
 
 class CardValues(BaseModel):
-    """A value in the units of the volume's file is ``offset + scale · voxel``."""
+    """Units of voxels: a value in the units of the volume's file is ``offset + scale · voxel``."""
 
     offset: float
     scale: float
@@ -34,8 +36,8 @@ class CardValues(BaseModel):
 
 
 class CardSlab(BaseModel):
-    """Layers of voxels from the ``first`` to before the ``last``, and the address of their
-    codes.
+    """Layers of voxels, from the ``first`` to the one before the ``last``, and the address of
+    their codes.
     """
 
     first: int
@@ -44,9 +46,7 @@ class CardSlab(BaseModel):
 
 
 class CardVolume(BaseModel):
-    """Codes of voxels: ``voxel = base + gain · code``, but for the code ``hole`` where a value is
-    missing.
-    """
+    """Codes of voxels: ``voxel = base + gain · code``; the code ``hole`` marks missing values."""
 
     type: CodeType
     gain: float
@@ -57,7 +57,9 @@ class CardVolume(BaseModel):
 
 
 class CardLattice(BaseModel):
-    """Texels along x, y, z, texels a voxel, and texels along each side of a chunk."""
+    """The lattice: texels along x, y, z, texels per voxel, and texels along each side of a
+    chunk.
+    """
 
     size: tuple[int, int, int]
     density: Triple
@@ -72,11 +74,11 @@ class CardLayer(BaseModel):
 
 
 class CardPlan(BaseModel):
-    """What texels keep: ``columns`` numbers for each channel, from ``straight`` on of reflected
-    light alone.
+    """The light that texels keep: ``columns`` numbers for each channel, of reflected light only
+    from ``straight`` on.
 
-    ``ratios`` is whether light is carried to pixels as irradiance ratios, ``whole`` whether texels
-    keep direct and reflected light as one, and ``turns`` whether the light may be turned.
+    ``ratios`` is true if pixels interpolate irradiance ratios, ``whole`` if texels keep direct and
+    reflected light as one, ``turns`` if the light may be rotated.
     """
 
     representation: str
@@ -90,10 +92,10 @@ class CardPlan(BaseModel):
 
 
 class CardTerm(BaseModel):
-    """The unturned light that some columns meet: harmonics of an order, linear RGB times the
-    albedo, in the unit.
+    """The unturned light that some columns are multiplied by: harmonics of an order, linear RGB
+    times the albedo, in the unit.
 
-    Those of the square of its luminance say how noisy light is.
+    ``square`` are the harmonics of its squared luminance, from which noise is estimated.
     """
 
     order: int
@@ -102,8 +104,8 @@ class CardTerm(BaseModel):
 
 
 class CardLobe(BaseModel):
-    """An unturned lobe of the light: where it is, two radii of its disc, and what it gives from
-    straight above.
+    """An unturned lobe of the light: its direction, two radii of its disc, and its radiance on
+    a surface that faces it.
     """
 
     towards: Triple
@@ -112,8 +114,8 @@ class CardLobe(BaseModel):
 
 
 class CardLight(BaseModel):
-    """The unturned light in a ``unit`` of radiance: the terms, the ``sky`` without shadows, the
-    least, the lobes.
+    """The unturned light in a ``unit`` of radiance: terms, the ``sky`` without shadows, the
+    least light, and lobes.
     """
 
     unit: float
@@ -140,7 +142,7 @@ class CardTone(BaseModel):
 
 
 class CardGrounds(BaseModel):
-    """Linear RGB of the backgrounds that have names."""
+    """Linear RGB of the named backgrounds."""
 
     dark: Triple
     light: Triple
@@ -154,7 +156,9 @@ class CardLimits(BaseModel):
 
 
 class CardLinks(BaseModel):
-    """Addresses beside the document: of the list of chunks, and before the names of chunks."""
+    """Addresses relative to the document: of the list of chunks, and of light and transfer
+    before the names of chunks.
+    """
 
     chunks: str
     light: str
@@ -182,8 +186,8 @@ class CardScene(BaseModel):
 
 
 class CardSchema(BaseModel):
-    """Whether a page may draw a view by itself, ``because`` of what it may not and the ``reason``,
-    else its scene.
+    """If ``drawable``, a page may draw the view itself, by its ``scene``; else ``because``
+    names the obstacles, and ``reason`` describes them.
     """
 
     format: int
@@ -195,8 +199,8 @@ class CardSchema(BaseModel):
 
 
 class CardChunk(BaseModel):
-    """A chunk of texels by its place ``z.y.x``, how far it is baked, and whether all that the view
-    reads is final.
+    """A chunk of texels: its index ``z.y.x``, the version of its light, and ``final`` if all
+    that the view reads of it is final.
     """
 
     at: str
@@ -205,8 +209,8 @@ class CardChunk(BaseModel):
 
 
 class CardChunks(BaseModel):
-    """The chunks that a view reads, most visible first, and how many of them are going to have more
-    light.
+    """The chunks that a view reads, most visible first, and the number of those that will get
+    more light.
     """
 
     chunks: list[CardChunk]

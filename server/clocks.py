@@ -1,4 +1,4 @@
-"""Clocks on the terminal that run while a command is at work; light to import."""
+"""Clocks on the terminal that run while a command works; a module that imports fast."""
 
 import sys
 import threading
@@ -9,17 +9,17 @@ from typing import Any
 from tqdm import tqdm
 
 CLOCK = "{desc}, {elapsed}"
-"""A bar of work of which nobody knows how much there is."""
+"""Format of a bar for work of unknown amount."""
 
 REDRAW_SECONDS = 1.0
-"""Seconds between two drawings of a bar whose clock runs while a piece of work is done, and before
-the first of work that may be over sooner.
+"""Seconds between two drawings of a running clock, and before the first drawing, so that short
+work shows none.
 """
 
 
 @contextmanager
 def ticking(draw: Callable[[], object]) -> Iterator[None]:
-    """Call ``draw`` every REDRAW_SECONDS, on a thread of its own."""
+    """Call ``draw`` every REDRAW_SECONDS on a thread, for the block."""
     ended = threading.Event()
 
     def tick() -> None:
@@ -36,13 +36,15 @@ def ticking(draw: Callable[[], object]) -> Iterator[None]:
 
 
 def watched() -> bool:
-    """Whether a person may see what is drawn: stderr is a terminal."""
+    """Return True if a person may see the bar: stderr is a terminal."""
     return sys.stderr.isatty()
 
 
 @contextmanager
 def waiting(what: str) -> Iterator[None]:
-    """Draw a clock of ``what`` is done in the block, after REDRAW_SECONDS, on a terminal."""
+    """Draw a clock with a text for the block, if the block takes longer than REDRAW_SECONDS and
+    stderr is a terminal.
+    """
     bars: list[Any] = []
 
     def draw() -> None:

@@ -1,12 +1,14 @@
-"""Errors that belong to the service and not to the domain; each speaks to a person in one
-sentence.
+"""Errors of the service, in addition to those of the domain; each message is one sentence for a
+person.
 """
 
 from isogi_core.errors import IsogiError, ViewError
 
 
 class ParameterError(ViewError):
-    """A parameter is unknown, repeated, out of range, or not read by what was asked for."""
+    """A parameter is unknown, repeated, out of range, or not read by the requested format.
+    ``parameter`` is its name.
+    """
 
     def __init__(self, sentence: str, parameter: str = "") -> None:
         super().__init__(sentence)
@@ -18,11 +20,11 @@ class UnknownSceneError(IsogiError):
 
 
 class UnknownPartError(IsogiError):
-    """A scene has no such chunk of texels, or layers of voxels."""
+    """A scene has no such chunk of texels or layers of voxels."""
 
 
 class UnknownJobError(IsogiError):
-    """No job has this id, or it is forgotten."""
+    """No job has this id, or the job was forgotten."""
 
 
 class NotAcceptableError(IsogiError):
@@ -30,12 +32,12 @@ class NotAcceptableError(IsogiError):
 
 
 class UnknownResultError(IsogiError):
-    """A job has no result of its own, or none yet."""
+    """A job has no document or file, or none yet."""
 
 
 class BusyError(IsogiError):
-    """More of something is asked for at once than the settings allow: ``why``, in a word that is
-    counted.
+    """More is asked for at a time than the settings allow. ``why`` is the reason in a word, for
+    metrics.
     """
 
     def __init__(self, sentence: str, why: str = "late") -> None:
@@ -44,7 +46,7 @@ class BusyError(IsogiError):
 
 
 class StartingError(IsogiError):
-    """The renderer is not up yet."""
+    """The service has not started yet."""
 
 
 class LibraryError(IsogiError):
@@ -60,7 +62,7 @@ class StreamError(IsogiError):
 
 
 class ForbiddenError(IsogiError):
-    """What is to be changed belongs to somebody else."""
+    """The token does not allow the change, or the server does not hand out the data."""
 
 
 class UploadsOffError(IsogiError):
@@ -72,15 +74,15 @@ class UnknownVolumeError(IsogiError):
 
 
 class SlowUploadError(IsogiError):
-    """An upload stands still."""
+    """An upload has stopped to arrive."""
 
 
 class LateError(IsogiError):
-    """An upload could not be read in time, as the machine is busy."""
+    """An upload could not be read in time because the machine is busy."""
 
 
 class FullError(IsogiError):
-    """An upload, or an export, is more than the quota, or the disk, has room for."""
+    """An upload or an export exceeds the quota or the free space of the disk."""
 
 
 class UploadFolderError(IsogiError):

@@ -1,7 +1,7 @@
-"""The table of knobs: what a view and its picture may be asked for, over HTTP and by options of
-commands alike.
+"""The table of knobs: the parameters of a view and its picture, over HTTP and as options of
+commands.
 
-Parameters, options, their help, and the defaults and ranges of a scene's document all derive from
+Parameters, options, their help, and the defaults and ranges in a scene's document all derive from
 KNOBS.
 """
 
@@ -25,23 +25,25 @@ from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, S
 if TYPE_CHECKING:
     from isogi_core.plan.scene import Scene
 
-LONGEST_SIDE = 16383  # WebP's own limit
+LONGEST_SIDE = 16383
+"""Pixels along a side of a picture, at most: the limit of WebP."""
+
 LONGEST_WAIT = 10_000
 """Milliseconds that a request may wait for baking."""
 
 MOST_STEPS = 1 << 20
-"""Most steps of a series in time."""
+"""Steps of a series in time, at most."""
 
 OF_SCENE = "the scene's"
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A knob: its ``name``, the ``kind`` of its values, and what it does, a line of ``help``
-    without its end.
+    """A parameter: its ``name``, the ``kind`` of its values, and a line of ``help`` without its
+    end.
 
-    Left out it is its ``default``, None where ``otherwise`` says what holds instead. Numbers are in
-    its ``unit``.
+    If left out, it takes its ``default``, or the value that ``otherwise`` describes if that is
+    None. Numbers have the ``unit``.
     """
 
     name: str
@@ -51,11 +53,13 @@ class Knob:
     unit: str = ""
     otherwise: str = OF_SCENE
     own: Callable[[Scene], Any] | None = None
-    """The value that a scene gives it; None of a scene that does not have this knob."""
+    """Returns the value in views of a scene that leave it out; None for a scene that does not
+    have this knob.
+    """
 
     @property
     def text(self) -> str:
-        """A line of help: what it does, what it may be, and what it is where it is left out."""
+        """Return a line of help: purpose, possible values and default."""
         if self.default in (None, ...):
             usual = self.otherwise
         else:
@@ -67,6 +71,7 @@ class Knob:
         return f"{self.help}{self._values()}{shown and f'; default: {shown}'}."
 
     def _values(self) -> str:
+        """Return the range or the words in parentheses; empty for other kinds."""
         match self.kind:
             case Span(low, high):
                 return f" ({low:,.7g} to {high:,.7g}{' ' if self.unit else ''}{self.unit})"
@@ -75,8 +80,8 @@ class Knob:
         return ""
 
     def default_of(self, scene: Scene) -> Any:
-        """What it is in views of a ``scene`` that leave it out; None where the scene does not have
-        it.
+        """Return the value in views of a ``scene`` that leave it out; None if the scene does
+        not have this knob.
         """
         if self.own is None:
             return self.default
@@ -89,11 +94,13 @@ PICTURE_SIDE = Span(1, LONGEST_SIDE, whole=True)
 
 
 def _none(_: Scene) -> None:
-    """No scene gives a default of what is of one request alone."""
+    """Give no default: the parameter belongs to a single request."""
 
 
 def _albedo(scene: Scene) -> float | str | None:
-    """One number where it is grey."""
+    """Return the albedo of views: one number if it is grey, else text; None if views may not
+    choose it.
+    """
     own = scene.surfaces.albedo
     if scene.surfaces.albedos is None:
         return None
@@ -103,13 +110,14 @@ def _albedo(scene: Scene) -> float | str | None:
 
 
 def _smooth(scene: Scene) -> float | None:
-    """Labels are not smoothed."""
+    """Return the smoothing of the scene; None for labels, which are not smoothed."""
     if scene.volume.segmented:
         return None
     return float(scene.source.document.get("smooth", 0.0))
 
 
 def _shine(name: str) -> Callable[[Scene], Any]:
+    """Return a function that gives this number of a scene's shine; None if the scene has none."""
     return lambda scene: getattr(scene.surfaces.shine, SHINE_KNOBS[name], None)
 
 
@@ -119,7 +127,7 @@ KNOB_GROUPS = {
             "environment",
             Words(40, "studio"),
             (
-                f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an "
+                f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or the id of an "
                 "uploaded environment"
             ),
         ),
@@ -127,21 +135,21 @@ KNOB_GROUPS = {
             "cut",
             Planes(),
             (
-                "Planes along the volume's axes, in world units, such as x>40;z<10: light comes in "
-                "where they cut"
+                "Planes across the volume's axes, in world units, such as x>40;z<10, that take "
+                "matter away: light enters there"
             ),
             otherwise="",
         ),
         Knob(
             "time",
             Span(0, MOST_STEPS, whole=True),
-            "Which step of a series in time, each with light of its own",
+            "Step of a series in time, each with separate light",
             own=lambda scene: scene.volume.moment[0] if scene.volume.moment[1] > 1 else None,
         ),
         Knob(
             "smooth",
             Span(0, MOST_SMOOTH),
-            "A Gaussian that smooths the volume before its surface, with light of its own",
+            "Width of a Gaussian that smooths the volume, with separate light for each width",
             unit="voxels",
             own=_smooth,
         ),
@@ -149,19 +157,19 @@ KNOB_GROUPS = {
             "surfaces",
             Words(100, "0.4,off"),
             (
-                "The share of rays that passes each pinned surface, 0 to 1, or off to hide it, "
+                "The share of rays that pass each pinned surface, 0 to 1, or off to hide it, "
                 "such as 0.4,off"
             ),
         ),
         Knob(
             "hide",
             Words(2000, "3,4"),
-            "The labels of a segmentation that are hidden, by their values, such as 3,4, or none",
+            "Labels of a segmentation to hide, by their values, such as 3,4, or none",
         ),
         Knob(
             "material",
             Words(200, "glass,index=1.3"),
-            "What the surface is made of: diffuse, glass or subsurface, with its index, "
+            "Material of the surface: diffuse, glass or subsurface, with its index, "
             "absorption or mean_free_path,"
             " such as glass,index=1.3",
         ),
@@ -170,15 +178,15 @@ KNOB_GROUPS = {
         Knob(
             "isovalue",
             Isovalue(),
-            "Value of the surface, in the volume's own units, within the scene's range",
+            "Value of the surface, in the volume's units, within the scene's range",
             own=lambda scene: scene.isovalue,
         ),
         Knob(
             "projection",
             Choice(PROJECTIONS),
             (
-                "How rays leave the camera, from the eye or side by side; what is at the target is "
-                "as large in both"
+                "How rays leave the camera: from the eye, or in parallel; the target has the same "
+                "size in both"
             ),
             own=lambda scene: scene.settings.projection,
         ),
@@ -209,14 +217,13 @@ KNOB_GROUPS = {
             "up",
             XYZ,
             "World x,y,z that points up",
-            otherwise="0,0,1 with eye, else the orbit's own",
+            otherwise="0,0,1 with eye, else the orbit's",
         ),
         Knob(
             "window",
             Planes(),
-            "Planes that take away what the eye would see there, in world units: x>40, or a "
-            "normal such as 0,1,-1<12.5,"
-            " with ; between them. All light stays; what is cut open shows its values",
+            "Planes that hide matter from the eye, in world units: x>40, or a normal such as "
+            "0,1,-1<12.5, separated by ;. Light is unchanged; cut faces show the volume's values",
             otherwise="",
         ),
     ),
@@ -236,7 +243,7 @@ KNOB_GROUPS = {
             "albedo",
             Colour(),
             (
-                "The share of the light that the surface reflects, one number or r,g,b, within the "
+                "Share of the light that the surface reflects, one number or r,g,b, within the "
                 "scene's albedos"
             ),
             own=_albedo,
@@ -244,7 +251,7 @@ KNOB_GROUPS = {
         Knob(
             "shine",
             Choice(SHINE_KINDS),
-            "What the surface shines as, where the scene has a shine",
+            "Kind of the surface's shine, if the scene has one",
             own=_shine("shine"),
         ),
         *(
@@ -254,7 +261,7 @@ KNOB_GROUPS = {
         Knob(
             "glow",
             Span(0, MAX_GLOW_STRENGTH),
-            "How bright what glows is, where something does, over the scene's own",
+            "Brightness of glowing parts, relative to the scene's, if something glows",
             1.0,
             own=lambda scene: 1.0 if scene.lighting.glowing.any else None,
         ),
@@ -263,7 +270,7 @@ KNOB_GROUPS = {
         Knob(
             "shading",
             Choice(VIEW_SHADINGS),
-            "How the surface is lit: gi by light from all around",
+            "How the surface is lit; gi: by global illumination",
             "gi",
         ),
         Knob(
@@ -275,7 +282,7 @@ KNOB_GROUPS = {
         Knob(
             "antialias",
             Choice(("on", "off")),
-            "Whether pixels at edges are the mean of 8 to 16 samples",
+            "Make pixels at edges the mean of 8 to 16 samples",
             otherwise="on, off in npy",
         ),
         Knob(
@@ -288,17 +295,16 @@ KNOB_GROUPS = {
         Knob(
             "samples",
             Span(1, 4096, whole=True),
-            "Paths per pixel, of path_traced alone",
+            "Paths per pixel, for path_traced only",
             16,
             own=_none,
         ),
         Knob(
             "overlay",
             Choice(OVERLAYS),
-            "Marks over the picture: provisional hatches what is not final; error colours each "
-            "pixel by its estimated"
-            " relative error on a log scale (the scene's error_scale), and hatches what has no "
-            "light yet",
+            "Marks over the picture: provisional hatches pixels that are not final; error colours "
+            "each pixel by its estimated relative error on a log scale (the scene's error_scale), "
+            "and hatches pixels without light",
             "none",
             own=_none,
         ),
@@ -320,8 +326,8 @@ KNOB_GROUPS = {
         ),
     ),
 }
-"""The knobs by what they are of: headings of help, but for the volume's and the work's, which have
-options apart.
+"""The knobs by subject. Groups are headings of help, except for Volume and Work, whose options
+are listed elsewhere.
 """
 
 KNOBS = {knob.name: knob for group in KNOB_GROUPS.values() for knob in group}

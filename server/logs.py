@@ -1,4 +1,4 @@
-"""Logs: one line an event, as text or as JSON, each with the id of the request that it is about."""
+"""Logs: one line for each event, as text or JSON, with the id of the request that it belongs to."""
 
 import json
 import logging
@@ -13,7 +13,7 @@ from uuid import uuid4
 from isogi_core.errors import readable
 
 REQUEST_ID: ContextVar[str] = ContextVar("request_id", default="")
-"""The id of the request that is worked on; empty outside of one."""
+"""The id of the present request; empty outside of requests."""
 
 WELL_FORMED = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {
@@ -25,7 +25,7 @@ STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {
 
 
 def request_id(given: str | None) -> str:
-    """The id that a client gave its request where it is well-formed, else a new one."""
+    """Return the id that a client gave its request if it is well-formed, else a new one."""
     if given is not None and WELL_FORMED.fullmatch(given):
         return given
     return uuid4().hex
@@ -33,25 +33,25 @@ def request_id(given: str | None) -> str:
 
 MAX_WARNINGS = 10
 SPAN = 60.0
-"""Warnings of a kind that are written within so many seconds; of more, only how many there were."""
+"""Warnings of a kind that are written in this number of seconds; further ones are only counted."""
 
 
 class Repeats(logging.Filter):
-    """Drops warnings and errors that come again and again: what clients cause must not fill a disk.
+    """Drops warnings and errors that are repeated, so that clients cannot fill the disk.
 
-    Those of one kind have a logger, a text before its values are put in, and a class of error in
-    common.
+    Records of one kind have the same logger, the same text before its values are inserted, and the
+    same class of error.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """No record was seen yet."""
+        """Create a filter that has seen no record."""
         super().__init__()
         self._clock = clock
         self._seen: dict[Hashable, tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let the first MAX_WARNINGS of a kind pass in each SPAN; the next one says how many were
-        dropped.
+        """Let the first MAX_WARNINGS of a kind pass in each SPAN; the first one after that says
+        how many were dropped.
         """
         if record.levelno < logging.WARNING:
             return True
@@ -67,6 +67,7 @@ class Repeats(logging.Filter):
             record.args = None
             begun = now
             count = 0
+            # Forget kinds that have not come for a SPAN, so that the table stays small.
             self._seen = {
                 each: seen
                 for each, seen in self._seen.items()
@@ -80,7 +81,7 @@ MORE_OF_A_KIND = " (and {} more of its kind, which are not written)"
 
 
 def kind_of(record: logging.LogRecord) -> Hashable:
-    """What records have in common of which few are written."""
+    """Return the kind of a record."""
     if record.args:
         raised = [type(each) for each in record.args if isinstance(each, BaseException)]
     else:
@@ -89,27 +90,25 @@ def kind_of(record: logging.LogRecord) -> Hashable:
 
 
 class WithRequest(logging.Filter):
-    """Gives each record the id of the request that is worked on; drops most of what other libraries
-    log.
+    """Adds the id of the present request to each record, and drops most records of other libraries.
 
-    isogi logs itself what becomes of workers and their tasks; Dask warns of each stop of a busy
-    worker.
+    isogi logs the fate of workers and their tasks itself; Dask warns whenever a busy worker stops.
     """
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let what isogi says pass, and the warnings of others."""
+        """Let records of isogi pass, and warnings of other libraries except Dask."""
         record.request_id = REQUEST_ID.get() or "-"
         room = record.name.partition(".")[0]
         return room == "isogi" or (record.levelno >= logging.WARNING and room != "distributed")
 
 
 class JsonLines(logging.Formatter):
-    """A record as one line of JSON: time, level, logger, request, message, what it says besides,
+    """Formats a record as one line of JSON: time, level, logger, request, message, extra facts,
     and a traceback.
     """
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Return the line."""
         facts = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -120,6 +119,7 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             facts["traceback"] = self.formatException(record.exc_info)
+        # Names of files may hold bytes that are no UTF-8: make them readable.
         return json.dumps(
             {
                 name: readable(each) if isinstance(each, str) else each
@@ -130,11 +130,12 @@ class JsonLines(logging.Formatter):
 
 
 def configure(form: str, level: str) -> None:
-    """Send what this process logs, from ``level`` on, to stderr; ``form`` is text or json.
+    """Send log records from ``level`` on to stderr; ``form`` is text or json.
 
-    Libraries that were imported before, such as Dask, lose the handlers that they gave themselves:
-    these write lines of their form.
+    Handlers that libraries such as Dask installed when they were imported are removed, as they
+    write lines of their own form.
     """
+    # Remove handlers of libraries that are imported already.
     for logger in logging.root.manager.loggerDict.values():
         if isinstance(logger, logging.Logger):
             logger.handlers.clear()

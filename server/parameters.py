@@ -1,4 +1,4 @@
-"""The parameters of a view and of a frame, and the view that they make in a scene."""
+"""The query parameters of all resources, as models that are checked when they are read."""
 
 import re
 import sys
@@ -35,7 +35,7 @@ ANGLES = ("yaw", "pitch", "roll")
 
 
 def knob(name: str, **changes: Any) -> Any:
-    """The field of a model that a row of KNOBS makes, with ``changes`` of the row's fields."""
+    """Return the model field of a row of KNOBS, with ``changes`` to the row."""
     row = replace(KNOBS[name], **changes)
     field = Field(row.default, description=row.text)
     field.metadata.append(row.kind)
@@ -43,20 +43,20 @@ def knob(name: str, **changes: Any) -> Any:
 
 
 class NoParams(BaseModel):
-    """A resource that reads no parameters."""
+    """Parameters of a resource that reads none; any parameter is refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class LightParams(NoParams):
-    """The light that a scene is shown in."""
+    """The environment that a scene is shown in."""
 
     environment: str | None = knob("environment")
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, what is taken away of it, when, of what, and which
-    surfaces are beside.
+    """The variant of a scene: environment, cut, time step, smoothing, pinned surfaces, hidden
+    labels, material.
     """
 
     cut: str | None = knob("cut")
@@ -68,7 +68,7 @@ class VariantParams(LightParams):
 
 
 class ViewParams(VariantParams):
-    """What to look at, from where and in which light; what is left out takes the scene's
+    """A view: surface, camera, light and picture. Parameters that are left out take the scene's
     defaults.
     """
 
@@ -100,7 +100,9 @@ class ViewParams(VariantParams):
 
     @model_validator(mode="after")
     def one_of_each(self) -> Self:
-        """Refuses two ways of saying the same thing, and samples that nothing reads."""
+        """Refuse two cameras, two rotations of the light, and samples for a shading that reads
+        none.
+        """
         given = self.model_fields_set
         self._exclusive(sorted(given & {"eye"}), sorted(given & set(ORBIT)), "camera")
         self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
@@ -113,13 +115,14 @@ class ViewParams(VariantParams):
 
     @staticmethod
     def _exclusive(some: list[str], others: list[str], what: str) -> None:
+        """Raise ValueError if both lists name parameters."""
         if some and others:
             one, other = ", ".join(some), ", ".join(others)
             raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
 
 
 class FitParams(NoParams):
-    """The surface that a camera is to show whole, from where, and in a picture of which size."""
+    """The surface that a camera is to show whole, its direction, and the size of the picture."""
 
     isovalue: float | str | None = knob("isovalue")
     azimuth: float | None = knob("azimuth", default=None, otherwise="from three quarters")
@@ -131,13 +134,13 @@ class FitParams(NoParams):
 
     @property
     def view(self) -> ViewParams:
-        """What of it is of a view, in perspective: see ``frame.fitting``."""
+        """Return a view of that surface, in perspective: see ``frame.fitting``."""
         own = self.model_dump(include={"isovalue", "fov", "width", "height"})
         return ViewParams.model_validate(own | {"projection": PROJECTIONS[0]})
 
 
 class UploadParams(NoParams):
-    """What to call an uploaded volume."""
+    """The name of an upload."""
 
     name: str = Field(
         "", max_length=80, description="A name for people; default: one made of the volume's id."
@@ -146,14 +149,14 @@ class UploadParams(NoParams):
     @field_validator("name")
     @classmethod
     def one_line(cls, name: str) -> str:
-        """The name without blanks around it; refuses what does not show in a line of text."""
+        """Strip the name; refuse characters that cannot be printed in a line."""
         if not name.isprintable():
             raise ValueError("must be one line of text.")
         return name.strip()
 
 
 class FrameParams(ViewParams):
-    """A view and the picture to make of it."""
+    """A view and the picture that is made of it."""
 
     f: Annotated[str | None, Choice(FORMATS)] = Field(
         None, description="Picture format; default: by Accept, else png."
@@ -197,11 +200,12 @@ Model = TypeVar("Model", bound=NoParams)
 
 
 def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
-    """The parameters as ``model``; ParameterError, in one sentence, on the first thing that is
-    wrong.
+    """Return parameters as a ``model``. Raises ParameterError, one sentence about the first
+    that is wrong.
     """
     values: dict[str, Any] = {}
     for name, value in pairs:
+        # A repeated name is ambiguous, and never intended.
         if name in values:
             raise ParameterError(f"{name} is given more than once: give it once.", name)
         values[name] = value
@@ -212,7 +216,8 @@ def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
 
 
 def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
-    """The first finding of pydantic as one sentence about one parameter."""
+    """Return the first finding of pydantic as one sentence about one parameter."""
+    # Later findings are often consequences of the first one.
     first = error.errors(include_url=False)[0]
     name = ".".join(map(str, first["loc"]))
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
@@ -226,12 +231,11 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
 
 
 def documented(model: type[BaseModel]) -> dict[str, Any]:
-    """The model's fields as query parameters of an OpenAPI operation; None is no default that a
-    query can spell.
-    """
+    """Return the fields of a model as query parameters of an OpenAPI operation."""
     document = model.model_json_schema()
     described: Mapping[str, dict[str, Any]] = document["properties"]
     needed = {name: {"required": True} for name in document.get("required", ())}
+    # None is no default that a query can spell.
     for schema in described.values():
         if schema.get("default", 0) is None:
             del schema["default"]
@@ -250,8 +254,8 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def reader(model: type[Model]) -> Any:
-    """What gives a route the query as a ``model``; ParameterError where that says something is
-    wrong.
+    """Return a dependency that reads the query of a request as a ``model``. It raises
+    ParameterError.
     """
 
     async def query(request: Request) -> Model:
@@ -273,7 +277,7 @@ EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 
 
 class ExportParams(VariantParams):
-    """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
+    """A file with the light of a scene: on the isosurface, or in the volume around it."""
 
     f: Annotated[str, Choice(EXPORTS)] = Field(
         "glb", description="Kind of file: a mesh, or a volume (vti, nrrd)."
@@ -300,7 +304,9 @@ class ExportParams(VariantParams):
 
     @property
     def view(self) -> ViewParams:
-        """What of it is of a view. Raises ParameterError where the light's turn is given twice."""
+        """Return the view of the export. Raises ParameterError if the rotation of the light is
+        given twice.
+        """
         names = self.model_fields_set - {"f", "exposure", "deadline", "coefficients"}
         return read(ViewParams, self.model_dump(include=names).items())
 
@@ -313,7 +319,7 @@ LARGEST_VALUE = sys.float_info.max
 
 
 class PointParams(ViewParams):
-    """A view, and the place in its picture that is asked about."""
+    """A view, and a place in its picture."""
 
     x: Annotated[float, Span(0, LONGEST_SIDE)] = Field(
         description="From the left edge of the picture, in pixels; a pixel's middle is at a half."
@@ -323,7 +329,9 @@ class PointParams(ViewParams):
 
     @property
     def pixel(self) -> tuple[int, int]:
-        """Column and row of the pixel at that place; ParameterError outside the picture."""
+        """Return column and row of the pixel at that place. Raises ParameterError outside the
+        picture.
+        """
         for name, place, pixels in (("x", self.x, self.width), ("y", self.y, self.height)):
             if place >= pixels:
                 raise ParameterError(
@@ -333,8 +341,8 @@ class PointParams(ViewParams):
 
 
 class SliceParams(NoParams):
-    """A plane of a scene's volume, as values or as a picture, and the values that are black and
-    white in that.
+    """A plane of a scene's volume, as values or as a grey picture with the values that are
+    black and white.
     """
 
     axis: Annotated[str, Choice(AXIS_NAMES)] = Field(
@@ -361,8 +369,8 @@ class SliceParams(NoParams):
 
     @property
     def is_picture(self) -> bool:
-        """Whether a picture is asked for; ParameterError where values are, with what black and
-        white are in one.
+        """Return True if a picture is asked for. Raises ParameterError if values are, together
+        with ``low`` or ``high``.
         """
         given = sorted({"low", "high"} & self.model_fields_set)
         if self.f == "npy" and given:
@@ -374,8 +382,8 @@ class SliceParams(NoParams):
         return self.f == "png"
 
     def window(self, core: tuple[float, float]) -> tuple[float, float]:
-        """What is black and white, by default the ends of the ``core``; ParameterError where low is
-        not below high.
+        """Return the values that are black and white, by default the ends of ``core``. Raises
+        ParameterError if low is not below high.
         """
         low, high = (
             own if given is None else given
@@ -387,13 +395,13 @@ class SliceParams(NoParams):
 
 
 class SizeParams(VariantParams):
-    """A surface that is measured."""
+    """A surface that is to be measured."""
 
     isovalue: float | str | None = knob("isovalue")
 
     @property
     def view(self) -> ViewParams:
-        """A view of that surface."""
+        """Return a view of that surface."""
         return ViewParams.model_validate({"isovalue": self.isovalue})
 
 
@@ -403,22 +411,23 @@ SizeParamsDep = Annotated[SizeParams, reader(SizeParams)]
 
 
 CHUNK = re.compile(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?:-([0-9a-f]{16}))?", re.ASCII)
-"""A chunk by its place z.y.x, and the version that is asked for."""
+"""A chunk by its index z.y.x, and the version that is asked for."""
 
 LAYERS = re.compile(r"(\d{1,9})-(\d{1,9})", re.ASCII)
-"""The first layer of voxels, and the first after the last."""
+"""The first layer of voxels, and the one after the last."""
 
 
 class ChunkName(NamedTuple):
-    """A chunk of texels, and the version of it that an address names; None where it names none."""
+    """A chunk of texels, and the version of it that an address names; None if it names none."""
 
     at: Index
     version: bytes | None
 
     @classmethod
     def of(cls, text: str, shape: Index) -> "ChunkName":
-        """The chunk that a ``text`` names in a lattice of so many. Raises ParameterError and
-        UnknownPartError.
+        """Read a chunk's name. ``shape`` is the number of chunks of the lattice along z, y, x.
+        Raises ParameterError if the text is malformed, and UnknownPartError outside the
+        lattice.
         """
         found = CHUNK.fullmatch(text)
         if found is None:
@@ -435,8 +444,8 @@ class ChunkName(NamedTuple):
 
 
 def chunk_names(text: str, shape: Index) -> list[ChunkName]:
-    """The chunks that a path names, with commas between. Raises ParameterError, and
-    UnknownPartError where one is not in a lattice of so many chunks.
+    """Read the chunks in a path, separated by commas; ``shape`` is the number of chunks of the
+    lattice along z, y, x. Raises ParameterError and UnknownPartError.
     """
     parts = text.split(",")
     if len(parts) > CHUNKS:
@@ -445,14 +454,15 @@ def chunk_names(text: str, shape: Index) -> list[ChunkName]:
 
 
 def layers_of(text: str, depth: int, most: int) -> tuple[int, int]:
-    """The layers that a path names, of so many. Raises UnknownPartError where there are none, or
-    more than ``most``.
+    """Read a range of the ``depth`` layers of a volume from a path. Raises UnknownPartError if
+    it is empty, outside, or longer than ``most``.
     """
     found = LAYERS.fullmatch(text)
     if found:
         first, last = map(int, found.groups())
     else:
         first, last = (0, 0)
+    # Text that is no range becomes an empty one, which is refused too.
     if not first < last <= depth or last - first > most:
         raise UnknownPartError(
             f"There are no layers '{text[:40]}': name up to {most} from 0 to {depth}, as "
@@ -478,7 +488,7 @@ class TransferParams(VariantParams):
 
 
 class FoldParams(TransferParams):
-    """The light that chunks are lit by."""
+    """The light that chunks are shown under."""
 
     light: Quaternion | None = knob("light")
     yaw: float = knob("yaw")
@@ -488,7 +498,9 @@ class FoldParams(TransferParams):
 
     @property
     def view(self) -> ViewParams:
-        """A view in that light; ParameterError where the light is turned in two ways."""
+        """Return a view in that light. Raises ParameterError if the rotation of the light is
+        given twice.
+        """
         return read(
             ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items()
         )

@@ -1,4 +1,4 @@
-"""Picture formats: which one a request wants, and a frame's bytes in it."""
+"""Picture formats: negotiation of the format, and encoding of frames."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ MEDIA_TYPES = {
 }
 FORMAT_OF_SUFFIX = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
 DEVELOPING_PARAMETERS = {"exposure", "overlay", "background"}
-"""Parameters of developing, which the linear format does not read."""
+"""Parameters of developing, which the linear format npy does not read."""
 
 PLANES_PER_PIXEL = 9
 """Numbers of a pixel in an npy file; see ``planes``."""
 
 BAND = 4 << 20
-"""Bytes of such a file that are made at once."""
+"""Bytes of an npy file that are made at a time."""
 
 SLICE_TYPES = ("|u1", "<u2", "<i2", "<f4")
-"""Numbers that values of a slice are sent in, the narrowest first; what none of them holds is
-float64.
+"""Types in which values of a slice are sent, the narrowest first; values that fit none are sent
+as float64.
 """
 
 RLE = 3
-"""Zlib's strategy that looks for runs alone: what a PNG filter leaves of smooth shading holds few
-longer repeats.
+"""Zlib's strategy that only searches for runs: filtered rows of smooth shading hold few longer
+repeats.
 """
 
 # Fastest that costs no size to speak of. 512 × 512 of the engine under grace, one core,
@@ -52,10 +52,11 @@ ENCODER_OPTIONS: dict[str, dict[str, int]] = {
 
 
 def format_for(params: FrameParams, accept: str | None) -> str:
-    """The format: ``f`` first, else what ``accept`` likes best (png on a tie or without a header).
+    """Return the format: ``f`` first, else the one that the ``accept`` header prefers (png on a tie
+    or without a header).
 
-    NotAcceptableError where no format fits; ParameterError where the format does not read a given
-    parameter.
+    Raises NotAcceptableError if no format fits, and ParameterError if the format does not read a
+    given parameter.
     """
     chosen = params.f or negotiate(accept)
     unread = sorted(params.model_fields_set & DEVELOPING_PARAMETERS)
@@ -72,19 +73,22 @@ def format_for(params: FrameParams, accept: str | None) -> str:
 
 
 def smoothed(params: FrameParams, form: str) -> FrameParams:
-    """The parameters with antialiasing settled: on in pictures, off in what is measured, where they
-    do not say.
+    """Settle antialiasing if the parameters do not: on in pictures, off in npy, which is used
+    for measurements.
     """
     settled = params.antialias or ("off" if form == "npy" else "on")
     return params.model_copy(update={"antialias": settled})
 
 
 def negotiate(accept: str | None) -> str:
-    """The first of FORMATS with the highest quality in an Accept header."""
+    """Return the first of FORMATS with the highest quality in an Accept header. Raises
+    NotAcceptableError.
+    """
     if accept and accept.strip():
         ranges = dict(map(media_range, accept.split(",")))
     else:
         ranges = {"*/*": 1.0}
+    # ``max`` returns the first of equal ones: png wins a tie.
     best = max(FORMATS, key=lambda name: quality(MEDIA_TYPES[name], ranges))
     if quality(MEDIA_TYPES[best], ranges) <= 0:
         offered = ", ".join(MEDIA_TYPES.values())
@@ -95,7 +99,7 @@ def negotiate(accept: str | None) -> str:
 
 
 def media_range(text: str) -> tuple[str, float]:
-    """One member of an Accept header as (type, quality); quality 0 where it makes no sense."""
+    """Return one member of an Accept header as (type, quality); quality 0 if it is malformed."""
     kind, *parameters = (part.strip().lower() for part in text.split(";"))
     named = dict(parameter.partition("=")[::2] for parameter in parameters)
     try:
@@ -106,7 +110,7 @@ def media_range(text: str) -> tuple[str, float]:
 
 
 def quality(media_type: str, ranges: dict[str, float]) -> float:
-    """The quality that the most specific matching range gives to a media type (RFC 9110,
+    """Return the quality that the most specific matching range gives to a media type (RFC 9110,
     12.5.1).
     """
     for pattern in (media_type, media_type.split("/", maxsplit=1)[0] + "/*", "*/*"):
@@ -121,11 +125,12 @@ DEFAULT_PARAMETERS = FrameParams.model_validate({})
 def encode(
     frame: Frame, form: str, exposure: float, params: FrameParams = DEFAULT_PARAMETERS
 ) -> bytes:
-    """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft
-    in jpeg is clear.
+    """Return the bytes of a frame. Only the 8-bit formats read ``exposure`` and ``params``. In
+    jpeg, a transparent background becomes dark.
     """
 
     if form != "npy":
+        # A stream sends drafts as jpeg, whatever the background: jpeg has no transparency.
         if (form, params.background) == ("jpeg", "transparent"):
             behind = "dark"
         else:
@@ -137,8 +142,8 @@ def encode(
 
 
 def compress(picture: np.ndarray, form: str) -> bytes:
-    """The bytes of a picture (h, w, 3), (h, w, 4), or grey (h, w), uint8 in one of the 8-bit
-    formats.
+    """Return the bytes of a picture, uint8 (h, w, 3), (h, w, 4) or grey (h, w), in one of the
+    8-bit formats.
     """
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
@@ -146,22 +151,25 @@ def compress(picture: np.ndarray, form: str) -> bytes:
 
 
 def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """A picture (h, w) uint8 of ``values`` (h, w): black at ``low`` and below, white at ``high``
-    and above, black for NaN. Where these are one value all of it is middle grey.
+    """Return a grey picture, uint8 (h, w), of ``values`` (h, w): black up to ``low``, white
+    from ``high`` on, black for NaN; middle grey if low equals high.
     """
     if low == high:
         return np.where(np.isnan(values), np.uint8(0), np.uint8(128))
-    middle = low / 2.0 + high / 2.0  # whose difference from either end is finite
+    # Halve all values first: the difference of two large ones may be infinite.
+    middle = low / 2.0 + high / 2.0
     share = np.nan_to_num((values / 2.0 - middle / 2.0) / (high / 2.0 - low / 2.0) + 0.5, nan=0.0)
     return np.asarray(255.0 * np.clip(share, 0.0, 1.0) + 0.5, np.uint8)
 
 
 def values_npy(values: np.ndarray, near: float) -> bytes:
-    """An npy file of ``values`` (h, w), float64, in the narrowest of SLICE_TYPES that holds them.
+    """Return an npy file of ``values``, float64 (h, w), in the narrowest of SLICE_TYPES that holds
+    them.
 
-    Whole numbers are exact in it, others are off by ``near`` at most. What is not finite is in
-    floats alone.
+    Integers are exact, other values differ by at most ``near``. NaN and infinity need a
+    floating-point type.
     """
+    # Only float32 may round values; integer types must hold them exactly.
     form = next(
         (form for form in SLICE_TYPES if off(form, values) <= (near if form == "<f4" else 0.0)),
         "<f8",
@@ -172,7 +180,9 @@ def values_npy(values: np.ndarray, near: float) -> bytes:
 
 
 def off(form: str, values: np.ndarray) -> float:
-    """How far numbers of a ``form`` of SLICE_TYPES are from ``values``, at most."""
+    """Return the largest difference between ``values`` and their conversion to a ``form`` of
+    SLICE_TYPES.
+    """
     finite = np.isfinite(values)
     if form != "<f4" and not finite.all():
         return math.inf
@@ -182,23 +192,24 @@ def off(form: str, values: np.ndarray) -> float:
 
 
 def npy_parts(frame: Frame) -> Iterator[bytes]:
-    """The bytes of an npy file of ``planes`` in parts of some BAND bytes: the whole is never in
-    memory.
+    """Yield the bytes of an npy file of ``planes`` in parts of about BAND bytes: the whole is
+    never in memory.
     """
     height, width = frame.state.shape
     yield npy_header(height, width)
+    # Round BAND to whole rows of the picture.
     rows = max(BAND // (4 * PLANES_PER_PIXEL * width), 1)
     for first in range(0, height, rows):
         yield planes(frame, first, min(first + rows, height)).tobytes()
 
 
 def npy_bytes(frame: Frame) -> int:
-    """How many these are."""
+    """Return the number of bytes that ``npy_parts`` yields."""
     return len(npy_header(*frame.state.shape)) + 4 * PLANES_PER_PIXEL * frame.state.size
 
 
 def npy_header(height: int, width: int) -> bytes:
-    """What an npy file of so many rows and columns begins with."""
+    """Return the header of an npy file of this many rows and columns."""
     header = io.BytesIO()
     facts = {"descr": "<f4", "fortran_order": False, "shape": (height, width, PLANES_PER_PIXEL)}
     np.lib.format.write_array_header_1_0(header, facts)
@@ -206,10 +217,11 @@ def npy_header(height: int, width: int) -> bytes:
 
 
 def planes(frame: Frame, first: int, last: int) -> np.ndarray:
-    """Rows ``first`` to ``last`` of a frame, float32 (rows, w, 9).
+    """Return rows ``first`` to ``last`` of a frame, float32 (rows, w, 9): linear RGB, hit mask,
+    state, relative error, hit position x, y, z.
 
-    Linear RGB, hit mask, state, relative error, hit position x, y, z. Of pixels at edges that have
-    samples, the first is the mean of those on the surface, and the second the share of them.
+    In pixels at edges that have several samples, RGB is the mean of the samples on the surface, and
+    the mask their share.
     """
     rows = slice(first, last)
     state = frame.reported_state[rows, :, None]
@@ -219,6 +231,7 @@ def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     if frame.edges:
         width = whole.shape[1]
         edges = frame.edges
+        # Edge pixels are in ascending order: find those in these rows.
         here = slice(*np.searchsorted(edges.pixels, (first * width, last * width)))
         whole.reshape(-1, PLANES_PER_PIXEL)[edges.pixels[here] - first * width, :4] = edges.covered[
             here

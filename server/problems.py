@@ -1,4 +1,4 @@
-"""Errors as RFC 9457 problem documents; the one table from a class of error to a status."""
+"""Errors as RFC 9457 problem documents, and the one table from classes of errors to HTTP status."""
 
 import logging
 from collections.abc import Mapping
@@ -82,7 +82,7 @@ REFUSALS: Mapping[type[Exception], str] = {
     StoreError: "store",
     WorkersError: "workers",
 }
-"""Why servers refuse, by classes of errors; a BusyError says so itself."""
+"""Reasons of refusals for metrics, by class of error; a BusyError states its reason itself."""
 
 RETRY_AFTER_SECONDS = {429: "1", 503: "1"}
 HTTP_METHODS = frozenset(map(str, HTTPMethod))
@@ -104,7 +104,7 @@ class Problem(BaseModel):
 
 
 def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The OpenAPI responses of an operation that answers with these ``statuses``."""
+    """Return the OpenAPI responses of an operation that answers these ``statuses``."""
     content = {"application/problem+json": {"schema": Problem.model_json_schema()}}
     return {
         status: {"description": HTTPStatus(status).phrase, "content": content}
@@ -113,13 +113,13 @@ def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def status_of(error: Exception) -> int:
-    """The status of the nearest class in the table; 500 where there is none."""
+    """Return the status of the nearest base class in the table; 500 if there is none."""
     return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
 
 
 def refusal(error: Exception) -> str:
-    """Why a server refuses what it would do at another time, or for another client, in a word;
-    empty where an error is no refusal.
+    """Return the reason, in a word, of an error that another time or another client would not
+    get; empty for other errors.
     """
     if isinstance(error, BusyError):
         return error.why
@@ -127,7 +127,7 @@ def refusal(error: Exception) -> str:
 
 
 def problem_document(status: int, detail: str, instance: str, **more: Any) -> dict[str, Any]:
-    """A problem document; ``more`` are its extension members."""
+    """Return a problem document; ``more`` are its extension members."""
     title = HTTPStatus(status).phrase
     return (
         Problem(
@@ -138,8 +138,8 @@ def problem_document(status: int, detail: str, instance: str, **more: Any) -> di
 
 
 def parameter_named(error: Exception) -> dict[str, str]:
-    """The extension member that names the parameter that an error is about; none where it is about
-    no single one.
+    """Return the extension member that names the parameter of an error; empty if it is about no
+    single one.
     """
     if isinstance(error, ParameterError) and error.parameter:
         return {"parameter": error.parameter}
@@ -147,21 +147,24 @@ def parameter_named(error: Exception) -> dict[str, str]:
 
 
 def problem(status: int, detail: str, instance: str, **more: Any) -> JSONResponse:
-    """The answer with a ``problem_document``, which names the request that is worked on."""
+    """Return a response with a ``problem_document``, which carries the id of the present
+    request.
+    """
     number = REQUEST_ID.get()
     body = problem_document(
         status, detail, instance, **({"request_id": number} if number else {}), **more
     )
-    headers = {"X-Content-Type-Options": "nosniff"} | (
-        {"Retry-After": RETRY_AFTER_SECONDS[status]} if status in RETRY_AFTER_SECONDS else {}
-    )
-    headers |= {"X-Request-ID": number} if number else {}
+    headers = {"X-Content-Type-Options": "nosniff"}
+    if status in RETRY_AFTER_SECONDS:
+        headers["Retry-After"] = RETRY_AFTER_SECONDS[status]
+    if number:
+        headers["X-Request-ID"] = number
     return JSONResponse(body, status, headers, "application/problem+json")
 
 
 async def domain_problem(request: Request, error: Exception) -> JSONResponse:
-    """A domain error as a problem; a parameter's error names the parameter, and what is not the
-    client's is logged.
+    """Answer a domain error with a problem document; log it if it is not the client's, and
+    count refusals.
     """
     if (
         isinstance(error, StoreError | WorkersError)
@@ -174,7 +177,9 @@ async def domain_problem(request: Request, error: Exception) -> JSONResponse:
 
 
 async def http_problem(request: Request, error: Exception) -> JSONResponse:
-    """The framework's own 404, 405, … as a problem; headers such as Allow are kept."""
+    """Answer an error of the framework, such as 404 or 405, with a problem document; headers
+    such as Allow are kept.
+    """
     assert isinstance(error, HTTPException)
     status = error.status_code
     path = request.url.path
@@ -184,15 +189,14 @@ async def http_problem(request: Request, error: Exception) -> JSONResponse:
         sentence = error.detail
     answer = problem(status, sentence, path)
     answer.headers.update(error.headers or {})
+    # If several routes share a path, the framework names the methods of one only.
     if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := methods_at(request.app, path)):
         answer.headers["Allow"] = ", ".join(methods)
     return answer
 
 
 def methods_at(app: FastAPI, path: str) -> list[str]:
-    """The methods that a path takes, as the API's document has it: of several routes the framework
-    names but one.
-    """
+    """Return the methods of all routes at a path, by the OpenAPI document."""
     operations = (
         each
         for template, each in app.openapi()["paths"].items()
@@ -203,7 +207,7 @@ def methods_at(app: FastAPI, path: str) -> list[str]:
 
 
 async def validation_problem(request: Request, error: Exception) -> JSONResponse:
-    """The framework's list of findings as one sentence about the first."""
+    """Answer the framework's validation error with one sentence about the first finding."""
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     name = str(first["loc"][-1])
@@ -211,14 +215,12 @@ async def validation_problem(request: Request, error: Exception) -> JSONResponse
 
 
 async def left(request: Request, error: Exception) -> JSONResponse:
-    """A client that left, or broke off its body, before its request was whole: nobody reads the
-    answer.
-    """
+    """Answer a client that left before its request was complete; nobody reads the answer."""
     return problem(400, "The client left before its request was whole.", request.url.path)
 
 
 async def failure(request: Request, error: Exception) -> JSONResponse:
-    """Anything else: the traceback goes to the log, never to the client."""
+    """Answer any other error; its traceback goes to the log, never to the client."""
     return problem(500, SENTENCES[500], request.url.path)
 
 

@@ -1,5 +1,5 @@
-"""Progress of long work on the terminal: bars that show the time left, and scenes opened with
-one.
+"""Progress of long work on the terminal: bars that show the time left, and scenes that are
+opened with one.
 """
 
 import os
@@ -27,18 +27,18 @@ WEIGHTED_BAR_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"
 
 
 class Progress:
-    """A bar on stderr, drawn with the first progress; it begins again with each new name. Close it
-    by ``with``.
+    """A progress bar on stderr, drawn with the first progress and restarted with each new name.
+    Close it by ``with``.
 
-    Its clock runs while nothing is reported, and the time left becomes less: see ``Promise``.
+    Its clock runs while nothing is reported, and the time left decreases: see ``Promise``.
     """
 
     def __init__(self, what: str = "", unit: str = "step", soon: str = "") -> None:
-        """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not
-        counted.
+        """Draw nothing yet. ``what`` names the work, counted in ``unit``s; without a unit the bar
+        shows no counts.
 
-        If nothing is drawn in the first REDRAW_SECONDS, a clock says on a terminal that ``soon`` is
-        done.
+        If ``soon`` is given, and nothing is drawn for REDRAW_SECONDS, a clock with this text is
+        drawn on a terminal.
         """
         self._what = what
         self._unit = unit
@@ -49,39 +49,43 @@ class Progress:
         self._promise = Promise(time.monotonic)
         self._clock = ExitStack()
         self._opening = threading.RLock()
+        # A timer draws the clock for work that is silent at first.
         self._later = threading.Timer(clocks.REDRAW_SECONDS, self._begin_late, (soon,))
         self._later.daemon = True
         if soon and clocks.watched():
             self._later.start()
 
     def __enter__(self) -> Self:
+        """Return the bar."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the bar."""
         self.close()
 
     def close(self) -> None:
-        """Draw no more, until there is progress again."""
+        """Remove the bar until there is progress again."""
         self._later.cancel()
         self._clear()
 
     def _clear(self) -> None:
+        """Remove the bar and stop its clock."""
         with self._opening:
             bar = self._bar
             clock = self._clock.pop_all()
             self._bar = None
-        # the thread of the clock may be drawing, and is waited for
+        # Close the clock without the lock: it waits for its thread, which may be drawing.
         clock.close()
         if bar is not None:
             bar.close()
 
     def end(self) -> None:
-        """Draw no more of what was counted; a clock goes on."""
+        """Remove a bar with counts; a clock goes on."""
         if self._form != CLOCK:
             self._clear()
 
     def name(self, what: str, unit: str) -> None:
-        """From now on ``what`` is done: a new bar, where that is another than before."""
+        """Start a new bar if the work is called differently from now on."""
         if what != self._what:
             self.close()
             self._what = what
@@ -91,14 +95,12 @@ class Progress:
             self._promise = Promise(time.monotonic)
 
     def begin(self, what: str) -> None:
-        """Draw at once that ``what`` is done now, with a clock: how much there is of it is not
-        known.
-        """
+        """Draw a clock for work ``what`` of unknown amount."""
         self.name(what, "")
         self._open(what, CLOCK, 0)
 
     def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
-        """Draw how much is done, a note, and the time that is left."""
+        """Draw the amount that is done, a note, and the time left."""
         self._note = note
         if left is not None:
             self._promise.kept(left)
@@ -108,12 +110,12 @@ class Progress:
         self._redraw()
 
     def count(self, done: int, total: int) -> None:
-        """Draw how much is done, and the time left at the mean pace so far."""
+        """Draw the amount that is done, and the time left at the mean pace so far."""
         left = (time.monotonic() - self._begun) * (total - done) / max(done, 1)
         self.show(done, total, TimeLeft(left, left, left) if done else None)
 
     def _redraw(self) -> None:
-        """Draw the bar with the time that is left now."""
+        """Draw the bar with the time left now."""
         bar = self._bar
         left = self._promise.now
         said = "" if left is None else left_text(left)
@@ -128,7 +130,7 @@ class Progress:
                 self._open(what, CLOCK, 0)
 
     def _open(self, what: str, form: str, total: int) -> None:
-        """Draw a new bar of a ``form``, unless there is one."""
+        """Draw a new bar of a ``form``, unless there is one of that form."""
         if self._bar is not None and form != self._form:
             self.close()
         with self._opening:
@@ -143,8 +145,8 @@ class Progress:
 
 @contextmanager
 def compiling(progress: Callable[[], KernelProgress | None], soon: str = "") -> Iterator[None]:
-    """Draw, while other work is done, how far kernels are compiled; where there are none to
-    compile, after a second, a clock of what is ``soon`` done, if anything.
+    """For the block, draw the progress of compiling kernels. If none is compiled within a
+    second, draw a clock with the text ``soon``, if given.
     """
     with Progress("compiling, once on this machine", "kernel", soon) as bar:
 
@@ -162,23 +164,24 @@ def compiling(progress: Callable[[], KernelProgress | None], soon: str = "") -> 
 
 
 def say(line: str) -> None:
-    """Print a line to stdout, above a bar where one is drawn."""
+    """Print a line to stdout, above the bar if one is drawn."""
     with tqdm.external_write_mode():
         click.echo(line)
 
 
 def about_left(seconds: float | None) -> str:
-    """Seconds that are left, for a person; empty where they are not known."""
+    """Return seconds left as text for a person; empty if they are unknown."""
     if seconds is None:
         return ""
     return f"about {span(max(seconds, 1.0), digits=2)} left"
 
 
 def left_text(left: TimeLeft) -> str:
-    """The time left for a person, such as ``about 20 s left (12 s to 41 s)``."""
+    """Return the time left as text for a person, such as ``about 20 s left (12 s to 41 s)``."""
     low, likely, high = (
         span(max(seconds, 1.0), digits=2) for seconds in (left.low, left.likely, left.high)
     )
+    # Leave the range out if it rounds to one value.
     if low == high:
         text = f"about {likely} left"
     else:
@@ -189,7 +192,8 @@ def left_text(left: TimeLeft) -> str:
 
 
 def open_scene(target: Target, settings: Settings | None = None, **overrides: Any) -> Scene:
-    """The scene at ``target``, as ``load_scene`` has it, its volume kept as the ``settings`` say.
+    """Build the scene at ``target`` as ``load_scene`` does, and draw progress; its volume is kept
+    as the ``settings`` say.
 
     Raises SceneError, VolumeError or LightError.
     """
@@ -200,8 +204,8 @@ def open_scene(target: Target, settings: Settings | None = None, **overrides: An
 
 
 def pass_to_core(settings: Settings) -> None:
-    """Have this process, and those that it starts, keep volumes as the settings say: by way of the
-    environment.
+    """Set environment variables so that this process and its children keep volumes as the
+    settings say.
     """
     os.environ["ISOGI_VOLUME_MB"] = str(settings.volume_mb)
     os.environ["ISOGI_VOLUME_CACHE_MB"] = str(settings.volume_cache_mb)

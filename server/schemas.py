@@ -1,4 +1,4 @@
-"""Schemas: the documents that isogi answers about scenes, volumes and frames."""
+"""Schemas of the documents about scenes, volumes and frames."""
 
 from pydantic import BaseModel
 
@@ -7,7 +7,7 @@ Row = tuple[float, float, float, float]
 
 
 class SceneLink(BaseModel):
-    """One scene in the list of scenes; ``volume`` is the address of its volume where that was
+    """One scene in the list of scenes; ``volume`` is the address of its volume if that was
     uploaded.
     """
 
@@ -18,8 +18,8 @@ class SceneLink(BaseModel):
 
 
 class UploadLimits(BaseModel):
-    """What an upload may be: ``limit_bytes`` itself, and ``limit_files`` in an archive; and
-    ``free_bytes`` of ``quota_bytes`` that all may take.
+    """Limits of uploads: ``limit_bytes`` of one, ``limit_files`` in an archive, and the
+    ``free_bytes`` that are left of ``quota_bytes`` for all.
     """
 
     limit_bytes: int
@@ -29,15 +29,15 @@ class UploadLimits(BaseModel):
 
 
 class SceneList(BaseModel):
-    """All scenes that this server shows, and what may be uploaded; null where nothing may."""
+    """All scenes of this server, and the limits of uploads; null if it takes none."""
 
     scenes: list[SceneLink]
     uploads: UploadLimits | None
 
 
 class UploadSchema(BaseModel):
-    """An uploaded volume: voxels along x, y, z, bytes on the disk, and the address of the scene
-    that shows it.
+    """An uploaded volume: its voxels along x, y, z, its bytes on disk, and the address of the
+    scene that shows it.
     """
 
     id: str
@@ -49,20 +49,21 @@ class UploadSchema(BaseModel):
 
 
 class UploadList(BaseModel):
-    """All uploaded volumes, and what may be uploaded; null where nothing may."""
+    """All uploaded volumes, and the limits of uploads; null if the server takes none."""
 
     volumes: list[UploadSchema]
     uploads: UploadLimits | None
 
 
 class VolumeSchema(BaseModel):
-    """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite.
+    """A volume: voxels and spacing along x, y, z; ``holes`` counts voxels that are not finite.
 
-    ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty
-    where unknown. ``letters`` say where the world's axes point in a patient, and ``axes`` where the
-    voxels' do; empty elsewhere. ``bounds`` are the least and the greatest world x, y, z. ``notes``
-    tell what was done to the file's field, and ``read_as`` what the file was taken for, empty where
-    it is of no file. It is step ``time`` of a series of ``times``, 0 of 1 where it is none.
+    ``affine`` (3, 4) maps voxel indices to the world, whose lengths have the ``unit``, empty if
+    unknown. ``letters`` are the patient directions of the world's axes, ``axes`` those of the
+    voxels'; empty for other volumes. ``bounds`` are the least and the greatest world x, y, z.
+    ``notes`` say how the field of the file was changed, and ``read_as`` which format the file was
+    taken for, empty without a file. The volume is step ``time`` of a series of ``times``, 0 of 1 if
+    it is no series.
     """
 
     name: str
@@ -83,9 +84,9 @@ class VolumeSchema(BaseModel):
 
 
 class Histogram(BaseModel):
-    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+    """Voxels per bin, and the edges of the bins in the volume's units (one more than counts).
 
-    Edges are even, or, where the axis is ``logarithmic``, at even ratios but for the first.
+    Edges are evenly spaced, or, if ``logarithmic``, have even ratios except for the first.
     """
 
     counts: list[int]
@@ -94,15 +95,15 @@ class Histogram(BaseModel):
 
 
 class Range(BaseModel):
-    """What a parameter may be, both ends included."""
+    """The range of a parameter, both ends included."""
 
     min: float
     max: float
 
 
 class PresetSchema(BaseModel):
-    """An isovalue with a name; ``suggested`` where it was found in the volume, not given by the
-    scene.
+    """An isovalue with a name; ``suggested`` if it was found in the volume, and not given by
+    the scene.
     """
 
     name: str
@@ -121,8 +122,8 @@ class ErrorScale(BaseModel):
 
 
 class LabelSchema(BaseModel):
-    """A label of a segmentation: its value, its name, its colour as sRGB, and whether it is
-    shown.
+    """A label of a segmentation: its value, its name, its colour as sRGB, and ``shown`` if it
+    is visible.
     """
 
     value: int
@@ -132,11 +133,11 @@ class LabelSchema(BaseModel):
 
 
 class ColourScale(BaseModel):
-    """The surface's colours by data: what of, the name of the map, and sRGB at equal steps from
-    ``low`` to ``high``.
+    """The colours of a surface by data: the name of the quantity, the name of the map, and sRGB at
+    equal steps from ``low`` to ``high``.
 
-    ``outside`` is where there is no value. ``labels`` are those of a segmentation; the ``colours``
-    are then those of the labels that are shown.
+    ``outside`` is the colour of places without a value. ``labels`` are those of a segmentation;
+    ``colours`` are then those of the visible labels.
     """
 
     name: str
@@ -156,7 +157,7 @@ class LightSchema(BaseModel):
 
 
 class SavingSchema(BaseModel):
-    """What was saved: an amount of a unit, measured or else computed."""
+    """A saving: an amount of a unit, measured or computed."""
 
     amount: float
     unit: str
@@ -164,10 +165,11 @@ class SavingSchema(BaseModel):
 
 
 class Omission(BaseModel):
-    """Something that this scene does not need, why, and what that saves beside the same plan with
-    it.
+    """Something that this scene does not need, the reason, and the saving compared with the same
+    plan including it.
 
-    S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
+    If texels keep no harmonics, the saving is compared with the coefficients that S1 keeps for any
+    scene.
     """
 
     what: str
@@ -179,8 +181,9 @@ class LayerSchema(BaseModel):
     """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the
     scale.
 
-    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels
-    are of grey surfaces with these albedos, and light of any other is mixed of theirs.
+    Bands from ``coarse`` on are single bytes; null if there are none. If there are ``nodes``,
+    channels belong to grey surfaces with these albedos, and light for other albedos is
+    interpolated.
     """
 
     kind: str
@@ -194,8 +197,8 @@ class LayerSchema(BaseModel):
 
 
 class TexelSchema(BaseModel):
-    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold
-    no light.
+    """Counts of texels and chunks of the lattice, of those that some view can show, and of shown
+    texels that can hold no light (``void``).
 
     A chunk has ``chunk`` texels along each side.
     """
@@ -209,10 +212,9 @@ class TexelSchema(BaseModel):
 
 
 class LobeSchema(BaseModel):
-    """A small bright part of the unturned light: where it stands and its apparent diameter, in
-    degrees.
+    """A small bright part of the unturned light: its direction and apparent diameter, in degrees.
 
-    ``irradiance`` is what a surface that faces it receives, linear RGB.
+    ``irradiance`` is the irradiance of a surface that faces it, linear RGB.
     """
 
     azimuth: float
@@ -222,13 +224,12 @@ class LobeSchema(BaseModel):
 
 
 class PlanSchema(BaseModel):
-    """What is stored per texel for this scene, the errors that are expected of it, and what was
-    left out.
+    """The light that is stored per texel for this scene, the expected errors, and the omissions.
 
-    ``indirect_order`` is that of reflected light, null where that has no harmonics; paths go on in
-    ``branches`` ways from their first hit; ``samples`` are a texel's most; ``lobes`` are lit by
-    shadow rays; ``errors`` are relative. ``full_bytes_per_texel`` is what S1 keeps. ``projected``
-    are isovalues, from one to another, whose views project.
+    ``indirect_order`` is the order of reflected light, null if that has no harmonics; paths
+    continue in ``branches`` ways from their first hit; ``samples`` is the largest number for a
+    texel; ``lobes`` are lit by shadow rays; ``errors`` are relative. ``full_bytes_per_texel`` is
+    the amount that S1 keeps. ``projected`` are ranges of isovalues in which texels are projected.
     """
 
     representation: str
@@ -251,7 +252,7 @@ class PlanSchema(BaseModel):
 
 
 class EnvironmentSchema(BaseModel):
-    """Light that a scene may be shown in: what views call it, its name, and its address where it
+    """Light in which a scene may be shown: its id for views, its name, and its address if it
     was uploaded.
     """
 
@@ -261,16 +262,18 @@ class EnvironmentSchema(BaseModel):
 
 
 class EnvironmentList(BaseModel):
-    """Light that scenes may be shown in, and what may be uploaded; null where nothing may."""
+    """All environments that views may name, and the limits of uploads; null if the server takes
+    none.
+    """
 
     environments: list[EnvironmentSchema]
     uploads: UploadLimits | None
 
 
 class SurfaceSchema(BaseModel):
-    """A pinned isosurface: its ``name``, empty where it has none, the ``albedo`` of both its sides,
-    linear RGB, and the share of rays that passes straight through it, ``clear``. Its
-    ``transmission``, linear RGB, is what gets through diffuse.
+    """A pinned isosurface: its ``name``, empty if it has none, the ``albedo`` of both sides,
+    linear RGB, the share of rays that pass straight through it, ``clear``, and the share of
+    light that it transmits diffusely, ``transmission``, linear RGB.
     """
 
     isovalue: float
@@ -281,10 +284,10 @@ class SurfaceSchema(BaseModel):
 
 
 class MaterialSchema(BaseModel):
-    """A material that views may ask for by its ``kind``: its ``numbers`` where they give none, each
-    one or linear RGB.
+    """A material that views may ask for by its ``kind``, with its default ``numbers``, each one
+    number or linear RGB.
 
-    Where this scene cannot be of it ``refused`` says why; it is null elsewhere.
+    ``refused`` is the reason why this scene cannot have it, null if it can.
     """
 
     kind: str
@@ -293,28 +296,27 @@ class MaterialSchema(BaseModel):
 
 
 class SceneSchema(BaseModel):
-    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob,
-    plan.
+    """All that a client needs to show a scene: facts, histogram, defaults and ranges of all
+    parameters, and the plan.
 
-    ``environment`` is the id of the light that this is about, null for the scene's own;
+    ``environment`` is the id of the light that the document is about, null for the scene's;
     ``environments`` are those that views may name.
 
-    ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of
+    ``read_only`` is true if the store can only be read, so that nothing more is baked; a note of
     the plan says so too.
 
-    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in
-    its volume. ``stops`` ascend through the range, and the surface moves about equally far from one
-    to the next; ``stops_note`` says where they are even instead, and is empty where that is
-    nowhere. ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not
-    where the light is the same from all sides. ``albedos`` are those that a view may ask for, null
-    where it may not. ``shines`` are the kinds of shine that it may ask for, none where the surface
-    is diffuse. ``cuts`` is whether planes across the world's axes may cut it: its voxels lie along
-    them. ``colours`` are those of a surface whose albedo comes from data, null where it has one
-    ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one
-    that slides, which lets the share ``clear`` of rays pass, and of other light its
-    ``transmission`` through, diffuse. ``material`` is what this is about, as views spell it, and
-    ``materials`` are all, with why some of them are refused. ``view`` is what the scene says of its
-    first view, by the names of parameters.
+    ``presets`` are interesting isovalues: the scene's, else boundaries between materials in the
+    volume. ``stops`` are ascending isovalues between which the surface moves about equally far;
+    ``stops_note`` says where they are evenly spaced instead, empty if nowhere. ``rotating`` is true
+    if the light may be rotated, ``turns`` if a rotation is visible: it is not if the light is the
+    same from all sides. ``albedos`` is the range that views may ask for, null if they may not.
+    ``shines`` are the kinds of shine that views may ask for, none if the surface is diffuse.
+    ``cuts`` is true if the voxels lie along the world's axes, so that planes across these may cut
+    the volume. ``colours`` is the scale of a surface whose albedo comes from data; ``albedo`` is
+    then the most that it reflects. ``surfaces`` are pinned isosurfaces; the sliding one lets the
+    share ``clear`` of rays pass, and transmits ``transmission`` diffusely. ``material`` is the
+    present material as views spell it, and ``materials`` are all, with reasons why some are
+    refused. ``view`` holds the parameters of the first view that the scene file gives.
     """
 
     id: str
@@ -352,8 +354,8 @@ class SceneSchema(BaseModel):
 
 
 class CameraSchema(BaseModel):
-    """A camera on its orbit: angles in degrees, and the distance from the world's target in radii
-    of the volume.
+    """A camera on its orbit: angles in degrees, the distance from the target in radii of the
+    volume, and the target in the world.
     """
 
     azimuth: float
@@ -363,14 +365,14 @@ class CameraSchema(BaseModel):
 
 
 class ChunkCounts(BaseModel):
-    """Chunks that the view reads, and how many of them are final."""
+    """The number of chunks that the view reads, and of those that are final."""
 
     needed: int
     final: int
 
 
 class PixelCounts(BaseModel):
-    """Pixels on the surface, by state."""
+    """Numbers of surface pixels, by state."""
 
     surface: int
     final: int
@@ -379,7 +381,7 @@ class PixelCounts(BaseModel):
 
 
 class Shares(BaseModel):
-    """Shares of the surface pixels, by state."""
+    """Shares of surface pixels, by state."""
 
     final: float
     converging: float
@@ -387,7 +389,7 @@ class Shares(BaseModel):
 
 
 class TimeLeftSchema(BaseModel):
-    """Seconds until all pixels are final: most likely, and the range that they are likely in."""
+    """Seconds until all pixels are final: the most likely number, and the likely range."""
 
     low: float
     likely: float
@@ -395,14 +397,14 @@ class TimeLeftSchema(BaseModel):
 
 
 class Coverage(BaseModel):
-    """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total
+    """The state of a view: chunks, pixels by state, and the ``error`` of the frame, its total
     relative RMSE.
 
-    Control pixels, ``controls`` of them, measured it, with a 95 % ``interval``; of none it is a
-    prediction, and the interval null. ``noise`` is the noise in it. 99 % of the pixels have an
-    error below ``p99``, with a 95 % ``p99_interval``; both are null where that is not measured.
-    ``time_left`` is null where it is unknown, or no worker is at the view; it is ``overdue`` once
-    the work takes longer than was said before.
+    The error is measured by ``controls`` control pixels, with a 95 % ``interval``; without any it
+    is a prediction, and the interval is null. ``noise`` is the part of it that is noise. 99 % of
+    the pixels have an error below ``p99``, with a 95 % ``p99_interval``; both are null if that is
+    not measured. ``time_left`` is null if it is unknown, or if no worker is at the view;
+    ``overdue`` is true once the work takes longer than was predicted.
     """
 
     chunks: ChunkCounts
@@ -420,14 +422,15 @@ class Coverage(BaseModel):
 
 
 class PointSchema(BaseModel):
-    """What one pixel shows; all but ``hit`` and ``unit`` is null where it shows no surface.
+    """The surface point of one pixel; all members but ``hit`` and ``unit`` are null if it shows no
+    surface.
 
     ``position`` and the outward unit ``normal`` are in the world, whose lengths have the ``unit``,
-    empty where unknown; ``sides`` are the sides of a patient on which the coordinates lie, "LAS",
-    empty elsewhere. ``voxel`` are voxel indices, x first. ``value`` is the volume's there, null on
-    the ``wall`` with that number. ``light`` is linear RGB, ``displayed`` the same as a picture
-    shows it, sRGB; ``state`` is final, converging or provisional, and ``error`` the relative error
-    of this pixel.
+    empty if unknown; ``sides`` are the sides of a patient on which the coordinates lie, such as
+    "LAS", empty for other volumes. ``voxel`` are voxel indices, x first. ``value`` is the value of
+    the volume, null on the ``wall`` with that number. ``light`` is linear RGB, ``displayed`` the
+    same as a picture shows it, sRGB. ``state`` is final, converging or provisional, and ``error``
+    the relative error of this pixel.
     """
 
     hit: bool
@@ -445,11 +448,11 @@ class PointSchema(BaseModel):
 
 
 class SizeSchema(BaseModel):
-    """Area of a surface, and volume of the solid, in squares and cubes of the ``unit``, which is
-    empty where unknown.
+    """Area of a surface and volume of the solid, in squares and cubes of the ``unit``, which is
+    empty if unknown.
 
-    ``area`` is 0 where there is no surface. ``area_error`` and ``volume_error`` are what the
-    voxels' size leaves open, in the same units. ``is_open`` is whether the solid reaches a side of
+    ``area`` is 0 if there is no surface. ``area_error`` and ``volume_error`` are the uncertainties
+    due to the size of voxels, in the same units. ``is_open`` is true if the solid reaches a side of
     the volume, where it is taken to end.
     """
 

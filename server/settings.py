@@ -1,6 +1,4 @@
-"""Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML
-file.
-"""
+"""Settings of a process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
 
 import os
 from ipaddress import ip_address, ip_network
@@ -25,26 +23,26 @@ UNKNOWN_SCHEDULER = (
 )
 
 UPLOADS_MB = 2048
-"""Megabytes that uploads may take by default, where no other machine reaches the server."""
+"""Megabytes that uploads may take by default if no other machine reaches the server."""
 
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
-"""Names in a list, or with commas between them."""
+"""Names in a list, or in a text separated by commas."""
 
 
 FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
-"""Former names of settings, each with the name that it has now."""
+"""Former names of settings, with their present names."""
 
 
 def cores() -> int:
-    """Cores that this process may use, at least 1."""
-    return max(
-        1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    """Return the number of cores that this process may use, at least 1."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1
 
 
 class Settings(BaseSettings):
-    """What one server process may do and how much of it. Raises pydantic's ValidationError."""
+    """The settings of one process. Raises pydantic's ValidationError."""
 
     model_config = SettingsConfigDict(env_prefix="ISOGI_", frozen=True, extra="forbid")
 
@@ -57,13 +55,16 @@ class Settings(BaseSettings):
         description="Processes that compute light; default: one per core.",
     )
     store: str | None = Field(
-        None, description="Path or URL of the cache; default: the user's cache folder."
+        None, description="Path or URL of the light's store; default: in the user's cache folder."
     )
     store_seconds: float = Field(
-        5, gt=0, le=600, description="Time for one call to an object store."
+        5, gt=0, le=600, description="Seconds for one call to an object store."
     )
     store_retries: int = Field(
-        2, ge=0, le=100, description="Times that such a call is tried again when it fails."
+        2,
+        ge=0,
+        le=100,
+        description="Times that a call to an object store is tried again if it fails.",
     )
     store_cache_mb: int = Field(
         1024,
@@ -75,9 +76,8 @@ class Settings(BaseSettings):
         4096,
         ge=0,
         le=1 << 30,
-        description="Megabytes of light for single isovalues that the store keeps; what was "
-        "unused longest goes when"
-        " another isovalue is shown.",
+        description="Megabytes of projected texels, light for single isovalues, that the store "
+        "keeps; the light unused longest is deleted when another isovalue is shown.",
     )
     memory_mb: int = Field(
         1024,
@@ -90,23 +90,23 @@ class Settings(BaseSettings):
         ge=1,
         le=1 << 20,
         description="Megabytes of voxels, mapped from a copy on the disk, that a process "
-        "holds; volumes of an eighth"
-        " of it or less are in memory without a copy.",
+        "holds; volumes of at most an eighth of it are in memory without a copy.",
     )
     volume_cache: str | None = Field(
         None,
         description=(
-            "Folder of such copies, on a disk of this machine; default: in the user's cache folder."
+            "Folder of copies of volumes, on a disk of this machine; default: in the user's cache "
+            "folder."
         ),
     )
     volume_cache_mb: int = Field(
         1 << 16,
         ge=0,
         le=1 << 30,
-        description="Megabytes of such copies; those used last are kept.",
+        description="Megabytes of copies of volumes; those used last are kept.",
     )
     scheduler: str | None = Field(
-        None, description="Address of a Dask scheduler instead of own workers, tls://…."
+        None, description="Address of a Dask scheduler whose workers bake, tls://…"
     )
     scheduler_ca: FilePath | None = Field(
         None,
@@ -116,7 +116,7 @@ class Settings(BaseSettings):
         ),
     )
     scheduler_cert: FilePath | None = Field(
-        None, description="File of the certificate, PEM, that the scheduler is shown."
+        None, description="File of this server's certificate for the scheduler, PEM."
     )
     scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
     insecure_scheduler: bool = Field(
@@ -129,52 +129,50 @@ class Settings(BaseSettings):
     token: SecretStr | None = Field(
         None,
         min_length=16,
-        description="What clients show as 'Authorization: Bearer', or a browser once as "
-        "/?token=; needed where the"
-        " host is not loopback. No option, for all users of a machine see those.",
+        description="Token that clients send as 'Authorization: Bearer', or a browser once as "
+        "/?token=; needed if the host is not loopback. It has no option, as all users of a "
+        "machine see options.",
     )
     token_file: str | None = Field(
-        None, description="File that holds the token, where the environment does not."
+        None, description="File that holds the token, if the environment does not."
     )
     tokens_file: FilePath | None = Field(
         None,
         description=(
-            "TOML file of tokens by name, each with what it may: look, bake, upload, admin."
+            "TOML file of tokens by name, each with its scopes: look, bake, upload, admin."
         ),
     )
     allowed_hosts: Names | None = Field(
         None,
         description="Host names that requests may use, comma-separated; default: the loopback "
-        "names when"
-        " listening on loopback (a defence against DNS rebinding), else any.",
+        "names if the server listens on loopback (a defence against DNS rebinding), else any.",
     )
     allowed_origins: Names = Field(
         (),
         description=(
-            "Origins such as https://lab.example whose pages may ask too, "
+            "Origins such as https://lab.example whose pages may use this server, "
             "comma-separated; default: none."
         ),
     )
     trusted_proxies: Names = Field(
         (),
         description="Addresses or networks of proxies whose X-Forwarded-For and "
-        "X-Forwarded-Proto are believed,"
-        " comma-separated; default: none.",
+        "X-Forwarded-Proto are trusted, comma-separated; default: none.",
     )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(
         2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
     )
     max_body_bytes: int = Field(
-        64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413."
+        64 * 1024, ge=0, description="Most bytes in the body of a request; above that: 413."
     )
     uploads_mb: int | None = Field(
         None,
         ge=0,
         le=1 << 20,
-        description="Megabytes that uploads may take in all; 0: no uploads; default: "
-        f"{UPLOADS_MB} where this machine"
-        " alone reaches the server (on loopback, without allowed_hosts), else 0.",
+        description="Megabytes that all uploads together may take; 0: no uploads; default: "
+        f"{UPLOADS_MB} if only this machine reaches the server (on loopback, without "
+        "allowed_hosts), else 0.",
     )
     uploads: str | None = Field(
         None, description="Folder of uploads; default: in the user's data folder."
@@ -185,85 +183,84 @@ class Settings(BaseSettings):
         le=1 << 16,
         description="Most megabytes of one upload, and of its voxels at 4 bytes each.",
     )
-    upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
+    upload_seconds: int = Field(300, ge=1, description="Seconds for an upload to arrive.")
     reading_seconds: float = Field(
         4,
         ge=0.1,
-        description=(
-            "Processor time to read an upload that came, and for every 8 MB of it a second more."
-        ),
+        description=("Seconds of processor time to read an upload, plus one for every 8 MB of it."),
     )
     exports_mb: int = Field(
         384,
         ge=0,
         le=1 << 16,
-        description="Megabytes of exported files, each and in all, the newest kept; 0: no exports.",
+        description="Megabytes of exported files, each and all together; the newest are kept; "
+        "0: no exports.",
     )
     hand_out_voxels: bool | None = Field(
         None,
-        description="Whether pages may have the voxels and the light of scenes, to draw by "
-        "themselves; default: yes,"
-        " but where a token is asked for.",
+        description="Hand out the voxels and the light of scenes, so that pages can draw them; "
+        "default: yes, unless a token is required.",
     )
-    max_connections: int = Field(512, ge=1, description="Connections at once.")
+    max_connections: int = Field(512, ge=1, description="Connections at a time.")
     max_client_connections: int = Field(
-        256, ge=1, description="Connections at once from one address."
+        256, ge=1, description="Connections at a time from one address."
     )
-    head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")
-    body_seconds: int = Field(10, ge=1, description="Time for the body of a request.")
+    head_seconds: int = Field(10, ge=1, description="Seconds for the head of a request.")
+    body_seconds: int = Field(10, ge=1, description="Seconds for the body of a request.")
     stall_seconds: int = Field(
-        20, ge=1, description="Time for which a client may take less than 1 kB a second."
+        20, ge=1, description="Seconds for which a client may take less than 1 kB a second."
     )
     max_unsent_mb: int = Field(
         1024,
         ge=1,
         description=(
-            "Megabytes of answers that clients are yet to take; beyond that the slowest is closed."
+            "Megabytes of answers that clients have not taken yet; above that the slowest is "
+            "closed."
         ),
     )
     idle_seconds: int = Field(
-        5, ge=1, description="Time for which a connection without a request is kept."
+        5, ge=1, description="Seconds for which a connection without a request is kept."
     )
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,
         le=256,
-        description="Frames rendered or waited for at once; default: two per core, 4 at least.",
+        description="Frames rendered at a time; default: two per core, at least 4.",
     )
     render_queue: int = Field(
-        64, ge=0, description="Frames that may wait for a thread; beyond that: 429."
+        64, ge=0, description="Frames that may wait for a thread; above that: 429."
     )
     queue_seconds: float = Field(
-        10, gt=0, description="Seconds that a frame may wait for a thread; beyond that: 429."
+        10, gt=0, description="Seconds that a frame may wait for a thread; after that: 429."
     )
     streams: int = Field(
-        64, ge=0, description="Streams and listeners to events at once; beyond that: 429."
+        64, ge=0, description="Streams and listeners to events at a time; above that: 429."
     )
-    jobs: int = Field(16, ge=0, description="Jobs at once; beyond that: 429.")
-    stream_bytes: int = Field(
-        16384, ge=256, description="Bytes of one message that a stream takes."
-    )
-    stream_rate: int = Field(600, ge=1, description="Messages that a stream takes in a second.")
+    jobs: int = Field(16, ge=0, description="Jobs at a time; above that: 429.")
+    stream_bytes: int = Field(16384, ge=256, description="Most bytes of one message to a stream.")
+    stream_rate: int = Field(600, ge=1, description="Most messages to a stream in a second.")
     stream_idle_seconds: float = Field(
-        3600, gt=0, description="Seconds without a message that end a stream."
+        3600, gt=0, description="Seconds without a message after which a stream is closed."
     )
     shutdown_seconds: int = Field(
-        10, ge=0, description="How long a stopping server finishes open requests."
+        10, ge=0, description="Seconds for which a stopping server completes open requests."
     )
     log_format: Literal["text", "json"] = Field(
-        "text", description="Lines of the log: text, or json."
+        "text", description="Format of the log's lines: text or json."
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        "warning", description="What is logged: debug, info (with each request), warning or error."
+        "warning",
+        description="Lowest level that is logged: debug, info (with each request), warning or "
+        "error.",
     )
 
     @field_validator("host")
     @classmethod
     def address(cls, value: str) -> str:
-        """The host, if it is an address and not a socket in the file system."""
+        """Return the host if it is an address; raise ValueError for a Unix socket."""
         if value.startswith("unix:") or "/" in value:
             raise ValueError(
-                "isogi listens at addresses and not at sockets of the file system: give one such "
+                "isogi listens at addresses, not at sockets of the file system: give one such "
                 "as 127.0.0.1, and have a proxy listen at the socket"
             )
         return value
@@ -271,7 +268,7 @@ class Settings(BaseSettings):
     @field_validator("allowed_hosts", "allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def split(cls, value: object) -> object:
-        """The names in a comma-separated text."""
+        """Split a text at commas into names."""
         if isinstance(value, str):
             return tuple(filter(None, map(str.strip, value.split(","))))
         return value
@@ -279,7 +276,9 @@ class Settings(BaseSettings):
     @field_validator("allowed_origins")
     @classmethod
     def origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """The names, each a scheme and a host: none stands for all."""
+        """Return the origins in lower case. Raises ValueError unless each is a scheme and a
+        host; there is no wildcard.
+        """
         for name in value:
             scheme, _, host = name.partition("://")
             if scheme not in ("http", "https") or not host or set("/*?#@") & set(host):
@@ -291,7 +290,9 @@ class Settings(BaseSettings):
     @field_validator("trusted_proxies")
     @classmethod
     def proxies(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """The proxies, each an address or a network: none stands for all."""
+        """Return the proxies. Raises ValueError unless each is an address or a network; there
+        is no wildcard.
+        """
         for name in value:
             try:
                 ip_network(name)
@@ -304,7 +305,7 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def renamed(cls, given: Any) -> Any:
-        """What is given, where no name in it is a former one."""
+        """Raise ValueError if a former name of a setting is given; else return the input."""
         for former in FORMER_SETTING_NAMES.keys() & dict(given):
             raise ValueError(f"{former} is called {FORMER_SETTING_NAMES[former]} now: rename it")
         return given
@@ -312,7 +313,7 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def token_from_file(cls, given: Any) -> Any:
-        """What is given, with the token that a file holds."""
+        """Add the token that ``token_file`` holds, if no token is given."""
         if "token" in given or not given.get("token_file"):
             return given
         try:
@@ -323,14 +324,16 @@ class Settings(BaseSettings):
     @field_validator("tokens_file")
     @classmethod
     def tokens(cls, value: Path | None) -> Path | None:
-        """The file, where it holds tokens."""
+        """Return the file if it holds valid tokens; else raise ValueError."""
         if value is not None:
             read_bearers(value)
         return value
 
     @model_validator(mode="after")
     def scheduler_is_known(self) -> Self:
-        """The settings, where a scheduler to join has certificates, or needs none."""
+        """Raise ValueError if a scheduler is named without certificates and without
+        ``insecure_scheduler``.
+        """
         known = all(self.certificates) and (self.scheduler or "").startswith("tls://")
         if self.scheduler and not (known or self.insecure_scheduler):
             raise ValueError(UNKNOWN_SCHEDULER)
@@ -344,23 +347,23 @@ class Settings(BaseSettings):
         *_: Any,
         **others: Any,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Options come first, then the environment, then the file where there is one."""
+        """Take options first, then the environment, then the file if there is one."""
         return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
 
     @property
     def bearers(self) -> tuple[Bearer, ...]:
-        """The clients that may ask, by their tokens; none where no token is needed."""
+        """Return the bearers of all tokens; none if no token is required."""
         one = () if self.token is None else (Bearer(self.token.get_secret_value()),)
         return (*one, *(read_bearers(self.tokens_file) if self.tokens_file else ()))
 
     @property
     def certificates(self) -> tuple[Path | None, Path | None, Path | None]:
-        """The files for a scheduler: of the authority, the certificate and its key."""
+        """Return the files for a scheduler: authority, certificate, key."""
         return self.scheduler_ca, self.scheduler_cert, self.scheduler_key
 
     @property
     def exposed(self) -> bool:
-        """Whether other machines can reach the address to listen on."""
+        """Return True if other machines can reach the address that the server listens at."""
         try:
             return not ip_address(self.host).is_loopback
         except ValueError:
@@ -368,8 +371,8 @@ class Settings(BaseSettings):
 
     @property
     def upload_quota_mb(self) -> int:
-        """Megabytes that uploads may take: as set, else none where other machines may reach the
-        server.
+        """Return the megabytes that uploads may take: as set, else 0 if other machines may
+        reach the server.
         """
         if self.uploads_mb is not None:
             return self.uploads_mb
@@ -379,22 +382,22 @@ class Settings(BaseSettings):
 
     @property
     def hands_out_voxels(self) -> bool:
-        """Whether pages may have voxels: as set, else where anybody may ask who reaches the
-        server.
-        """
+        """Return True if pages may have voxels: as set, else if no token is required."""
         if self.hand_out_voxels is None:
             return not self.bearers
         return self.hand_out_voxels
 
     def trusts(self, host: str) -> bool:
-        """Whether a connection from this address is a proxy's, whose headers name the client."""
+        """Return True if a connection from this address is a trusted proxy's, whose headers
+        name the client.
+        """
         try:
             return any(ip_address(host) in ip_network(each) for each in self.trusted_proxies)
         except ValueError:
             return False
 
     def hosts(self) -> tuple[str, ...] | None:
-        """Host names that requests may use, in lower case; None for any."""
+        """Return the host names that requests may use, in lower case; None for any."""
         if self.allowed_hosts is not None:
             return tuple(name.lower() for name in self.allowed_hosts)
         if self.exposed:
@@ -403,17 +406,19 @@ class Settings(BaseSettings):
 
 
 def read_settings(config: Path | None = None, **given: Any) -> Settings:
-    """The settings: those ``given``, then the environment's, then those in the file ``config``.
+    """Read the settings: those ``given``, then the environment's, then those in the file
+    ``config``.
 
-    Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is
-    given; OSError where the file cannot be read.
+    Raises pydantic's ValidationError; ValueError if the file is not TOML, or a former name is
+    given; OSError if the file cannot be read.
     """
     for former, name in FORMER_SETTING_NAMES.items():
         if former in given or f"ISOGI_{former.upper()}" in os.environ:
             raise ValueError(f"{former} is called {name} now: rename it")
     if config is None:
         return Settings(**given)
-    with config.open("rb"):  # a file that is not there would count as empty
+    # Raise OSError for a missing file, which pydantic would take as an empty one.
+    with config.open("rb"):
 
         class Configured(Settings):
             """Settings with a file."""

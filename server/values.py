@@ -1,5 +1,5 @@
-"""Values written as text: numbers in a range, rows of numbers, words, spans of time; and documents
-of these.
+"""Kinds of values that text spells: numbers in a range, tuples of numbers, words, durations;
+and files of these.
 """
 
 import json
@@ -24,17 +24,16 @@ MAX_COORDINATE = 1e12
 
 
 def shown(value: object) -> str:
-    """What was given, as a quotation short enough for a sentence."""
-    text = (
-        str(value).encode(errors="backslashreplace").decode()
-    )  # half a surrogate pair, which JSON can spell
+    """Quote a value, short enough for a sentence."""
+    # JSON can spell half a surrogate pair, which cannot be encoded.
+    text = str(value).encode(errors="backslashreplace").decode()
     if len(text) <= 40:
         return f"'{text}'"
     return f"'{text[:39]}…'"
 
 
 def finite(value: object) -> float:
-    """The number that ``value`` is or spells; NaN for anything else."""
+    """Return the number that ``value`` is or spells; NaN for anything else."""
     if isinstance(value, str):
         if len(value) <= 64 and NUMBER_PATTERN.fullmatch(value):
             return float(value)
@@ -49,24 +48,25 @@ def finite(value: object) -> float:
 
 
 class Kind(GroupedMetadata):
-    """A kind of value that text spells: an annotation of pydantic's fields, which needs no pydantic
-    by itself.
+    """A kind of value that text spells. It annotates fields of pydantic models, and can be used
+    without importing pydantic.
     """
 
     example: str = ""
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The kind as JSON Schema."""
+        """Return the kind as JSON Schema."""
         return {"type": "string", "example": self.example}
 
     def read(self, value: object) -> Any:
-        """What ``value`` spells; ValueError, which says what is allowed, where it is of another
-        kind.
+        """Return the value that ``value`` spells. Raises ValueError, which says what is
+        allowed, for any other text.
         """
         return value
 
     def __iter__(self) -> Iterator[Any]:
+        """Yield the annotations that pydantic needs."""
         from pydantic import BeforeValidator, WithJsonSchema  # noqa: PLC0415 (help of commands does without it)
 
         yield BeforeValidator(self.read)
@@ -75,7 +75,7 @@ class Kind(GroupedMetadata):
 
 @dataclass(frozen=True)
 class Span(Kind):
-    """A number from ``low`` to ``high``, both included; a whole number where ``whole`` is set."""
+    """A number from ``low`` to ``high``, both included; an integer if ``whole``."""
 
     low: float
     high: float
@@ -83,7 +83,7 @@ class Span(Kind):
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The kind as JSON Schema."""
+        """Return the kind as JSON Schema."""
         return {
             "type": "integer" if self.whole else "number",
             "minimum": self.low,
@@ -91,7 +91,7 @@ class Span(Kind):
         }
 
     def read(self, value: object) -> float:
-        """The number in ``value``; ValueError where it is none or out of range."""
+        """Return the number. Raises ValueError if it is none, or out of range."""
         number = finite(value)
         spelt = not self.whole or WHOLE_PATTERN.fullmatch(str(value)) is not None
         if not (spelt and self.low <= number <= self.high):
@@ -107,17 +107,19 @@ class Span(Kind):
 
 @dataclass(frozen=True)
 class Row(Kind):
-    """Several finite numbers with commas between them, such as ``eye=1,2,3``."""
+    """Finite numbers, one for each of ``names``, separated by commas, such as ``eye=1,2,3``."""
 
     names: tuple[str, ...]
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The kind as JSON Schema."""
+        """Return the kind as JSON Schema."""
         return {"type": "string", "example": ",".join("0" for _ in self.names)}
 
     def read(self, value: object) -> tuple[float, ...]:
-        """The numbers in ``value``, a text or a sequence; ValueError where they are not these."""
+        """Return the numbers of a text or a sequence. Raises ValueError if their count or size
+        is wrong.
+        """
         parts = value.split(",") if isinstance(value, str) else value
         if isinstance(parts, list | tuple):
             numbers = tuple(map(finite, parts))
@@ -135,12 +137,12 @@ class Row(Kind):
 
 @dataclass(frozen=True)
 class Rows(Kind):
-    """Rows of a picture, ``first,last``, whole numbers, of which the last is not among them."""
+    """A range of rows of a picture, ``first,last``; the last is excluded."""
 
     example = "0,512"
 
     def read(self, value: object) -> tuple[int, int]:
-        """The two numbers; ValueError where they are not these."""
+        """Return the two numbers. Raises ValueError if the text spells no range."""
         if isinstance(value, str):
             parts = value.split(",")
         else:
@@ -158,23 +160,21 @@ class Rows(Kind):
 
 @dataclass(frozen=True)
 class Colour(Kind):
-    """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all
+    """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number stands for all
     three.
     """
 
     example = "0.7"
 
     def read(self, value: object) -> tuple[float, float, float]:
-        """The three numbers in ``value``, a number, a text or a sequence; ValueError where it is
-        none of these.
+        """Return the three numbers of a number, a text or a sequence. Raises ValueError for
+        anything else.
         """
-        parts = (
-            value.split(",")
-            if isinstance(value, str)
-            else value
-            if isinstance(value, list | tuple)
-            else [value]
-        )
+        parts: Any = [value]
+        if isinstance(value, str):
+            parts = value.split(",")
+        elif isinstance(value, list | tuple):
+            parts = value
         numbers = tuple(map(finite, parts))
         if len(numbers) not in (1, 3) or not all(0.0 <= number <= 1.0 for number in numbers):
             raise ValueError(
@@ -189,14 +189,14 @@ class Colour(Kind):
 
 @dataclass(frozen=True)
 class Planes(Kind):
-    """Planes with ; between them, such as ``window=x>40;0,1,-1<12.5``: each takes away what it is
-    true of.
+    """Planes separated by semicolons, such as ``window=x>40;0,1,-1<12.5``: each removes the
+    points for which it is true.
     """
 
     example = "x>40"
 
     def read(self, value: object) -> str:
-        """``value`` where it spells planes; ValueError else."""
+        """Return ``value`` if it spells planes; else raises ValueError."""
         from isogi_core.model.view import read_window  # noqa: PLC0415 (NumPy, which help of commands does without)
 
         try:
@@ -211,12 +211,12 @@ BACKGROUND_NAMES = ("dark", "light", "transparent")
 
 @dataclass(frozen=True)
 class Ground(Kind):
-    """What is behind a surface: one of BACKGROUND_NAMES, or sRGB as ``#rrggbb``."""
+    """A background: one of BACKGROUND_NAMES, or sRGB as ``#rrggbb``."""
 
     example = "light"
 
     def read(self, value: object) -> str:
-        """The background in ``value``, in small letters; ValueError where it is none."""
+        """Return the background in lower case. Raises ValueError for anything else."""
         text = str(value).lower()
         if text not in BACKGROUND_NAMES and not re.fullmatch("#[0-9a-f]{6}", text):
             raise ValueError(
@@ -228,17 +228,17 @@ class Ground(Kind):
 
 @dataclass(frozen=True)
 class Choice(Kind):
-    """One of a few words."""
+    """One of several ``words``."""
 
     words: tuple[str, ...]
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The kind as JSON Schema."""
+        """Return the kind as JSON Schema."""
         return {"type": "string", "enum": list(self.words)}
 
     def read(self, value: object) -> object:
-        """``value`` where it is one of the words; ValueError else."""
+        """Return ``value`` if it is one of the words; else raises ValueError."""
         if value not in self.words:
             raise ValueError(f"must be one of {', '.join(self.words)}, not {shown(value)}.")
         return value
@@ -246,24 +246,25 @@ class Choice(Kind):
 
 @dataclass(frozen=True)
 class Words(Kind):
-    """A text that is read by what knows its meaning, such as ``example``, of ``longest`` characters
-    at most.
+    """A text of at most ``longest`` characters, such as ``example``; the code that uses it
+    checks its content.
     """
 
     longest: int
     example: str
 
     def __iter__(self) -> Iterator[Any]:
+        """Yield the annotations that pydantic needs."""
         yield MaxLen(self.longest)
         yield from super().__iter__()
 
 
 class Isovalue(Kind):
-    """An isovalue: a number in the range of a scene, which reads it."""
+    """An isovalue: a number, which is checked against the range of the scene later."""
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The kind as JSON Schema."""
+        """Return the kind as JSON Schema."""
         return {"type": "number"}
 
 
@@ -281,8 +282,8 @@ LONGEST_SECONDS = 1e9
 
 
 def seconds_of(text: str) -> float:
-    """Seconds of a span of time, none included; ValueError, which says what is allowed, where it is
-    no span.
+    """Return the seconds of a duration such as 90, 90s, 10m or 1h. Raises ValueError, which
+    says what is allowed.
     """
     if len(text) <= 40:
         match = DURATION_PATTERN.fullmatch(text)
@@ -298,8 +299,8 @@ def seconds_of(text: str) -> float:
 
 
 def seconds_of_age(text: str) -> float:
-    """Seconds of a span of time that may also be in days or weeks: 12h, 30d, 4w; ValueError as
-    ``seconds_of``.
+    """Return the seconds of a duration that may also be in days or weeks, such as 12h, 30d or
+    4w. Raises ValueError.
     """
     if len(text) <= 40:
         match = AGE_PATTERN.fullmatch(text)
@@ -316,8 +317,8 @@ def seconds_of_age(text: str) -> float:
 
 
 def span(seconds: float, digits: int = 3) -> str:
-    """Seconds as text to so many digits, in the largest unit that they reach; ``0 s`` for less than
-    a millisecond.
+    """Return seconds as text with this many digits, in the largest unit that they reach; ``0
+    s`` below a millisecond.
     """
     name, size = next(((name, size) for name, size in TIME_UNITS if seconds >= size), ("s", 1.0))
     if seconds >= TIME_UNITS[-1][1]:
@@ -332,8 +333,8 @@ MAX_DOCUMENT_BYTES = 1 << 26
 
 
 def document_in(file: Path, otherwise: Callable[[str], Any]) -> Any:
-    """What a JSON or TOML ``file`` holds; the text of any other is read by ``otherwise``. Raises
-    ParameterError.
+    """Return the content of a JSON or TOML ``file``; other files are read by ``otherwise``,
+    from their text. Raises ParameterError.
     """
     readers = {".json": json.loads, ".toml": tomllib.loads}
     try:

@@ -1,4 +1,4 @@
-"""The view that parameters ask for, of a scene."""
+"""From parameters to the view of a scene, in the units and axes that rendering uses."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -25,8 +25,8 @@ from server.values import Span
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
-    """The view that the parameters ask for; ViewError where this scene or these settings do not
-    allow it.
+    """Return the view that the parameters ask for. Raises ViewError if the scene or the
+    ``settings`` do not allow it.
     """
     if isinstance(params, FrameParams) and params.strip:
         first, last = params.strip
@@ -35,6 +35,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         last = params.height
     if last > params.height:
         raise ParameterError(f"strip ends at row {last} of a picture of {params.height}.", "strip")
+    # Limits count the rows that are drawn, not those of the whole picture.
     pixels = params.width * (last - first)
     paths = params.width * (last - first) * params.samples
     if pixels > settings.max_pixels:
@@ -45,6 +46,9 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         raise ViewError(
             f"width × height × samples must be at most {settings.max_paths} paths, not {paths}."
         )
+    window = None
+    if params.window is not None:
+        window = read_window(params.window).in_box(scene.volume.orientation)
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
@@ -61,28 +65,28 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         and params.antialias == "on"
         and params.shading != "path_traced",
         orientation=scene.volume.orientation,
-        window=None
-        if params.window is None
-        else read_window(params.window).in_box(scene.volume.orientation),
+        window=window,
     )
 
 
 PLACING = frozenset(("distance", "eye", "target", "up"))
-"""Parameters that say where the camera is."""
+"""Parameters that place the camera."""
 
 
 def with_first_view(
     scene: Scene, knobs: Mapping[str, str], others: Iterable[Mapping[str, str]] = ()
 ) -> dict[str, str]:
-    """The parameters of a view, as text, with those of the scene's first view that ``knobs`` and
-    ``others``, views that go with these, leave to it.
+    """Return the parameters ``knobs`` of a view, completed by those of the scene's first view that
+    neither ``knobs`` nor ``others`` name.
 
-    A camera that is placed by them is at no distance and target of the scene; see ``camera_of``.
+    ``others`` are views that are combined with these parameters. If they place the camera, the
+    scene's target and distance are not used.
     """
     given = set(knobs).union(*others)
     first = scene.settings.first.given
     if given.intersection(PLACING):
         first = {name: value for name, value in first.items() if name not in PLACING}
+    # An eye replaces the angles of an orbit, and a quaternion those of the light.
     if "eye" in given:
         given |= {"azimuth", "elevation"}
     if "light" in given:
@@ -96,8 +100,8 @@ def with_first_view(
 
 
 def isovalue_of(scene: Scene, params: ViewParams) -> float:
-    """The isovalue asked for, else the scene's; ParameterError where it is outside the scene's
-    range.
+    """Return the isovalue that is asked for, else the scene's. Raises ParameterError outside
+    the scene's range.
     """
     if params.isovalue is None:
         return scene.isovalue
@@ -108,8 +112,8 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
 
 
 def albedo_of(scene: Scene, params: ViewParams) -> Vector | None:
-    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is
-    not of it.
+    """Return the albedo that is asked for; None if it is the scene's. Raises ParameterError if
+    the scene has no light for it.
     """
     try:
         if scene.surfaces.albedo_for(params.albedo) == scene.surfaces.albedo:
@@ -120,8 +124,8 @@ def albedo_of(scene: Scene, params: ViewParams) -> Vector | None:
 
 
 def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
-    """The shine asked for, None where it is the scene's; ParameterError where the scene has none to
-    be changed.
+    """Return the shine that is asked for; None if it is the scene's. Raises ParameterError if
+    the scene has no shine.
     """
     given = {
         name: getattr(params, name) for name in SHINE_KNOBS if getattr(params, name) is not None
@@ -134,6 +138,7 @@ def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
             f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.",
             name,
         )
+    # Numbers that are left out stay those of the scene.
     shine = replace(
         scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()}
     )
@@ -143,7 +148,9 @@ def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
 
 
 def glow_of(scene: Scene, params: ViewParams) -> float:
-    """How bright what glows is over the scene's own; ParameterError where nothing glows."""
+    """Return the brightness of glowing parts, relative to the scene's. Raises ParameterError if
+    nothing glows.
+    """
     try:
         return scene.lighting.glow_for(params.glow)
     except ViewError as error:
@@ -151,8 +158,8 @@ def glow_of(scene: Scene, params: ViewParams) -> float:
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:
-    """The camera, in the volume's box: at the eye where one is given, else on its orbit about the
-    target.
+    """Return the camera in the axes of the volume's box: at the eye if that is given, else on
+    its orbit about the target.
     """
     target = params.target or scene.volume.world_centre
     radius = scene.volume.radius
@@ -164,17 +171,19 @@ def camera_of(scene: Scene, params: ViewParams) -> Camera:
         )
         if params.up is not None:
             camera = replace(camera, up=params.up)
+    # Rendering works in the axes of the volume's box, which an oblique scan rotates in the world.
     return scene.in_box(camera, params.projection)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:
-    """The light's rotation in the volume's box, a unit quaternion; ViewError where the scene's
-    light does not turn.
+    """Return the rotation of the light in the axes of the volume's box, a unit quaternion.
+    Raises ViewError if the scene's light cannot be rotated.
     """
     if params.light is not None:
         turn = unit_quaternion(params.light)
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
+    # The identity is no rotation, whatever spells it.
     if not scene.lighting.rotating and abs(turn[0]) < 1 - 1e-12:
         raise ViewError(
             "This scene's light does not turn (rotating = false): leave light and its angles out."

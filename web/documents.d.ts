@@ -1,8 +1,8 @@
 /** The server's documents, from its OpenAPI: written by `make schemas`. */
 
 /**
- * A camera on its orbit: angles in degrees, and the distance from the world's target in radii
- * of the volume.
+ * A camera on its orbit: angles in degrees, the distance from the target in radii of the
+ * volume, and the target in the world.
  */
 export interface Camera {
   azimuth: number;
@@ -12,8 +12,8 @@ export interface Camera {
 }
 
 /**
- * A chunk of texels by its place `z.y.x`, how far it is baked, and whether all that the view
- * reads is final.
+ * A chunk of texels: its index `z.y.x`, the version of its light, and `final` if all
+ * that the view reads of it is final.
  */
 export interface CardChunk {
   at: string;
@@ -22,8 +22,8 @@ export interface CardChunk {
 }
 
 /**
- * The chunks that a view reads, most visible first, and how many of them are going to have more
- * light.
+ * The chunks that a view reads, most visible first, and the number of those that will get
+ * more light.
  */
 export interface CardChunks {
   chunks: Array<CardChunk>;
@@ -31,11 +31,11 @@ export interface CardChunks {
 }
 
 /**
- * Voxels along x, y, z, and the world: `world = rotation · box + origin`, `box = voxel index
- * · spacing`.
+ * Voxels along x, y, z, and their place in the world: `world = rotation · box + origin`,
+ * `box = voxel index · spacing`.
  *
- * Shadow rays start `offset` voxels along the normal, which is that of the B-spline's gradient
- * where `smooth`.
+ * Shadow rays start `offset` voxels along the normal, which is the gradient of the B-spline if
+ * `smooth`.
  */
 export interface CardGrid {
   size: [number, number, number];
@@ -47,7 +47,7 @@ export interface CardGrid {
 }
 
 /**
- * Linear RGB of the backgrounds that have names.
+ * Linear RGB of the named backgrounds.
  */
 export interface CardGrounds {
   dark: [number, number, number];
@@ -64,7 +64,8 @@ export interface CardLambert {
 }
 
 /**
- * Texels along x, y, z, texels a voxel, and texels along each side of a chunk.
+ * The lattice: texels along x, y, z, texels per voxel, and texels along each side of a
+ * chunk.
  */
 export interface CardLattice {
   size: [number, number, number];
@@ -81,8 +82,8 @@ export interface CardLayer {
 }
 
 /**
- * The unturned light in a `unit` of radiance: the terms, the `sky` without shadows, the
- * least, the lobes.
+ * The unturned light in a `unit` of radiance: terms, the `sky` without shadows, the
+ * least light, and lobes.
  */
 export interface CardLight {
   unit: number;
@@ -101,7 +102,8 @@ export interface CardLimits {
 }
 
 /**
- * Addresses beside the document: of the list of chunks, and before the names of chunks.
+ * Addresses relative to the document: of the list of chunks, and of light and transfer
+ * before the names of chunks.
  */
 export interface CardLinks {
   chunks: string;
@@ -110,8 +112,8 @@ export interface CardLinks {
 }
 
 /**
- * An unturned lobe of the light: where it is, two radii of its disc, and what it gives from
- * straight above.
+ * An unturned lobe of the light: its direction, two radii of its disc, and its radiance on
+ * a surface that faces it.
  */
 export interface CardLobe {
   towards: [number, number, number];
@@ -120,11 +122,11 @@ export interface CardLobe {
 }
 
 /**
- * What texels keep: `columns` numbers for each channel, from `straight` on of reflected
- * light alone.
+ * The light that texels keep: `columns` numbers for each channel, of reflected light only
+ * from `straight` on.
  *
- * `ratios` is whether light is carried to pixels as irradiance ratios, `whole` whether texels
- * keep direct and reflected light as one, and `turns` whether the light may be turned.
+ * `ratios` is true if pixels interpolate irradiance ratios, `whole` if texels keep direct and
+ * reflected light as one, `turns` if the light may be rotated.
  */
 export interface CardPlan {
   representation: string;
@@ -159,8 +161,8 @@ export interface CardScene {
 }
 
 /**
- * Whether a page may draw a view by itself, `because` of what it may not and the `reason`,
- * else its scene.
+ * If `drawable`, a page may draw the view itself, by its `scene`; else `because`
+ * names the obstacles, and `reason` describes them.
  */
 export interface Card {
   format: number;
@@ -172,8 +174,8 @@ export interface Card {
 }
 
 /**
- * Layers of voxels from the `first` to before the `last`, and the address of their
- * codes.
+ * Layers of voxels, from the `first` to the one before the `last`, and the address of
+ * their codes.
  */
 export interface CardSlab {
   first: number;
@@ -182,10 +184,10 @@ export interface CardSlab {
 }
 
 /**
- * The unturned light that some columns meet: harmonics of an order, linear RGB times the
- * albedo, in the unit.
+ * The unturned light that some columns are multiplied by: harmonics of an order, linear RGB
+ * times the albedo, in the unit.
  *
- * Those of the square of its luminance say how noisy light is.
+ * `square` are the harmonics of its squared luminance, from which noise is estimated.
  */
 export interface CardTerm {
   order: number;
@@ -203,7 +205,7 @@ export interface CardTone {
 }
 
 /**
- * A value in the units of the volume's file is `offset + scale · voxel`.
+ * Units of voxels: a value in the units of the volume's file is `offset + scale · voxel`.
  */
 export interface CardValues {
   offset: number;
@@ -212,8 +214,7 @@ export interface CardValues {
 }
 
 /**
- * Codes of voxels: `voxel = base + gain · code`, but for the code `hole` where a value is
- * missing.
+ * Codes of voxels: `voxel = base + gain · code`; the code `hole` marks missing values.
  */
 export interface CardVolume {
   type: "uint8" | "uint16" | "float32";
@@ -225,7 +226,7 @@ export interface CardVolume {
 }
 
 /**
- * Chunks that the view reads, and how many of them are final.
+ * The number of chunks that the view reads, and of those that are final.
  */
 export interface ChunkCounts {
   needed: number;
@@ -233,11 +234,11 @@ export interface ChunkCounts {
 }
 
 /**
- * The surface's colours by data: what of, the name of the map, and sRGB at equal steps from
- * `low` to `high`.
+ * The colours of a surface by data: the name of the quantity, the name of the map, and sRGB at
+ * equal steps from `low` to `high`.
  *
- * `outside` is where there is no value. `labels` are those of a segmentation; the `colours`
- * are then those of the labels that are shown.
+ * `outside` is the colour of places without a value. `labels` are those of a segmentation;
+ * `colours` are then those of the visible labels.
  */
 export interface ColourScale {
   name: string;
@@ -250,14 +251,14 @@ export interface ColourScale {
 }
 
 /**
- * How far a view is: chunks, pixels by state, and the `error` of the frame: the total
+ * The state of a view: chunks, pixels by state, and the `error` of the frame, its total
  * relative RMSE.
  *
- * Control pixels, `controls` of them, measured it, with a 95 % `interval`; of none it is a
- * prediction, and the interval null. `noise` is the noise in it. 99 % of the pixels have an
- * error below `p99`, with a 95 % `p99_interval`; both are null where that is not measured.
- * `time_left` is null where it is unknown, or no worker is at the view; it is `overdue` once
- * the work takes longer than was said before.
+ * The error is measured by `controls` control pixels, with a 95 % `interval`; without any it
+ * is a prediction, and the interval is null. `noise` is the part of it that is noise. 99 % of
+ * the pixels have an error below `p99`, with a 95 % `p99_interval`; both are null if that is
+ * not measured. `time_left` is null if it is unknown, or if no worker is at the view;
+ * `overdue` is true once the work takes longer than was predicted.
  */
 export interface Coverage {
   chunks: ChunkCounts;
@@ -275,7 +276,7 @@ export interface Coverage {
 }
 
 /**
- * Light that a scene may be shown in: what views call it, its name, and its address where it
+ * Light in which a scene may be shown: its id for views, its name, and its address if it
  * was uploaded.
  */
 export interface Environment {
@@ -295,9 +296,9 @@ export interface ErrorScale {
 }
 
 /**
- * Voxels per bin, and the bins' edges in the volume's own units (one more than counts).
+ * Voxels per bin, and the edges of the bins in the volume's units (one more than counts).
  *
- * Edges are even, or, where the axis is `logarithmic`, at even ratios but for the first.
+ * Edges are evenly spaced, or, if `logarithmic`, have even ratios except for the first.
  */
 export interface Histogram {
   counts: Array<number>;
@@ -306,7 +307,7 @@ export interface Histogram {
 }
 
 /**
- * An address: what it is to the job (`rel`), and what is there.
+ * A link: its relation to the job (`rel`), and the media type and title of its target.
  */
 export interface JobLink {
   href: string;
@@ -318,8 +319,8 @@ export interface JobLink {
 /**
  * One job. `progress` is in percent; times are in UTC, null while they are to come.
  *
- * `expires` is when a job that has ended is forgotten; all are when the server stops, and
- * prewarms are taken up when it starts again. `time_left` is null where it is unknown.
+ * `expires` is when a job that has ended is forgotten. All jobs are forgotten when the server
+ * stops; prewarms are resumed when it starts again. `time_left` is null if it is unknown.
  */
 export interface Job {
   jobID: string;
@@ -338,8 +339,8 @@ export interface Job {
 }
 
 /**
- * A label of a segmentation: its value, its name, its colour as sRGB, and whether it is
- * shown.
+ * A label of a segmentation: its value, its name, its colour as sRGB, and `shown` if it
+ * is visible.
  */
 export interface Label {
   value: number;
@@ -352,8 +353,9 @@ export interface Label {
  * One kind of light that each texel keeps: order² numbers for each channel, in multiples of the
  * scale.
  *
- * Bands from `coarse` on are bytes, where it is not null. Where there are `nodes`, channels
- * are of grey surfaces with these albedos, and light of any other is mixed of theirs.
+ * Bands from `coarse` on are single bytes; null if there are none. If there are `nodes`,
+ * channels belong to grey surfaces with these albedos, and light for other albedos is
+ * interpolated.
  */
 export interface Layer {
   kind: string;
@@ -375,10 +377,9 @@ export interface Light {
 }
 
 /**
- * A small bright part of the unturned light: where it stands and its apparent diameter, in
- * degrees.
+ * A small bright part of the unturned light: its direction and apparent diameter, in degrees.
  *
- * `irradiance` is what a surface that faces it receives, linear RGB.
+ * `irradiance` is the irradiance of a surface that faces it, linear RGB.
  */
 export interface Lobe {
   azimuth: number;
@@ -388,10 +389,10 @@ export interface Lobe {
 }
 
 /**
- * A material that views may ask for by its `kind`: its `numbers` where they give none, each
- * one or linear RGB.
+ * A material that views may ask for by its `kind`, with its default `numbers`, each one
+ * number or linear RGB.
  *
- * Where this scene cannot be of it `refused` says why; it is null elsewhere.
+ * `refused` is the reason why this scene cannot have it, null if it can.
  */
 export interface Material {
   kind: string;
@@ -400,10 +401,11 @@ export interface Material {
 }
 
 /**
- * Something that this scene does not need, why, and what that saves beside the same plan with
- * it.
+ * Something that this scene does not need, the reason, and the saving compared with the same
+ * plan including it.
  *
- * S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
+ * If texels keep no harmonics, the saving is compared with the coefficients that S1 keeps for any
+ * scene.
  */
 export interface Omission {
   what: string;
@@ -412,7 +414,7 @@ export interface Omission {
 }
 
 /**
- * Pixels on the surface, by state.
+ * Numbers of surface pixels, by state.
  */
 export interface PixelCounts {
   surface: number;
@@ -422,13 +424,12 @@ export interface PixelCounts {
 }
 
 /**
- * What is stored per texel for this scene, the errors that are expected of it, and what was
- * left out.
+ * The light that is stored per texel for this scene, the expected errors, and the omissions.
  *
- * `indirect_order` is that of reflected light, null where that has no harmonics; paths go on in
- * `branches` ways from their first hit; `samples` are a texel's most; `lobes` are lit by
- * shadow rays; `errors` are relative. `full_bytes_per_texel` is what S1 keeps. `projected`
- * are isovalues, from one to another, whose views project.
+ * `indirect_order` is the order of reflected light, null if that has no harmonics; paths
+ * continue in `branches` ways from their first hit; `samples` is the largest number for a
+ * texel; `lobes` are lit by shadow rays; `errors` are relative. `full_bytes_per_texel` is
+ * the amount that S1 keeps. `projected` are ranges of isovalues in which texels are projected.
  */
 export interface Plan {
   representation: string;
@@ -451,14 +452,15 @@ export interface Plan {
 }
 
 /**
- * What one pixel shows; all but `hit` and `unit` is null where it shows no surface.
+ * The surface point of one pixel; all members but `hit` and `unit` are null if it shows no
+ * surface.
  *
  * `position` and the outward unit `normal` are in the world, whose lengths have the `unit`,
- * empty where unknown; `sides` are the sides of a patient on which the coordinates lie, "LAS",
- * empty elsewhere. `voxel` are voxel indices, x first. `value` is the volume's there, null on
- * the `wall` with that number. `light` is linear RGB, `displayed` the same as a picture
- * shows it, sRGB; `state` is final, converging or provisional, and `error` the relative error
- * of this pixel.
+ * empty if unknown; `sides` are the sides of a patient on which the coordinates lie, such as
+ * "LAS", empty for other volumes. `voxel` are voxel indices, x first. `value` is the value of
+ * the volume, null on the `wall` with that number. `light` is linear RGB, `displayed` the
+ * same as a picture shows it, sRGB. `state` is final, converging or provisional, and `error`
+ * the relative error of this pixel.
  */
 export interface Point {
   hit: boolean;
@@ -476,8 +478,8 @@ export interface Point {
 }
 
 /**
- * An isovalue with a name; `suggested` where it was found in the volume, not given by the
- * scene.
+ * An isovalue with a name; `suggested` if it was found in the volume, and not given by
+ * the scene.
  */
 export interface Preset {
   name: string;
@@ -486,7 +488,7 @@ export interface Preset {
 }
 
 /**
- * What a parameter may be, both ends included.
+ * The range of a parameter, both ends included.
  */
 export interface Range {
   min: number;
@@ -494,7 +496,7 @@ export interface Range {
 }
 
 /**
- * What was saved: an amount of a unit, measured or else computed.
+ * A saving: an amount of a unit, measured or computed.
  */
 export interface Saving {
   amount: number;
@@ -503,7 +505,7 @@ export interface Saving {
 }
 
 /**
- * One scene in the list of scenes; `volume` is the address of its volume where that was
+ * One scene in the list of scenes; `volume` is the address of its volume if that was
  * uploaded.
  */
 export interface SceneLink {
@@ -514,7 +516,7 @@ export interface SceneLink {
 }
 
 /**
- * All scenes that this server shows, and what may be uploaded; null where nothing may.
+ * All scenes of this server, and the limits of uploads; null if it takes none.
  */
 export interface SceneList {
   scenes: Array<SceneLink>;
@@ -522,28 +524,27 @@ export interface SceneList {
 }
 
 /**
- * What a client needs to show a scene: facts, histogram, defaults and ranges of every knob,
- * plan.
+ * All that a client needs to show a scene: facts, histogram, defaults and ranges of all
+ * parameters, and the plan.
  *
- * `environment` is the id of the light that this is about, null for the scene's own;
+ * `environment` is the id of the light that the document is about, null for the scene's;
  * `environments` are those that views may name.
  *
- * `read_only` is whether the store can only be read, so that nothing more is baked: a note of
+ * `read_only` is true if the store can only be read, so that nothing more is baked; a note of
  * the plan says so too.
  *
- * `presets` are isovalues worth a look: the scene's own, else boundaries between materials in
- * its volume. `stops` ascend through the range, and the surface moves about equally far from one
- * to the next; `stops_note` says where they are even instead, and is empty where that is
- * nowhere. `rotating` is whether the light may be turned, `turns` whether that shows: not
- * where the light is the same from all sides. `albedos` are those that a view may ask for, null
- * where it may not. `shines` are the kinds of shine that it may ask for, none where the surface
- * is diffuse. `cuts` is whether planes across the world's axes may cut it: its voxels lie along
- * them. `colours` are those of a surface whose albedo comes from data, null where it has one
- * `albedo`; that is then the most that colours reflect. `surfaces` are pinned beside the one
- * that slides, which lets the share `clear` of rays pass, and of other light its
- * `transmission` through, diffuse. `material` is what this is about, as views spell it, and
- * `materials` are all, with why some of them are refused. `view` is what the scene says of its
- * first view, by the names of parameters.
+ * `presets` are interesting isovalues: the scene's, else boundaries between materials in the
+ * volume. `stops` are ascending isovalues between which the surface moves about equally far;
+ * `stops_note` says where they are evenly spaced instead, empty if nowhere. `rotating` is true
+ * if the light may be rotated, `turns` if a rotation is visible: it is not if the light is the
+ * same from all sides. `albedos` is the range that views may ask for, null if they may not.
+ * `shines` are the kinds of shine that views may ask for, none if the surface is diffuse.
+ * `cuts` is true if the voxels lie along the world's axes, so that planes across these may cut
+ * the volume. `colours` is the scale of a surface whose albedo comes from data; `albedo` is
+ * then the most that it reflects. `surfaces` are pinned isosurfaces; the sliding one lets the
+ * share `clear` of rays pass, and transmits `transmission` diffusely. `material` is the
+ * present material as views spell it, and `materials` are all, with reasons why some are
+ * refused. `view` holds the parameters of the first view that the scene file gives.
  */
 export interface Scene {
   id: string;
@@ -581,7 +582,7 @@ export interface Scene {
 }
 
 /**
- * Shares of the surface pixels, by state.
+ * Shares of surface pixels, by state.
  */
 export interface Shares {
   final: number;
@@ -590,11 +591,11 @@ export interface Shares {
 }
 
 /**
- * Area of a surface, and volume of the solid, in squares and cubes of the `unit`, which is
- * empty where unknown.
+ * Area of a surface and volume of the solid, in squares and cubes of the `unit`, which is
+ * empty if unknown.
  *
- * `area` is 0 where there is no surface. `area_error` and `volume_error` are what the
- * voxels' size leaves open, in the same units. `is_open` is whether the solid reaches a side of
+ * `area` is 0 if there is no surface. `area_error` and `volume_error` are the uncertainties
+ * due to the size of voxels, in the same units. `is_open` is true if the solid reaches a side of
  * the volume, where it is taken to end.
  */
 export interface Size {
@@ -607,13 +608,13 @@ export interface Size {
   is_open: boolean;
 }
 
-/** How far a job is, in the words of OGC API Processes. */
+/** The status of a job, in the words of OGC API Processes. */
 export type Status = "accepted" | "running" | "successful" | "failed" | "dismissed";
 
 /**
- * A pinned isosurface: its `name`, empty where it has none, the `albedo` of both its sides,
- * linear RGB, and the share of rays that passes straight through it, `clear`. Its
- * `transmission`, linear RGB, is what gets through diffuse.
+ * A pinned isosurface: its `name`, empty if it has none, the `albedo` of both sides,
+ * linear RGB, the share of rays that pass straight through it, `clear`, and the share of
+ * light that it transmits diffusely, `transmission`, linear RGB.
  */
 export interface Surface {
   isovalue: number;
@@ -624,8 +625,8 @@ export interface Surface {
 }
 
 /**
- * Texels and chunks of the lattice, those that some view can show, and shown ones that can hold
- * no light.
+ * Counts of texels and chunks of the lattice, of those that some view can show, and of shown
+ * texels that can hold no light (`void`).
  *
  * A chunk has `chunk` texels along each side.
  */
@@ -639,7 +640,7 @@ export interface Texel {
 }
 
 /**
- * Seconds until all pixels are final: most likely, and the range that they are likely in.
+ * Seconds until all pixels are final: the most likely number, and the likely range.
  */
 export interface TimeLeft {
   low: number;
@@ -648,8 +649,8 @@ export interface TimeLeft {
 }
 
 /**
- * What an upload may be: `limit_bytes` itself, and `limit_files` in an archive; and
- * `free_bytes` of `quota_bytes` that all may take.
+ * Limits of uploads: `limit_bytes` of one, `limit_files` in an archive, and the
+ * `free_bytes` that are left of `quota_bytes` for all.
  */
 export interface UploadLimits {
   limit_bytes: number;
@@ -659,13 +660,14 @@ export interface UploadLimits {
 }
 
 /**
- * A volume: voxels and spacing along x, y, z; holes are voxels that are not finite.
+ * A volume: voxels and spacing along x, y, z; `holes` counts voxels that are not finite.
  *
- * `affine` brings voxel indices to the world, (3, 4), whose lengths have the `unit`, empty
- * where unknown. `letters` say where the world's axes point in a patient, and `axes` where the
- * voxels' do; empty elsewhere. `bounds` are the least and the greatest world x, y, z. `notes`
- * tell what was done to the file's field, and `read_as` what the file was taken for, empty where
- * it is of no file. It is step `time` of a series of `times`, 0 of 1 where it is none.
+ * `affine` (3, 4) maps voxel indices to the world, whose lengths have the `unit`, empty if
+ * unknown. `letters` are the patient directions of the world's axes, `axes` those of the
+ * voxels'; empty for other volumes. `bounds` are the least and the greatest world x, y, z.
+ * `notes` say how the field of the file was changed, and `read_as` which format the file was
+ * taken for, empty without a file. The volume is step `time` of a series of `times`, 0 of 1 if
+ * it is no series.
  */
 export interface Volume {
   name: string;

@@ -85,7 +85,7 @@ def time_left(target: str | None, size: int, views: int, error: float, every: fl
         tempfile.TemporaryDirectory() as folder,
         closing(RenderEngine([scene], folder, baker=baker)) as engine,
     ):
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         baker.employ(pool)  # type: ignore[arg-type]
         for number in range(views):
             camera = scene.camera(40.0 + TURN * number, 30.0, 3.0, 30.0)

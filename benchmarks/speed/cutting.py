@@ -65,7 +65,7 @@ def cutting(size: int, workers: int) -> Measurement:
         closing(RenderEngine([scene], folder, workers=workers)) as engine,
     ):
         engine.start()
-        while engine.workforce.preparing or not engine.baker.tally().workers:
+        while engine.workers.preparing or not engine.baker.tally().workers:
             time.sleep(STEP)
         variants = Variants(engine, str)
         first = baked(engine, scene.id, view, scene.target_error, time.monotonic())

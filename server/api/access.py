@@ -1,4 +1,4 @@
-"""Access: which hosts, origins and tokens are let in."""
+"""Access: the hosts, origins and tokens that are let in."""
 
 import hashlib
 import hmac
@@ -15,21 +15,19 @@ from server.bearers import BEARER_SCOPE_KEY, TOKENLESS_BEARER, Bearer
 from server.problems import problem
 
 HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
-"""A Host header: a name or an address, that of six in brackets, and perhaps a port (RFC 9110,
-7.2).
-"""
+"""A Host header: a name or an address, IPv6 in brackets, and perhaps a port (RFC 9110, 7.2)."""
 
 
 class KnownHosts:
-    """ASGI middleware: refuses requests for other host names, against DNS rebinding."""
+    """ASGI middleware that refuses requests for unknown host names, against DNS rebinding."""
 
     def __init__(self, app: ASGIApp, hosts: tuple[str, ...] | None) -> None:
-        """Let requests for ``hosts`` pass, in lower case and without a port; None lets all pass."""
+        """Allow ``hosts``, in lower case and without ports; None allows all."""
         self.app = app
         self.hosts = hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where its Host header is allowed; 421 else."""
+        """Pass the request on if its Host header is allowed; else answer 421."""
         if (
             scope["type"] not in ("http", "websocket")
             or self.hosts is None
@@ -37,13 +35,15 @@ class KnownHosts:
         ):
             await self.app(scope, receive, send)
             return
+        # A page of another site that resolves its name to this address is refused here: it names
+        # its own host.
         detail = (
             "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
         )
         await problem(421, detail, scope["path"])(scope, receive, send)
 
     def knows(self, headers: Headers) -> bool:
-        """Whether the Host header, its port aside, is one of the allowed names."""
+        """Return True if the Host header, without its port, is an allowed name."""
         match = HOST.fullmatch(headers.get("host", "").lower())
         return (
             self.hosts is not None
@@ -53,36 +53,34 @@ class KnownHosts:
 
 
 SAFE = ("GET", "HEAD")
-"""Methods that change nothing; a client without a browser's headers may use them from wherever it
-is.
-"""
+"""Methods that change nothing. A client that sends no browser headers may use any method."""
 
 SAME_SITE = ("same-origin", "none")
-"""Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an
-address.
+"""Values of Sec-Fetch-Site for requests of the server's own pages, and for addresses that a
+person typed.
 """
 
 
 class KnownOrigins:
-    """ASGI middleware: refuses what pages of other origins send, against forged requests and stolen
-    work.
+    """ASGI middleware that refuses requests from pages of other origins, against forged requests
+    and stolen computing time.
 
-    Browsers say where a request comes from in Sec-Fetch-Site and Origin, and no page can change
-    that. What they call foreign is refused, but for a person who follows a link; where they name an
-    origin, changes and sockets are refused unless it is the server's own. A frame costs work and
-    bakes light, so that pictures in foreign pages are refused too. (A resource isolation policy as
-    in web.dev/articles/fetch-metadata.)
+    Browsers state the source of a request in Sec-Fetch-Site and Origin, and pages cannot change
+    these. Requests that a browser calls cross-site are refused, except for links that a person
+    follows. If an origin is named, changes and sockets are refused unless it is this server's. Even
+    a picture costs work and bakes light, so pictures in foreign pages are refused too. Source:
+    resource isolation policy, web.dev/articles/fetch-metadata.
     """
 
     def __init__(self, app: ASGIApp, origins: tuple[str, ...] = ()) -> None:
-        """Let pages of ``origins``, such as ``https://lab.example``, pass besides the server's
-        own.
+        """Allow pages of ``origins``, such as ``https://lab.example``, in addition to the
+        server's.
         """
         self.app = app
         self.origins = origins
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where its origin is known or does not matter; 403 else."""
+        """Pass the request on if its origin is allowed or does not matter; else answer 403."""
         if scope["type"] not in ("http", "websocket") or self.lets_pass(scope):
             await self.app(scope, receive, send)
             return
@@ -92,12 +90,13 @@ class KnownOrigins:
         await problem(403, detail, scope["path"])(scope, receive, send)
 
     def lets_pass(self, scope: Scope) -> bool:
-        """Whether the request comes from a page that is known, from no page, or by a link."""
+        """Return True if the request comes from an allowed page, from no page, or by a link."""
         headers = Headers(scope=scope)
         origin = headers.get("origin")
         site = headers.get("sec-fetch-site")
         if origin in self.origins:
             return True
+        # Changes and sockets need the server's origin, if the browser names one.
         safe = scope["type"] == "http" and scope["method"] in SAFE
         if not safe and origin is not None and not is_own(origin, headers):
             return False
@@ -105,21 +104,19 @@ class KnownOrigins:
 
 
 def is_own(origin: str, headers: Headers) -> bool:
-    """Whether an Origin header names the host that the request is sent to."""
+    """Return True if an Origin header names the host that the request was sent to."""
     return urlsplit(origin).netloc == headers.get("host", "").lower() != ""
 
 
 def is_link(headers: Headers) -> bool:
-    """Whether a browser opens the address in a tab of its own, as it does when a link is
-    followed.
-    """
+    """Return True if a browser opens the address as a page, as it does if a link is followed."""
     return (
         headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
     )
 
 
 OPEN_PATHS = ("/livez", "/readyz", "/bakez")
-"""What probes ask, which hold no token: they answer whoever shows none in fewer words."""
+"""Paths for probes without a token, which get answers without details."""
 
 REFUSAL = (
     "This server wants its token: as 'Authorization: Bearer …', or once in the page's "
@@ -138,7 +135,7 @@ FORBIDDEN = (
 
 
 def needed_scope(scope: Scope) -> str:
-    """What a request or socket needs its token to allow."""
+    """Return the scope that the token of a request or socket must have."""
     if scope["path"] == "/metrics":
         return "admin"
     if scope["type"] == "websocket" or scope["method"] in SAFE:
@@ -149,8 +146,8 @@ def needed_scope(scope: Scope) -> str:
 
 
 class Token:
-    """The token of a ``bearer``, and the cookie that stands for it: a digest of it, named after
-    it.
+    """The token of a ``bearer``, and the cookie that replaces it: its value is a digest of the
+    token, and its name a digest of that.
     """
 
     def __init__(self, bearer: Bearer) -> None:
@@ -160,11 +157,13 @@ class Token:
         self.name = f"isogi-{hashlib.sha256(self.cookie.encode()).hexdigest()[:8]}"
 
     def is_shown(self, given: bytes) -> bool:
-        """Whether this is the token."""
+        """Return True if ``given`` is the token; compares in constant time."""
         return hmac.compare_digest(given, self.token)
 
     def is_in(self, cookies: SimpleCookie) -> bool:
-        """Whether its cookie is among those of a request."""
+        """Return True if the cookie of this token is among those of a request; compares in
+        constant time.
+        """
         cookie = cookies.get(self.name)
         return cookie is not None and hmac.compare_digest(
             cookie.value.encode(), self.cookie.encode()
@@ -172,25 +171,27 @@ class Token:
 
 
 class TokenBearers:
-    """ASGI middleware: 401 for requests without a token, 403 for what the token does not allow.
+    """ASGI middleware that answers 401 to requests without a token, and 403 if the token does not
+    allow the request.
 
-    It is shown in the Authorization header, or by a cookie that a browser is given when the page is
-    opened with ``?token=``. The cookie holds a digest and not the token, and is named after it, as
-    ports share their cookies.
+    A token is sent in the Authorization header, or by a cookie that a browser gets if the page is
+    opened with ``?token=``. The cookie holds a digest, not the token; its name depends on the token
+    because servers on different ports share their cookies.
     """
 
     def __init__(self, app: ASGIApp, bearers: Sequence[Bearer]) -> None:
-        """Ask for the token of one of the ``bearers``."""
+        """Require the token of one of the ``bearers``."""
         self.app = app
         self.tokens = [Token(bearer) for bearer in bearers]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where it shows a token that allows it; a page that is opened with one
-        gets the cookie.
+        """Pass the request on if its token allows it. A page that is opened with a token in its
+        address gets the cookie.
         """
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
+        # Probes are answered with or without a token.
         if scope["path"] in OPEN_PATHS:
             token = self.known(Headers(scope=scope))
             if token:
@@ -200,6 +201,7 @@ class TokenBearers:
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
+        # A token in the page's address takes precedence over a cookie that may be older.
         given = self.given(scope)
         if given is not None and (token := self.shown(given.encode(errors="replace"))):
             await self.admission(scope, token)(scope, receive, send)
@@ -211,15 +213,17 @@ class TokenBearers:
             await self.refusal(scope, headers)(scope, receive, send)
 
     def passed(self, scope: Scope, bearer: Bearer) -> ASGIApp:
-        """What answers the request of a bearer: the app, where it may ask that."""
+        """Return the application that answers a request of this bearer: the app if the bearer
+        may ask it, else a 403.
+        """
         if bearer.may(needed := needed_scope(scope)):
             scope[BEARER_SCOPE_KEY] = bearer
             return self.app
         return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
 
     def known(self, headers: Headers) -> Token | None:
-        """The token that the headers show, themselves or by its cookie; of several cookies that
-        which allows most.
+        """Return the token that the headers carry, directly or by its cookie; of several
+        cookies the one that allows most.
         """
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
@@ -228,18 +232,21 @@ class TokenBearers:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return None
+        # A browser may hold cookies of several tokens, such as one that was sent by a colleague.
         held = [token for token in self.tokens if token.is_in(cookies)]
         return max(held, key=lambda token: token.bearer.reach, default=None)
 
     def shown(self, given: bytes) -> Token | None:
-        """The token that this is, if any; how long that takes reveals nothing."""
+        """Return the token that equals ``given``, if any. All tokens are compared, so that the
+        time reveals nothing.
+        """
         return next(
             (token for token in [each for each in self.tokens if each.is_shown(given)]), None
         )
 
     def given(self, scope: Scope) -> str | None:
-        """The token in the page's own address; None where there is none, or the address is
-        another.
+        """Return the token in the address of the page; None if there is none, or if another
+        address is requested.
         """
         if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
             return None
@@ -248,8 +255,8 @@ class TokenBearers:
         )
 
     def admission(self, scope: Scope, token: Token) -> Response:
-        """A redirect to the address without the token, with the cookie; the browser's history
-        forgets the token.
+        """Return a redirect to the address without the token, with the cookie, so that the
+        token leaves the browser's history.
         """
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
@@ -261,7 +268,7 @@ class TokenBearers:
         return answer
 
     def refusal(self, scope: Scope, headers: Headers) -> Response:
-        """401, as a page where a page was asked for."""
+        """Return a 401, as a page if a page was requested."""
         challenge = {"WWW-Authenticate": "Bearer", "Cache-Control": "no-store"}
         if scope["path"] == "/" and "text/html" in headers.get("accept", ""):
             return HTMLResponse(PAGE, 401, challenge)
@@ -271,7 +278,7 @@ class TokenBearers:
 
 
 def private(message: Message) -> Message:
-    """The message; an answer says that caches which others share may not keep it."""
+    """Mark an answer as private, so that shared caches do not keep it; return the message."""
     if message["type"] == "http.response.start":
         headers = MutableHeaders(scope=message)
         headers["Cache-Control"] = f"private, {headers.get('cache-control', 'no-cache')}"

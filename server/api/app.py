@@ -27,14 +27,14 @@ from server.render.metrics import (
     ServerCollector,
     StoreCollector,
 )
-from server.render.workforce import StoreProbe
+from server.render.stores import StoreProbe
 from server.settings import Settings
 
 API_DESCRIPTION = (
     "Pictures of isosurfaces with global illumination, served at once and refined while you look."
 )
 GUARDED = problems.documented_problems(401, 403, 413, 421)
-"""What the middleware answers for any route."""
+"""Problems that middleware may answer for any route."""
 
 ROUTERS = (
     *(
@@ -58,20 +58,18 @@ ROUTERS = (
 )
 
 ALLOWED_HEADERS = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")
-"""Request headers that pages of other origins may set, where any may ask."""
+"""Request headers that pages of allowed origins may set."""
 
 EXPOSED = (
     *("Isogi-Provisional", "Isogi-Coverage", "Isogi-Error", "Isogi-Chunks"),
     *("Isogi-Overdue", "Isogi-Projected", "Isogi-Refined", "Isogi-Surface", "Isogi-Time-Left"),
     *("ETag", "Location", "Preference-Applied", "Retry-After", "Server-Timing", "X-Request-ID"),
 )
-"""Response headers that these may read."""
+"""Response headers that pages of allowed origins may read."""
 
 
 def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
-    """The service around ``engine``, which it starts beside the event loop and closes at the
-    end.
-    """
+    """Assemble the HTTP service around an ``engine``, which starts and closes with the app."""
     metrics = Metrics()
     closing = Closing()
     service = Service(engine, settings)
@@ -89,6 +87,7 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
         lifespan=lifespan,
         middleware=middleware(settings, metrics, closing),
     )
+    # Routes and middleware find these by ``request.app.state``.
     app.state.service = service
     app.state.settings = settings
     app.state.metrics = metrics
@@ -101,7 +100,7 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
 
 
 def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[Middleware]:
-    """What a request passes, from the outside in."""
+    """Return the middleware, from the outermost to the innermost."""
     origins = settings.allowed_origins
     shared = Middleware(
         CORSMiddleware,
@@ -111,6 +110,8 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         expose_headers=EXPOSED,
     )
     bearers = settings.bearers
+    # Refusals get ids and safe headers too, so these come first; shutdown comes before access, so
+    # that it counts all requests.
     return [
         Middleware(Requests, metrics=metrics),
         Middleware(SafeHeaders),
@@ -126,12 +127,15 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
 
 @asynccontextmanager
 async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-    """Starts the service's engine without waiting for it; closes it at the end."""
+    """Start the engine in the background, so that the socket answers at once; close it at the
+    end.
+    """
     service: Service = app.state.service
     with app.state.metrics.counting_errors():
         start = asyncio.create_task(service.start())
         resumption = asyncio.create_task(resume(service))
         yield
+        # Stop compiling first: the start may still wait for it.
         resumption.cancel()
         service.engine.stop()
         await start

@@ -1,5 +1,5 @@
-"""Connections over uvicorn's own: requests have deadlines and places, and what clients of streams
-break is no error.
+"""Connections, on top of those of uvicorn: requests have deadlines, connections are limited,
+and slow or broken clients are closed without errors in the log.
 """
 
 import asyncio
@@ -27,20 +27,18 @@ from server.render.metrics import Metrics
 from server.settings import Settings
 
 NO_TEXT = 1007
-"""The code that a stream is closed with whose text is no UTF-8 (RFC 6455, 7.4)."""
+"""Code with which a stream is closed if its text is not UTF-8 (RFC 6455, 7.4)."""
 
 
 UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 class StreamConnection(WebSocketsSansIOProtocol):
-    """A stream's connection that leaves nothing in the log for what its client sends, or for being
-    refused.
-    """
+    """A WebSocket connection that logs no errors of clients, and is patient with slow links."""
 
     def data_received(self, data: bytes) -> None:
-        """Read; refuse a handshake that cannot be read, such as one with too many headers, and
-        close.
+        """Read data. Refuse a handshake that cannot be parsed, such as one with too many
+        headers.
         """
         super().data_received(data)
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
@@ -53,10 +51,12 @@ class StreamConnection(WebSocketsSansIOProtocol):
 
     _left = 0
     _moved = 0.0
-    """Bytes that were under way when some of them were taken last, and when that was."""
+    """Bytes that were under way when some of them were taken last, and the time of that."""
 
     async def send(self, message: Any) -> None:
-        """Send a message; with the end of a refusal the handshake is complete."""
+        """Send a message. The last part of a refusal completes the handshake, which uvicorn
+        would log as an error otherwise.
+        """
         self._written += len(message.get("bytes") or message.get("text") or "")
         await super().send(message)
         if message["type"] == "websocket.http.response.body" and not message.get(
@@ -65,47 +65,53 @@ class StreamConnection(WebSocketsSansIOProtocol):
             self.handshake_complete = True
 
     def send_keepalive_ping(self) -> None:
-        """Ping the client, behind what it is yet to take."""
+        """Ping the client; the ping queues behind all bytes that were sent before."""
         super().send_keepalive_ping()
         self._left = self._under_way
         self._moved = self.loop.time()
 
     def handle_pong(self, event: Any) -> None:
-        """Take a pong: what was sent before its ping has arrived."""
+        """Take a pong: all that was sent before its ping has arrived."""
         super().handle_pong(event)
         if self.pending_ping_payload is None:
             self._written = 0
 
     def keepalive_timeout(self) -> None:
-        """Give the client up unless bytes that were sent before the ping may still be on their way
-        to it: then wait on.
+        """Give the client up if it answered no ping, unless bytes sent before the ping may
+        still be on their way: then wait on.
         """
         now = self.loop.time()
         left = self._under_way
+        # The client moves if bytes were taken at PACE at least since the last check, or new ones
+        # were sent.
         if left > self._left or left <= self._left - PACE * PING:
             self._left = left
             self._moved = now
         if left:
             patience = self._moved + self.config.settings.stall_seconds  # type: ignore[attr-defined]
-        else:  # a proxy has taken them, and passes them on at the pace of the link beyond
+        else:
+            # A proxy has taken all bytes, and passes them on at the pace of the link beyond.
             patience = self.ping_sent_at + self._written / PACE
         if now < patience:
             self.pong_timer = self.loop.call_later(PING, self.keepalive_timeout)
-        elif left:  # a close would wait behind them
+        elif left:
+            # A close frame would wait behind the bytes that are not taken.
             self.transport.abort()
         else:
             super().keepalive_timeout()
 
     @property
     def _under_way(self) -> int:
-        """Bytes that wait for the client here and in the system's buffers."""
+        """Return the bytes that wait for the client, in this process and in the buffer of the
+        socket.
+        """
         waiting = array("i", [0])
         with suppress(OSError):
             fcntl.ioctl(self.transport.get_extra_info("socket"), termios.TIOCOUTQ, waiting)
         return self.transport.get_write_buffer_size() + waiting[0]
 
     def send_receive_event_to_app(self) -> None:
-        """Hand over a whole message; close where its text is no UTF-8."""
+        """Hand a whole message over; close the stream if its text is not UTF-8."""
         if self.curr_msg_data_type == "text" and not is_text(b"".join(self.frames)):
             self.conn.send_close(NO_TEXT)
             self.handle_parser_exception()
@@ -114,7 +120,7 @@ class StreamConnection(WebSocketsSansIOProtocol):
 
 
 def is_text(data: bytes) -> bool:
-    """Whether these bytes are UTF-8."""
+    """Return True if these bytes are UTF-8."""
     try:
         data.decode()
     except UnicodeDecodeError:
@@ -128,24 +134,26 @@ DEADLINE_CHECK_SECONDS = 0.5
 """Seconds between two checks of a connection's deadlines."""
 
 PACE = 1024
-"""Bytes a second that a client has to take of an answer."""
+"""Bytes per second of an answer that a client must take at least."""
 
 PING = 5.0
-"""Seconds between two pings of a stream's client, and within which it has to answer each once all
-that was sent before has arrived.
+"""Seconds between two pings of a stream's client, and within which it must answer each, once
+all that was sent before has arrived.
 """
 
 LINGER = 1.0
-"""Seconds for which one reads from a connection that is to be closed: more of a request may be on
-its way.
+"""Seconds for which a connection is still read before it is closed: if data arrived later, the
+client would get a reset instead of the answer.
 """
 
 
 class ServerConfig(Config):
-    """How uvicorn serves an app under isogi's settings; what connections need is at hand in it."""
+    """The configuration of uvicorn for an app under isogi's settings. Connections find settings
+    and metrics in it.
+    """
 
     def __init__(self, app: Any, settings: Settings, metrics: Metrics) -> None:
-        """Take on ``app``; ``metrics`` count the connections that are given up."""
+        """Configure ``app``; ``metrics`` count the connections that are given up."""
         super().__init__(
             app,
             http=Connection,
@@ -158,7 +166,7 @@ class ServerConfig(Config):
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
             ws=StreamConnection,
             ws_max_size=settings.stream_bytes,
-            ws_per_message_deflate=False,  # pictures are compressed as they are
+            ws_per_message_deflate=False,  # Pictures are compressed already.
             ws_ping_interval=PING,
             ws_ping_timeout=PING,
         )
@@ -167,13 +175,15 @@ class ServerConfig(Config):
 
 
 class Connection(H11Protocol):
-    """A connection that is given up where its client is too slow, or too many want one.
+    """An HTTP connection that is closed if its client is too slow, or if there are too many
+    connections.
 
-    A head must be there ``head_seconds`` after the connection or the last answer, and a body
-    ``body_seconds`` after its head, that of an upload ``upload_seconds``; an answer must be taken
-    at some PACE. Where all places are taken, one makes room that lacks a part of its request: of
-    the client that has most of these, the one that has waited longest, for a head before a body.
-    Where none lacks any, the newcomer is answered with 503.
+    A head must be complete ``head_seconds`` after the connection or the last answer, a body
+    ``body_seconds`` after its head (``upload_seconds`` for an upload), and an answer must be taken
+    at PACE. If there are too many connections, one whose request is incomplete is closed: among
+    those of the client that has most connections, one that lacks a head before one that lacks a
+    body, the one that waits longest first. If all requests are complete, the newcomer is answered
+    with 503.
     """
 
     def __init__(
@@ -193,9 +203,9 @@ class Connection(H11Protocol):
         self._next_check: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place, or close another connection that waits."""
-        # asyncio does so only for listeners that name their protocol; else each answer may wait 40
-        # ms for its end
+        """Take a place, or the place of another connection with an incomplete request."""
+        # asyncio sets this only for listeners that name their protocol; without it the end of an
+        # answer may wait for 40 ms.
         transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         super().connection_made(transport)
         self._since = self._taken = self.loop.time()
@@ -221,30 +231,35 @@ class Connection(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read, and note when a head or a body is whole; what comes after a refusal is dropped."""
+        """Read data, and note the completion of a head or a body. Data after a refusal is
+        dropped.
+        """
         if not self._refused:
             super().data_received(data)
             self._note()
 
     def on_response_complete(self) -> None:
-        """Go on, and note that the next head may come."""
+        """Continue, and note that the next head may come."""
         super().on_response_complete()
         self._note()
 
     def pause_writing(self) -> None:
-        """Have the application wait; where clients together leave too much, the one that takes
-        longest is closed.
+        """Have the application wait. If clients together leave too many bytes unsent, close the
+        one that has stalled longest.
         """
         super().pause_writing()
         if not self._unsent:
             self._taken = self.loop.time()
             self._unsent = self.unsent
+        # Answers that wait for slow clients take memory of all.
         slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
         if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
             min(slow, key=lambda each: each._taken).drop("memory")
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand over to the socket's own protocol, unless there is no place."""
+        """Hand the connection over to the WebSocket protocol, or refuse it if there are too
+        many connections.
+        """
         if self.app is crowded:
             self.refuse(503, CONNECTIONS_TAKEN)
             return
@@ -252,8 +267,8 @@ class Connection(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def shutdown(self) -> None:
-        """Close after the present answer; a quiet connection after a while, in which its next
-        request is answered.
+        """Close after the present answer; close a quiet connection after LINGER seconds, in
+        which a request is still answered.
         """
         if self.cycle is not None and not self.cycle.response_complete:
             self.cycle.keep_alive = False
@@ -262,7 +277,7 @@ class Connection(H11Protocol):
 
     @property
     def waits(self) -> bool:
-        """Whether the head of a request is still to come."""
+        """Return True if the head of the next request has not come yet."""
         return (
             self.conn.their_state is h11.IDLE
             and not self._refused
@@ -271,7 +286,9 @@ class Connection(H11Protocol):
 
     @property
     def lacks(self) -> str | None:
-        """The part of a request that is still to come: head or body."""
+        """Return the part of the present request that is incomplete, "head" or "body"; None if
+        it is complete.
+        """
         if self.waits:
             return "head"
         if self.conn.their_state is h11.SEND_BODY and not self._refused:
@@ -280,8 +297,8 @@ class Connection(H11Protocol):
 
     @property
     def body_seconds(self) -> int:
-        """Seconds for the body of the present request; once an upload is answered its rest is a
-        body as any other.
+        """Return the seconds allowed for the body of the present request. The rest of an upload
+        that is answered early is a body like any other.
         """
         uploading = (
             self.scope["method"],
@@ -293,11 +310,11 @@ class Connection(H11Protocol):
 
     @property
     def unsent(self) -> int:
-        """Bytes of answers that the client is yet to take."""
+        """Return the bytes of answers that the client has not taken yet."""
         return self.transport.get_write_buffer_size()
 
     def check(self) -> None:
-        """Give the connection up where it is late; check again later where it is not."""
+        """Close the connection if its client is late; else check again later."""
         now = self.loop.time()
         part = self.lacks
         if part == "body":
@@ -311,13 +328,13 @@ class Connection(H11Protocol):
         self._check_later()
 
     def drop(self, why: str) -> None:
-        """Close at once, whatever the client is yet to take."""
+        """Abort the connection, whatever is unsent; count it by the reason ``why``."""
         self.metrics.closed.labels(why).inc()
         self.transport.abort()
 
     def give_up(self, why: str, sentence: str) -> None:
-        """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered
-        yet.
+        """Close the connection; if a request has begun and has no answer yet, answer it with
+        408 and this ``sentence``.
         """
         self.metrics.closed.labels(why).inc()
         answering = (
@@ -326,6 +343,7 @@ class Connection(H11Protocol):
             and not self.cycle.response_complete
         )
         self._end_cycle()
+        # Close without an answer if one is under way, or if no request has begun.
         if (
             answering
             or (self.waits and not self.conn.trailing_data[0])
@@ -336,13 +354,12 @@ class Connection(H11Protocol):
             self.refuse(408, sentence)
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is not HTTP with a problem document."""
+        """Answer data that is not HTTP with a problem document."""
         self.refuse(400, "This is not a request that HTTP/1.1 allows.")
 
     def refuse(self, status: int, sentence: str) -> None:
-        """Answer with a problem, past the app, and close; not at once, for what is still sent would
-        be a reset.
-        """
+        """Answer with a problem document, without the app, and close after LINGER seconds."""
+        # Stop the app, and write the answer to the connection.
         self._end_cycle()
         answer = problem(status, sentence, "/")
         headers = [*answer.raw_headers, (b"connection", b"close")]
@@ -353,33 +370,36 @@ class Connection(H11Protocol):
         ):
             self.transport.write(self.conn.send(event) or b"")
         self._refused = True
+        # Read on for a while: closing at once would reset the connection while the client still
+        # sends.
         self.transport.write_eof()
         self.loop.call_later(LINGER, self.transport.close)
 
     def _end_cycle(self) -> None:
-        """Have the app read that its client left, and answer no more."""
+        """Tell the app that its client left, so that it answers no more."""
         if self.cycle is not None and not self.cycle.response_complete:
             self.cycle.disconnected = True
             self.cycle.message_event.set()
 
     def _note(self) -> None:
-        """Begin to count again where the client has come from one part of a request to the next."""
+        """Restart the deadline if the client has completed a part of its request."""
         if self.conn.their_state is not self._state:
             self._since = self.loop.time()
             self._state = self.conn.their_state
 
     def _stalls(self, now: float) -> bool:
-        """Whether the client takes too little of an answer: less than its pace for
-        ``stall_seconds``.
-        """
+        """Return True if the client has taken less than PACE of an answer for ``stall_seconds``."""
         unsent = self.unsent
         least = self._unsent - PACE * self.settings.stall_seconds
+        # Measure again if all is sent, more is queued, or enough was taken since the last
+        # measurement.
         if not unsent or unsent > self._unsent or unsent <= least:
             self._unsent = unsent
             self._taken = now
         return unsent > 0 and now - self._taken > self.settings.stall_seconds
 
     def _leave(self) -> None:
+        """Close the connection if no request has come."""
         if self.waits:
             self.transport.close()
 
@@ -396,21 +416,22 @@ CONNECTIONS_TAKEN = "All connections that this server has are taken: come back i
 
 
 async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
-    """The app of a connection without a place."""
+    """Answer any request with 503: the app of a connection that has no place."""
     await problem(503, CONNECTIONS_TAKEN, scope["path"])(scope, receive, send)
 
 
 def too_many(
     one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings
 ) -> list[H11Protocol]:
-    """The connections that are too many: all of this client, or all; none where they are within the
-    limits.
+    """Return the connections that are too many: all of this client, or all there are; an empty list
+    within the limits.
 
-    Connections of a trusted proxy are of many clients: the limit for all connections alone holds
-    for them.
+    Connections of a trusted proxy belong to many clients, so that only the limit for all
+    connections holds for them.
     """
     everybody = list(connections)
     own = [each for each in everybody if site_at(each) == site_at(one)]
+    # A client above its limit competes with its own connections only.
     if len(own) > settings.max_client_connections and not settings.trusts(host_of(one)):
         return own
     if len(everybody) > settings.max_connections:
@@ -419,12 +440,12 @@ def too_many(
 
 
 def host_of(connection: H11Protocol) -> str:
-    """The address of a connection's client, without its port; empty where it has none."""
+    """Return the address of a connection's client without its port; empty if it has none."""
     if connection.client is not None:
         return connection.client[0]
     return ""
 
 
 def site_at(connection: H11Protocol) -> str:
-    """The client at the other end of a connection, as limits count it: see ``site_of``."""
+    """Return the client of a connection as limits count it: see ``site_of``."""
     return site_of(host_of(connection))

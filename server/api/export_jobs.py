@@ -1,4 +1,4 @@
-"""Exports over HTTP: jobs that bake an isosurface, and make a file with its light in it."""
+"""Exports over HTTP: jobs that bake an isosurface and make a file with its light."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
+from server.api.prewarm_jobs import Prewarm, finish_thread, lower_priority
 from server.api.service import Service
 from server.errors import ForbiddenError
 from server.exports.lit_files import (
@@ -36,10 +36,10 @@ from server.render.jobs import Job, Result
 from server.views import view_of
 
 TYPES = {".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".obj": "model/obj"}
-"""Media types of files that have one."""
+"""Media types of file formats that have one."""
 
 BAKED = 0.9
-"""The share of an export's progress at which all its light is baked."""
+"""Progress of an export when all its light is baked; the rest is for making the file."""
 
 VOLUMES_WITHHELD = (
     "This server hands out no voxels, and no light of chunks: export a mesh, such as f=glb, or "
@@ -49,19 +49,20 @@ VOLUMES_WITHHELD = (
 Made = TypeVar("Made")
 
 EXPORT_BYTES = 64 << 20
-"""Bytes that the renderer of an export keeps."""
+"""Bytes that the renderer of an export may keep."""
 
 
 def begin(
     service: Service, scene: Scene, params: ExportParams, client: tuple[str, str] = ("", "")
 ) -> Job:
-    """The job of a ``client``, its owner's name first, that makes a file.
+    """Start the job that makes a file of a scene; ``client`` is its owner and address.
 
-    Raises BusyError, ViewError, SceneError where the scene fits no such file, and ForbiddenError
-    for a volume where voxels and light are kept.
+    Raises BusyError, ViewError, SceneError if the scene does not fit the format, and ForbiddenError
+    for a volume if the server does not hand out voxels.
     """
     if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
         raise ForbiddenError(VOLUMES_WITHHELD)
+    # Find errors now, so that the request is refused and no job fails later.
     view = view_of(scene, params.view, service.settings)
     scene.require_texels()
     if f".{params.f}" in WRITERS:
@@ -74,13 +75,13 @@ def begin(
 
 
 def media_type(file: Path) -> str:
-    """The media type of a file that is exported."""
+    """Return the media type of an exported file."""
     return TYPES.get(file.suffix, "application/octet-stream")
 
 
 def reporter(job: Job) -> Callable[[int, int], None]:
-    """What threads tell how many points are lit, of how many; the ``job`` reports it on this event
-    loop.
+    """Return a function by which threads report the points that are lit, and their number; the
+    ``job`` is updated on this event loop.
     """
     loop = asyncio.get_running_loop()
 
@@ -93,9 +94,7 @@ def reporter(job: Job) -> Callable[[int, int], None]:
 
 @dataclass(eq=False)
 class Export:
-    """One export on its way, as ``params`` ask for it: light is baked first, then a thread makes
-    the file.
-    """
+    """An export: its light is baked first, then a thread makes the file as ``params`` ask."""
 
     service: Service
     scene: Scene
@@ -105,8 +104,8 @@ class Export:
     cancelled: threading.Event = field(default_factory=threading.Event)
 
     async def work(self, job: Job) -> Iterable[Result]:
-        """Do all of it; returns when that has ended, also when this is cancelled. Raises FullError
-        and ViewError.
+        """Bake the light and make the file; return when that has ended, even if cancelled.
+        Raises FullError and ViewError.
         """
         exports = self.service.exports
         needed = await self._in_thread(self._check)
@@ -114,12 +113,15 @@ class Export:
             rung = MAX_SAMPLES
         else:
             rung = FIRST_LEVEL
+        # Bake the whole isosurface. Texels of exported coefficients get all samples, unless they
+        # are good enough with fewer.
         prewarm = Prewarm(
             self.service, self.scene, self._order(), owner=self.owner, recorded=False, rung=rung
         )
         summary = await prewarm.carry_out(
             lambda share, text, left: job.report(BAKED * share, text, left)
         )
+        # Make one file at a time, so that the check of the quota holds.
         async with exports.turn:
             exports.make_room({each.id for each in self.service.jobs.all()}, needed)
             own = self.service.engine.variant(self.scene.id).base
@@ -133,27 +135,30 @@ class Export:
 
     @property
     def _suffix(self) -> str:
+        """Return the suffix of the file."""
         return f".{self.params.f}"
 
     @property
     def _coefficients(self) -> bool:
+        """Return True if transfer coefficients are exported with the surface."""
         return self.params.coefficients == "on"
 
     def _order(self) -> PrewarmOrder:
+        """Return the order to bake this isosurface from all directions."""
         params = self.params
         asked = {"target_error": params.max_error, "deadline": params.deadline}
         given = {name: value for name, value in asked.items() if value is not None}
         return order_of({"isovalues": [repr(self.view.isovalue)], "all_directions": True, **given})
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
-        """Do some work on a thread; if cancelled, it is asked to stop, and waited for."""
-        return await to_its_end(
+        """Run some work on a thread; if cancelled, ask it to stop, and wait for its end."""
+        return await finish_thread(
             asyncio.get_running_loop().run_in_executor(None, work), self.cancelled
         )
 
     def _check(self) -> int:
-        """About the file's bytes. Raises FullError where that is too large, and ViewError where
-        there is no surface.
+        """Return the expected bytes of the file. Raises FullError if it is too large, and
+        ViewError if there is no surface.
         """
         renderer = self.service.engine.renderer(self.scene.id)
         if self._coefficients:
@@ -167,10 +172,8 @@ class Export:
         return needed
 
     def _make(self, output: Path, report: Callable[[int, int], None]) -> None:
-        """Make the file, on one thread that stands behind those of frames. Raises Cancelled, and
-        VolumeError.
-        """
-        stand_back()
+        """Make the file, on a thread of lower priority. Raises Cancelled, and VolumeError."""
+        lower_priority()
         view = self.view
         exposure = self.params.exposure or self.scene.default_exposure
         with closing(Tiles(1)) as tiles:

@@ -1,4 +1,4 @@
-"""Response headers: what a frame says about itself; and what a client prefers."""
+"""Response headers of frames, and the preferences that a request states."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from server.pictures import media_range
 from worker.progress import TimeLeft
 
 FOR_EVER = "max-age=31536000, immutable"
-"""Caching of a picture that is final, at an address that names its version: it can be no other."""
+"""Caching of a final picture at an address that names its version: it never changes."""
 
 STATE_NAMES = ("final", "converging", "provisional")
 STAGES = {
@@ -47,19 +47,22 @@ STAGES = {
     "encode": "making the picture's bytes",
     "total": "all of these and what is between them",
 }
-"""The stages of a request, as Server-Timing names them, and what is done in each. None counts what
-another does.
+"""Stages of a request as Server-Timing names them, with descriptions. Their times do not
+overlap.
 """
 
 
 def frame_headers(
     frame: Frame, time_left: TimeLeft | None, tag: str, version: str | None = None
 ) -> dict[str, str]:
-    """The headers of a frame's response, a 304 included; ``version`` is what the address asks for,
-    if anything.
+    """Return the headers of a frame's response, also of a 304. ``version`` is the version in the
+    address, if any.
 
-    What a client prefers changes the answer until the frame is final, and never the final one.
+    The preferences of a client change the answer until the frame is final, so that caches must vary
+    by them until then.
     """
+    # Some headers depend on the frame: time left if it is not final, projected or finer texels if
+    # it has some.
     if time_left is not None and not frame.final:
         left = {"Isogi-Time-Left": time_left_header(time_left)}
         if time_left.overdue:
@@ -94,17 +97,15 @@ def frame_headers(
 
 
 def cache_status(needed: int, final: int) -> str:
-    """What the store had of a frame's light (RFC 9211): all of it, part of it, or nothing; the rest
-    is baked.
-    """
+    """Return the share of a frame's light that the store had (RFC 9211): hit, partial or miss."""
     if needed == final:
         return "isogi-light; hit"
     return f"isogi-light; fwd={'partial' if final else 'miss'}"
 
 
 def coverage_header(shares: Mapping[str, float]) -> str:
-    """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means
-    all.
+    """Return the shares of states to three digits, the final share rounded down and the others
+    up, so that 1.000 means all.
     """
     final, *others = (1000 * shares[state] for state in STATE_NAMES)
     thousandths = (math.floor(final), *map(math.ceil, others))
@@ -114,13 +115,15 @@ def coverage_header(shares: Mapping[str, float]) -> str:
 
 
 def projection_header(shares: Mapping[str, float]) -> str:
-    """Shares of the texels, to three digits, by how they are read; see ``Projection.shares``."""
+    """Return the shares of texels by the way that they are read, to three digits; see
+    ``Projection.shares``.
+    """
     return ", ".join(f"{name}={share:.3f}" for name, share in shares.items())
 
 
 def refined_header(frame: Frame) -> str:
-    """By what a picture is better than its plan: texels along each axis, times the plan's, and
-    pixels' own light.
+    """Return the refinements of a picture beyond its plan: texels along each axis, as a
+    multiple, and the share of pixels with light of their own.
     """
     return (
         f"texels={FINER_FACTOR**frame.quality.fineness:g}, "
@@ -129,10 +132,10 @@ def refined_header(frame: Frame) -> str:
 
 
 def error_header(frame: Frame) -> str:
-    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction,
-    before there are any.
+    """Return the total error with its noise, 95 % interval and number of control pixels; or a
+    prediction before there are any.
 
-    Where the error that 99 % of the pixels stay below is measured, that follows with its interval.
+    If the error below which 99 % of the pixels stay is measured, it follows with its interval.
     """
     total = frame.total
     stated = f"{total.likely:.5f}; noise={frame.noise:.5f}"
@@ -145,15 +148,15 @@ def error_header(frame: Frame) -> str:
 
 
 def time_left_header(left: TimeLeft) -> str:
-    """Seconds until the frame is final, and the range that they are likely in: while some are left,
-    not up to 0.0.
+    """Return the seconds until the frame is final, with the likely range. The upper end is at
+    least 0.1 while work is left.
     """
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={max(left.high, 0.1):.1f}"
 
 
 def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) -> str:
-    """A strong ETag: equal where the frame's content and its representation are, with errors where
-    it shows them.
+    """Return a strong ETag: equal if content and representation of the frame are equal.
+    Measured errors count only if the representation shows them.
     """
     overlay = params.overlay
     target = params.max_error
@@ -167,12 +170,12 @@ def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) ->
 
 
 def tag_of(*parts: object) -> str:
-    """A strong ETag: equal where the parts are."""
+    """Return a strong ETag that is equal if the ``parts`` are."""
     return f'"{hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()}"'
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Whether an If-None-Match header names the tag (weak comparison, RFC 9110, 13.1.2)."""
+    """Return True if an If-None-Match header names the tag (weak comparison, RFC 9110, 13.1.2)."""
     if if_none_match is None:
         return False
     named = {part.strip().removeprefix("W/") for part in if_none_match.split(",")}
@@ -180,13 +183,13 @@ def matches(if_none_match: str | None, tag: str) -> bool:
 
 
 def takes_gzip(accepted: str) -> bool:
-    """Whether an Accept-Encoding header allows gzip (RFC 9110, 12.5.3)."""
+    """Return True if an Accept-Encoding header allows gzip (RFC 9110, 12.5.3)."""
     weights = dict(map(media_range, accepted.split(",")))
     return weights.get("gzip", weights.get("*", 0.0)) > 0.0
 
 
 def server_timing(watch: Stopwatch) -> str:
-    """A Server-Timing header: milliseconds of a request's stages so far and of their total; see
+    """Return a Server-Timing header: milliseconds of each stage so far, and their total; see
     STAGES.
     """
     seconds = {**watch.seconds, "total": watch.elapsed}
@@ -194,13 +197,12 @@ def server_timing(watch: Stopwatch) -> str:
 
 
 MEMBER = re.compile(r'(?:[^,"]|"(?:[^"\\]|\\.)*"?)+')
-"""One member of a list, in whose quoted parts commas are text."""
+"""One member of a list header; commas in quoted parts are text."""
 
 PREFER_DESCRIPTION = (
-    "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, where wait_ms is left out;"
-    f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, "
-    "answer with a job that bakes"
-    " it. Others are ignored."
+    "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, if wait_ms is left out; "
+    f"{LONGEST_WAIT // 1000} at most. respond-async: if the frame is not final by then, answer "
+    "with a job that bakes it. Others are ignored."
 )
 
 Params = TypeVar("Params", bound=ViewParams)
@@ -208,16 +210,16 @@ Params = TypeVar("Params", bound=ViewParams)
 
 @dataclass(frozen=True)
 class Preferences:
-    """To ``wait`` for so many seconds, if any, and to be answered with a job rather than wait
-    longer.
+    """The preferences of a request: to ``wait`` this many seconds, if any, and to get a job
+    rather than wait longer.
     """
 
     wait: int | None = None
     respond_async: bool = False
 
     def fill(self, params: Params) -> tuple[Params, dict[str, str]]:
-        """The parameters with the wait that is preferred, and the header that says so; a given
-        ``wait_ms`` stands.
+        """Return the parameters with the preferred wait, and the header that confirms it. A
+        ``wait_ms`` in the query takes precedence.
         """
         if self.wait is None or "wait_ms" in params.model_fields_set:
             return params, {}
@@ -226,11 +228,12 @@ class Preferences:
 
 
 def preferences(headers: Iterable[str]) -> Preferences:
-    """What Prefer headers say; of a preference that is given twice the first counts, and what makes
-    no sense does not.
+    """Read Prefer headers. If a preference is given twice, the first counts; invalid ones are
+    ignored (RFC 7240).
 
-    A longer wait than is allowed is taken for the longest.
+    A wait longer than is allowed is reduced to the longest.
     """
+    # A member is a name, perhaps with a value and parameters: name=value;parameter.
     found: dict[str, str] = {}
     for member in (member for header in headers for member in MEMBER.findall(header)):
         name, _, value = member.partition(";")[0].partition("=")
@@ -239,9 +242,10 @@ def preferences(headers: Iterable[str]) -> Preferences:
 
 
 def seconds(text: str) -> int | None:
-    """The whole seconds that a text spells, LONGEST_WAIT at most; None where it spells none."""
+    """Return the whole seconds that a text spells, at most LONGEST_WAIT; None if it spells none."""
     if not re.fullmatch(r"\d+", text, re.ASCII):
         return None
+    # Avoid the conversion of absurdly long numbers.
     if len(text) < 10:
         return min(int(text), LONGEST_WAIT // 1000)
     return LONGEST_WAIT // 1000
@@ -250,7 +254,7 @@ def seconds(text: str) -> int | None:
 async def preferred(
     prefer: Annotated[list[str] | None, Header(description=PREFER_DESCRIPTION)] = None,
 ) -> Preferences:
-    """The preferences of a request."""
+    """Return the preferences of a request."""
     return preferences(prefer or ())
 
 

@@ -1,5 +1,5 @@
-"""The start and the end of a service: pictures come without light first, and open requests are
-finished last.
+"""The start and the end of a service: pictures without light come first, and open requests are
+completed before the end.
 """
 
 from __future__ import annotations
@@ -16,37 +16,39 @@ from isogi_core.errors import Cancelled
 from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.problems import problem
-from server.render.bakes import until
 from server.render.engine import RenderEngine
+from server.render.viewers import run_until
 
 LATE = 1.0
-"""Seconds that a route has to answer after it read that its client left; then it is answered with
-503.
+"""Seconds that a route has to answer once it was told that its client left; then it is answered
+with 503.
 """
 
 
 class Closing:
-    """How far the server is on its way to stop; for its event loop alone.
+    """The state of a server that stops. For its event loop only.
 
-    First it is ``begun``: answers close their connections, and endless ones end. At its end, routes
-    that are still at work read that their client left; a little later, requests without an answer
-    get 503.
+    First ``begun`` is set: answers close their connections, and endless ones end. At the end,
+    routes that still work are told that their client left, and after LATE seconds requests without
+    an answer get 503.
     """
 
     def __init__(self) -> None:
-        """Be open."""
+        """Create the state of a server that does not stop yet."""
         self.begun = False
         self._open: set[OpenRequest] = set()
 
     def begin(self) -> None:
-        """Let open requests come to their end."""
+        """Begin to stop: end endless answers, and let the other requests be completed."""
         self.begun = True
         for request in self._open:
             if request.endless:
                 request.ending.set()
 
     async def end(self) -> None:
-        """Wait no longer."""
+        """Wait no longer: tell all routes that their client left, and give them up after LATE
+        seconds.
+        """
         for request in self._open:
             request.ending.set()
         await asyncio.sleep(LATE)
@@ -55,7 +57,7 @@ class Closing:
 
     @contextmanager
     def admitted(self, receive: Receive, send: Send) -> Iterator[OpenRequest]:
-        """Keep a request among the open ones while it is worked on."""
+        """Count a request among the open ones for the block."""
         request = OpenRequest(receive, send, self)
         self._open.add(request)
         try:
@@ -66,15 +68,15 @@ class Closing:
 
 
 class OpenRequest:
-    """A request that is worked on, and its answer: whether that has ``begun``, is ``endless``, and
-    is ``whole``.
+    """A request that is worked on, and the state of its answer: ``begun``, ``endless`` (a stream of
+    events), ``whole`` (sent completely).
 
-    Its route reads that the client left once ``ending`` is set, and is given up once it is
-    ``late``.
+    Once ``ending`` is set, its route reads that the client left; once ``late`` is set, the route is
+    cancelled.
     """
 
     def __init__(self, receive: Receive, send: Send, closing: Closing) -> None:
-        """Read what the client sends by ``receive``, and answer by ``send``."""
+        """Read messages of the client by ``receive``, and answer by ``send``."""
         self.begun = self.endless = self.whole = False
         self.ending = asyncio.Event()
         self.late = asyncio.Event()
@@ -84,10 +86,11 @@ class OpenRequest:
         self._next: asyncio.Future[Message] | None = None
 
     async def receive(self) -> Message:
-        """The next message; a disconnect once the request shall end.
+        """Return the next message of the client; a disconnect once the request is to end.
 
-        A cancelled wait loses nothing: the next call has the message.
+        A call that is cancelled loses no message: the next call returns it.
         """
+        # The pending receive outlives this call.
         if self._next is None:
             self._next = asyncio.ensure_future(self._receive())
         if not self._next.done() and not self.ending.is_set():
@@ -104,7 +107,9 @@ class OpenRequest:
         return message
 
     async def send(self, message: Message) -> None:
-        """Send a message on; the first says that the connection closes where the server stops."""
+        """Send a message on. If the server stops, the first message says that the connection
+        closes.
+        """
         if message["type"] == "http.response.start":
             self._begin(MutableHeaders(scope=message))
         elif message["type"] == "http.response.body":
@@ -112,11 +117,14 @@ class OpenRequest:
         await self._send(message)
 
     def close(self) -> None:
-        """Read no more."""
+        """Read no more messages."""
         if self._next is not None:
             self._next.cancel()
 
     def _begin(self, headers: MutableHeaders) -> None:
+        """Note the start of the answer. If the server stops, close the connection after it, and
+        end it now if it is endless.
+        """
         self.begun = True
         self.endless = headers.get("content-type", "").startswith("text/event-stream")
         if self._closing.begun:
@@ -126,20 +134,21 @@ class OpenRequest:
 
 
 class GracefulShutdown:
-    """ASGI middleware: has requests end well while the server stops."""
+    """ASGI middleware that completes open requests while the server stops."""
 
     def __init__(self, app: ASGIApp, closing: Closing) -> None:
         self.app = app
         self.closing = closing
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; once the server stops its answer says that the connection closes."""
+        """Pass the request on, until it is answered or late."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         with self.closing.admitted(receive, send) as request:
             with suppress(Cancelled):
-                await until(self.app(scope, request.receive, request.send), request.late.wait())
+                await run_until(self.app(scope, request.receive, request.send), request.late.wait())
+            # Complete the answer of a route that was cancelled.
             if not request.begun:
                 await problem(503, STOPPED, scope["path"])(scope, receive, request.send)
             elif request.endless and not request.whole:
@@ -150,7 +159,7 @@ STOPPED = "The server stops, and this was not done in time: ask again in a while
 
 
 LOOK = 0.02
-"""Seconds between two looks at whether the service is ready."""
+"""Seconds between two checks if the service is ready."""
 
 SCENE_NOT_OPEN = "isogi is starting: its scene is not open yet."
 COMPILING = (
@@ -159,14 +168,14 @@ COMPILING = (
 
 
 class Startup:
-    """How far the start of an ``engine`` is; for the event loop alone.
+    """The start of an ``engine``. For the event loop only.
 
-    It is ``settled`` once pictures can be drawn, or a ``failure`` says why they cannot. They are
-    ``lit`` once kernels of light are there, which takes longer where these must be compiled.
+    ``settled`` is set once pictures can be drawn, or ``failure`` says why not. ``lit`` is set once
+    kernels of light are loaded, which takes longer if these must be compiled.
     """
 
     def __init__(self, engine: RenderEngine) -> None:
-        """Begin nothing yet."""
+        """Start nothing yet."""
         self._engine = engine
         self.settled = asyncio.Event()
         self.lit = asyncio.Event()
@@ -176,14 +185,15 @@ class Startup:
         self._closing = False
 
     async def run(self, prepare: Callable[[], None], survey: Callable[[Scene], None]) -> None:
-        """Open the engine, and ``prepare`` what comes with it.
+        """Open the engine, and call ``prepare`` for all that comes with it.
 
-        Kernels that must be compiled come after that, and then a ``survey`` of each scene, which
-        visitors ask for.
+        Then, in the background, compile kernels of light if need be, call ``survey`` with each
+        scene, and compile the other kernels.
         """
         try:
             await asyncio.to_thread(self._engine.open)
             await asyncio.to_thread(prepare)
+            # If all kernels are compiled, lit pictures are ready with the first ones.
             if self._engine.kernels.progress is None:
                 await self._light()
         except Exception as error:
@@ -192,7 +202,7 @@ class Startup:
         self.settled.set()
 
     async def close(self) -> None:
-        """Have nothing more compiled, once the engine is open."""
+        """Stop compiling, once the engine is open."""
         self._closing = True
         await self.settled.wait()
         if self._compiling:
@@ -200,13 +210,13 @@ class Startup:
             await self._compiling
 
     async def ready(self) -> None:
-        """Returns once the service is ready, or has failed to start."""
+        """Return once the service is ready, or has failed to start."""
         await self.settled.wait()
         while not self.failure and await asyncio.to_thread(self.reasons) != []:
             await asyncio.sleep(LOOK)
 
     def starting(self) -> list[str]:
-        """Why no picture can be drawn; empty when one can."""
+        """Return the reasons why no picture can be drawn; an empty list if one can."""
         if not self.settled.is_set():
             return [self._engine.kernels.compiling or SCENE_NOT_OPEN]
         if self.failure:
@@ -214,35 +224,35 @@ class Startup:
         return []
 
     def reasons(self) -> list[str]:
-        """Why pictures do not become final; empty when all is well."""
+        """Return the reasons why pictures do not become final; an empty list if all is well."""
         return self.starting() or self._engine.unready()
 
     @property
     def open(self) -> bool:
-        """Whether the engine is up."""
+        """Return True if the engine is open."""
         return self.settled.is_set() and not self.failure
 
     def check(self) -> None:
-        """Raise StartingError until the engine is up."""
+        """Raise StartingError until the engine is open."""
         if not self.open:
             raise StartingError(self.starting()[0])
 
     async def others(self, shading: str, patience: float) -> None:
-        """Wait for kernels that no scene needs by itself; BusyError where they take more seconds
-        than this.
+        """Wait for kernels of a ``shading`` that scenes do not need by default. Raises
+        BusyError if they take more than ``patience`` seconds.
         """
         await within(patience, self._all)
         if not self._all.is_set():
             raise BusyError(COMPILING.format(shading=shading), "compiling")
 
     async def _light(self) -> None:
-        """Have kernels of light."""
+        """Compile and load kernels of light, and start the workers."""
         await asyncio.to_thread(self._engine.light)
         self.lit.set()
 
     async def _compile(self, survey: Callable[[Scene], None]) -> None:
-        """Have kernels of light compiled, ``survey`` scenes, and then compile those that no scene
-        needs by itself.
+        """Compile kernels of light, ``survey`` scenes, then compile the kernels that scenes do
+        not need by default.
         """
         try:
             if not (self.failure or self.lit.is_set()):
@@ -255,12 +265,14 @@ class Startup:
         except Exception as error:
             self.failure = error
         finally:
+            # Requests that wait for kernels go on, also after a failure: drawing raises an error
+            # then.
             self.lit.set()
             self._all.set()
 
 
 async def within(seconds: float, event: asyncio.Event) -> None:
-    """Returns when the event is set, after so many seconds at the latest."""
+    """Return when the event is set, or after this number of seconds."""
     if not event.is_set():
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

@@ -1,4 +1,6 @@
-"""Prewarms over HTTP: jobs that yield to people, outlive the server and are taken up again."""
+"""Prewarms over HTTP: jobs that yield to people, survive a restart of the server and are
+resumed.
+"""
 
 from __future__ import annotations
 
@@ -43,20 +45,22 @@ from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
 SURVEY_WAIT_SECONDS = 5.0
-"""Seconds that the frame of a survey waits for a thread before it goes first."""
+"""Seconds for which the frame of a survey yields to other frames."""
 
 FRAME_CHECK_SECONDS = 0.1
-"""Seconds between two checks of a frame that is waited for."""
+"""Seconds between two checks for cancellation while a frame is awaited."""
 
 RETRY_SECONDS = 10.0
 LONGEST_AWAY = 3600.0
-"""Seconds until what failed for the store is tried again, and for which it is."""
+"""Seconds until work that failed because of the store is tried again, and for which it is tried
+at most.
+"""
 
 NICENESS = 5
-"""How far the thread of a prewarm stands behind those of frames."""
+"""Niceness of the threads of prewarms and exports, relative to those of frames."""
 
 Report = Callable[[float, str, TimeLeft | None], None]
-"""Takes how large a share of work is done, what is done now, and the time that the rest takes."""
+"""Takes the share of work that is done, a sentence about the present step, and the time left."""
 
 Done = TypeVar("Done")
 
@@ -70,10 +74,11 @@ def begin(
     dry: bool = False,
     client: tuple[str, str] = ("", ""),
 ) -> Job:
-    """The job of a ``client``, its owner's name first, that carries out an order, or forecasts it
-    where ``dry``.
+    """Start the job that carries out an ``order``, or only forecasts it if ``dry``; ``client`` is
+    its owner and address.
 
-    Raises BusyError. The same order once more is the same job until that has ended.
+    An order that is already being carried out is not started again: its job is returned. Raises
+    BusyError if there are too many jobs.
     """
     prewarm = Prewarm(service, scene, order, dry, client[0])
     if dry:
@@ -86,11 +91,10 @@ def begin(
 
 @dataclass(eq=False)
 class Prewarm:
-    """One order on its way: what is between the event loop, where the job lives, and the thread
-    that works.
+    """An order that is carried out on a thread of its own, for a job that lives on the event loop.
 
-    One that is not ``recorded`` is not taken up by the next server. Texels of whole isosurfaces are
-    to have as many samples as ``rung`` at least, those that are not good enough with fewer.
+    If ``recorded``, a server that restarts resumes it. ``rung`` is the least number of samples for
+    texels of whole isosurfaces that are not good enough with fewer.
     """
 
     service: Service
@@ -104,26 +108,28 @@ class Prewarm:
     begun: float = field(default_factory=time.monotonic)
 
     async def work(self, job: Job) -> Iterable[Result]:
-        """Do all of it for a job. Raises WorkersError where some light could not be baked."""
+        """Carry out the order for a job, and set its document. Raises WorkersError if some
+        light could not be baked.
+        """
         job.document = await self.carry_out(job.report)
         return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
 
     async def carry_out(self, report: Report) -> Summary:
-        """Do all of it on a thread of its own; returns when that has ended, also when this is
-        cancelled.
+        """Carry out the order on a thread; return when the thread has ended, even if cancelled.
 
-        Raises WorkersError where some light could not be baked.
+        Raises WorkersError if some light could not be baked.
         """
         loop = asyncio.get_running_loop()
         record = self._record()
         with ThreadPoolExecutor(1, "prewarm") as thread:
             working = loop.run_in_executor(thread, self._run, loop, report, record)
-            summary = await to_its_end(working, self.cancelled)
+            summary = await finish_thread(working, self.cancelled)
         if summary.failures:
             raise WorkersError(str(summary))
         return summary
 
     def _record(self) -> Record | None:
+        """Return a new record of this order; None for a forecast, or if it is not recorded."""
         store = self.service.engine.store
         given = (self.scene, self.order)
         if self.dry or not self.recorded:
@@ -131,8 +137,8 @@ class Prewarm:
         return Record(store, *given, "server", self.owner)
 
     def _run(self, loop: asyncio.AbstractEventLoop, tell: Report, record: Record | None) -> Summary:
-        """What the thread does."""
-        stand_back()
+        """Carry out the order, on the thread."""
+        lower_priority()
 
         def report(step: Step) -> None:
             loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
@@ -144,6 +150,8 @@ class Prewarm:
             return self._refine(view, target, prices, over)
 
         target = self.order.target_error or self.scene.target_error
+        # A resumed order keeps its deadline: the time that it took before is subtracted from the
+        # order.
         if self.order.deadline is None:
             deadline = math.inf
         else:
@@ -167,8 +175,8 @@ class Prewarm:
         return self._recorded(context, record)
 
     def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
-        """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the
-        next.
+        """Carry out the order and keep a record of it. If the server stops, the record stays
+        open, and the next server resumes it.
         """
         with record.kept(context, "This was dismissed.", lambda: self.service.jobs.closed):
             summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
@@ -177,8 +185,8 @@ class Prewarm:
     def _carried_out(
         self, context: PrewarmContext, begun: Callable[[Summary], None] = lambda _: None
     ) -> Summary:
-        """Carry it out; what fails for the store is begun again a little later, for what is baked
-        stays.
+        """Carry out the order. If the store fails, try again after RETRY_SECONDS, for at most
+        LONGEST_AWAY: light that is baked stays.
         """
         given_up = math.inf
         while True:
@@ -186,6 +194,7 @@ class Prewarm:
                 what = wanted(context, self.order, self.service.settings)
                 return carry_out(context, what, begun)
             except StoreError as error:
+                # Count from the first failure: later ones do not extend the time.
                 given_up = min(given_up, time.monotonic() + LONGEST_AWAY)
                 if time.monotonic() > given_up:
                     raise
@@ -194,8 +203,8 @@ class Prewarm:
                 context.check()
 
     def _refine(self, view: View, target: float, prices: Prices, over: threading.Event) -> bool:
-        """Check the picture of a view, one step further, and leave as much time to clients that
-        wait for frames. Raises Cancelled once time is ``over``.
+        """Take one step of a picture's check; then idle as long as it took if clients wait for
+        frames. Raises Cancelled if ``over`` is set.
         """
         begun = time.monotonic()
         more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices, over)
@@ -204,10 +213,11 @@ class Prewarm:
         return more
 
     def _frame_of(self, loop: asyncio.AbstractEventLoop, picture: PictureRequest) -> Frame:
-        """The frame of a picture, asked of the event loop by the thread. Raises Cancelled soon once
-        it is.
+        """Have the event loop draw a picture for this thread. Raises Cancelled soon after the
+        order is cancelled.
         """
         coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
+        # Look for cancellation between waits, as the frame may take long.
         try:
             while True:
                 with suppress(TimeoutError):
@@ -218,8 +228,8 @@ class Prewarm:
             coming.cancel()
 
     async def _frame(self, picture: PictureRequest) -> Frame:
-        """The frame of a picture; where clients wait for frames, they have as much time as it
-        took.
+        """Return the frame of a picture; then idle as long as it took if clients wait for
+        frames.
         """
         begun = time.monotonic()
         rank = self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)
@@ -229,9 +239,9 @@ class Prewarm:
         return frame
 
 
-async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
-    """What a thread's work comes to. Where this is cancelled, the thread is asked to stop, and
-    waited for.
+async def finish_thread(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
+    """Return the result of a thread's work. If cancelled, ask the thread to stop, and wait for
+    its end.
     """
     try:
         return await asyncio.shield(working)
@@ -242,8 +252,8 @@ async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) 
         raise
 
 
-def stand_back() -> None:
-    """Set this thread behind others, where threads have a niceness of their own (Linux)."""
+def lower_priority() -> None:
+    """Lower the priority of this thread, on systems with a niceness for each thread (Linux)."""
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
 
@@ -252,64 +262,68 @@ log = logging.getLogger("isogi.server")
 
 
 LEASE = 20.0
-"""Seconds without a new record after which no process works on a prewarm any more."""
+"""Seconds without a change of its record after which a prewarm counts as abandoned."""
 
 
-class Silence:
-    """For how long the record of each prewarm has not changed, by this process's clock: calendars
-    differ and jump.
+class RecordAges:
+    """Measures how long the record of each prewarm has not changed, by this process's clock:
+    clocks of machines differ and jump.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """No record was seen yet."""
+        """Create without any record seen."""
         self._clock = clock
-        self._heard: dict[str, tuple[datetime, float]] = {}
+        self._seen: dict[str, tuple[datetime, float]] = {}
 
     def of(self, document: RecordDocument) -> float:
-        """Seconds for which a prewarm's document has been as it is, since it was first seen so."""
-        if self._heard.get(document.id, (None, 0.0))[0] != document.updated:
-            self._heard[document.id] = document.updated, self._clock()
-        return self._clock() - self._heard[document.id][1]
+        """Return the seconds since a prewarm's document was first seen in its present state."""
+        if self._seen.get(document.id, (None, 0.0))[0] != document.updated:
+            self._seen[document.id] = document.updated, self._clock()
+        return self._clock() - self._seen[document.id][1]
 
 
 async def resume(service: Service) -> None:
-    """Begin prewarms that did not end, once the service stands; those of another server, when its
-    records stop.
+    """Start prewarms that an earlier server left open, once this one has started; those of
+    another server if its records stop changing.
     """
     await service.startup.lit.wait()
-    silence = Silence()
+    ages = RecordAges()
     if service.startup.failure:
         held = []
     else:
-        held = await taken_up(service, silence)
+        held = await resume_abandoned(service, ages)
+    # From now on an unknown job is unknown, and not still to come.
     service.resumed.set()
     while held:
         await asyncio.sleep(BEAT)
-        held = await taken_up(service, silence)
+        held = await resume_abandoned(service, ages)
 
 
-async def taken_up(service: Service, silence: Silence) -> list[RecordDocument]:
-    """Begin the prewarms that no process works on; the others: another server has them, or there
-    are enough jobs.
+async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDocument]:
+    """Start the prewarms that no process works on; return the others, which another server has,
+    or for which there was no room.
     """
     try:
         found = await asyncio.to_thread(
             lambda: [
-                each for each in recorded_prewarms(service.engine.store) if ours(service, each)
+                each
+                for each in recorded_prewarms(service.engine.store)
+                if is_resumable(service, each)
             ]
         )
     except StoreError as error:
-        log.warning("Prewarms that were stopped are not taken up: %s", error)
+        log.warning("Stopped prewarms are not resumed: %s", error)
         return []
-    free = {document.id for document in found if silence.of(document) > LEASE or document.left}
+    # A prewarm is free if its process has ended, or has not written its record for a LEASE.
+    free = {document.id for document in found if ages.of(document) > LEASE or document.left}
     return [
-        document for document in found if not (document.id in free and begun(service, document))
+        document for document in found if not (document.id in free and resumed(service, document))
     ]
 
 
-def ours(service: Service, document: RecordDocument) -> bool:
-    """Whether a prewarm belongs to a server, has not ended, and its scene is shown here with the
-    same light.
+def is_resumable(service: Service, document: RecordDocument) -> bool:
+    """Return True if a prewarm was started by a server, is open, and its scene is shown here
+    with the same light.
     """
     scene = service.engine.scenes.get(document.scene)
     same = scene is not None and scene.digest == document.scene_digest
@@ -321,9 +335,9 @@ def ours(service: Service, document: RecordDocument) -> bool:
     )
 
 
-def begun(service: Service, document: RecordDocument) -> bool:
-    """Begin a prewarm again, under its former id and until its former deadline; whether there was
-    room for it.
+def resumed(service: Service, document: RecordDocument) -> bool:
+    """Start a prewarm again under its former id, for the rest of its time; return False if
+    there are too many jobs.
     """
     try:
         begin(

@@ -1,4 +1,4 @@
-"""Requests and answers as HTTP: ids, log and metrics, limits of bodies, headers of every answer,
+"""Middleware for all requests: ids, log and metrics, limits of bodies, headers of every answer,
 HEAD as GET.
 """
 
@@ -18,24 +18,26 @@ HANDSHAKE = HTTPStatus.SWITCHING_PROTOCOLS
 
 
 class Requests:
-    """ASGI middleware: the outermost one, so that what the others refuse is counted and logged too.
+    """ASGI middleware that gives requests an id, logs and counts them. It is outermost, so that
+    requests refused by other middleware count too.
 
-    The id is the client's ``X-Request-ID`` where it is well-formed; the answer carries it, and so
-    do problems and all that is logged meanwhile. Queries are not logged.
+    The id is the client's ``X-Request-ID`` if that is well-formed. Answers, problem documents and
+    log records carry it. Queries are not logged, as they may hold tokens.
     """
 
     def __init__(self, app: ASGIApp, metrics: "Metrics") -> None:
-        """Count into ``metrics``."""
+        """Count requests in ``metrics``."""
         self.app = app
         self.metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on, and note what became of it."""
+        """Pass the request on, and note its outcome."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
         number = request_id(Headers(scope=scope).get("x-request-id"))
         begun = time.perf_counter()
+        # Log records and problems of this request find its id in the context.
         REQUEST_ID.set(number)
         status: int = HTTPStatus.INTERNAL_SERVER_ERROR
         headers = Headers()
@@ -43,13 +45,14 @@ class Requests:
         async def numbered(message: Message) -> None:
             nonlocal status, headers
             if message["type"].endswith("response.start"):
-                own = MutableHeaders(scope=message)
-                own["X-Request-ID"] = number
+                answered = MutableHeaders(scope=message)
+                answered["X-Request-ID"] = number
                 status = message["status"]
-                headers = own
+                headers = answered
             elif message["type"] == "websocket.accept":
                 status = HANDSHAKE
             elif message["type"] == "websocket.close" and status != HANDSHAKE:
+                # A socket that is closed before it was accepted gets 403 from the server.
                 status = HTTPStatus.FORBIDDEN
             await send(message)
 
@@ -77,40 +80,39 @@ class Requests:
 
 
 def route_of(scope: Scope) -> str:
-    """The path of the route that answered, with its parameters' names; ``none`` where no route
-    did.
+    """Return the path of the route that answered, with the names of its parameters; "none" if
+    no route did.
     """
     return str(getattr(scope.get("route"), "path", "none"))
 
 
 UPLOADS = (("POST", "/v1/volumes"), ("POST", "/v1/environments"))
-"""Methods and paths of requests whose bodies may be larger, and take longer."""
+"""Methods and paths of requests whose bodies may be larger and take longer."""
 
 
 class SmallBodies:
-    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in
-    chunks.
+    """ASGI middleware that answers 413 to bodies above a limit, declared or sent in chunks.
 
-    A body with two lengths is refused with 400, and the connection closed (RFC 9112, 6.1).
+    A request that declares its length in two ways is refused with 400, and its connection closed
+    (RFC 9112, 6.1).
     """
 
     def __init__(self, app: ASGIApp, limit: int, upload: int = 0) -> None:
-        """Let at most ``limit`` bytes pass, in UPLOADS at most so many."""
+        """Allow ``limit`` bytes, and ``upload`` bytes in UPLOADS."""
         self.app = app
         self.limit = limit
         self.upload = upload
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; after too many bytes the route reads a disconnect, and the client
-        gets 413.
+        """Pass the request on. After too many bytes the route reads a disconnect, and the
+        client gets 413.
         """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        if (
-            "content-length" in headers and "transfer-encoding" in headers
-        ):  # two lengths: what follows is anyone's guess
+        # With two lengths it is undecided where the next request begins.
+        if "content-length" in headers and "transfer-encoding" in headers:
             twofold = problem(
                 400, "Content-Length and Transfer-Encoding are given: give one.", scope["path"]
             )
@@ -124,9 +126,11 @@ class SmallBodies:
         refusal = problem(
             413, f"The body of a request may be {limit} bytes, no more.", scope["path"]
         )
-        if int(headers.get("content-length", "0")) > limit:  # the protocol lets digits pass alone
+        # The protocol has checked that the header is a number.
+        if int(headers.get("content-length", "0")) > limit:
             await refusal(scope, receive, send)
             return
+        # Count the bytes of a body of unknown length as the route reads them.
         body = Body(receive, limit)
         refused = False
 
@@ -150,7 +154,7 @@ class Body:
         self._left = limit
 
     async def receive(self) -> Message:
-        """The next message; that the client left where there was too much."""
+        """Return the next message; a disconnect once there were too many bytes."""
         message = await self._receive()
         self._left -= len(message.get("body", b""))
         self.too_long = self.too_long or self._left < 0
@@ -160,21 +164,21 @@ class Body:
 
 
 class HeadAsGet:
-    """ASGI middleware: HEAD is answered as GET is, with the same headers and no body."""
+    """ASGI middleware that answers HEAD as GET, with the same headers and no body."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a HEAD request on as GET and drop the body."""
+        """Pass a HEAD request on as GET, and drop the body of the answer."""
         if scope["type"] != "http" or scope["method"] != "HEAD":
             await self.app(scope, receive, send)
             return
 
         async def bodiless(message: Message) -> None:
-            await send(
-                {**message, "body": b""} if message["type"] == "http.response.body" else message
-            )
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
 
         asked = {**scope, "method": "GET"}
         await self.app(asked, receive, bodiless)
@@ -190,15 +194,15 @@ OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
 
 
 class SafeHeaders:
-    """ASGI middleware: adds the headers to every response. Pages may load their own files, all else
-    nothing.
+    """ASGI middleware that adds security headers to every answer. Pages may load files of this
+    server only; other answers may load nothing.
     """
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; add headers to the start of its response."""
+        """Pass the request on, and add headers to the start of its answer."""
 
         async def guarded(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):

@@ -1,5 +1,5 @@
-"""What the routes share: the engine and its start, the settings, and how a request becomes
-pictures.
+"""The service that all routes share: the engine, its start, the settings, and the way from a
+request to pictures.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from server.api.lifespan import Startup, within
 from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.parameters import LightParams, VariantParams, ViewParams
-from server.render.bakes import UpdateBus, attended, request_viewer
 from server.render.engine import RenderEngine
 from server.render.jobs import ExportFolder, Job, Jobs
 from server.render.scene_variant import Change
@@ -44,7 +43,9 @@ from server.render.scheduling import (
     Rank,
     Renders,
 )
+from server.render.update_bus import UpdateBus
 from server.render.variants import Variants
+from server.render.viewers import request_viewer, run_while_connected
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from server.views import view_of
@@ -56,40 +57,40 @@ Result = TypeVar("Result")
 STREAM = 1.0
 ADDRESS = 4.0
 PATIENT = 0.25
-"""Weights of clients where they share the threads: a stream, all requests of an address, and work
-that yields.
+"""Weights of clients that share the threads: a stream, all requests from one address, and
+background work. A client of weight 4 gets four times the time of one of weight 1.
 """
 
 PREVIEW = "lambert"
-"""The shading of views whose light does not fit the memory, and of all while kernels of light are
-compiled.
+"""Shading that stands in for views whose light does not fit the memory, and for all views while
+kernels of light are compiled.
 """
 
 SKETCHES = (PREVIEW, "lambert_fog", "phong")
-"""Shadings that kernels of first pictures draw."""
+"""Shadings that need only the kernels compiled first."""
 
 HEARTBEAT = 20.0
-"""Seconds without an update after which light is requested again, before the baker forgets the
-request.
+"""Seconds without an update after which light is requested again, as the baker drops requests
+that are not renewed.
 """
 
 SHORTEST_PAUSE = 0.1
 REFINING = 0.25
-"""Seconds between two pictures of a view at rest, at least; and the share of the time that all
-views at rest together may be drawn in while light is baked for them. The last picture of a view
-waits for neither, nor the first with light, nor the first that has some in every part.
+"""Seconds between two pictures of a view at rest, at least; and the share of the time that
+pictures of all views at rest together may take while light is baked. Neither holds back the
+first picture with light, the first with some light everywhere, or the last.
 """
 
 YOUNGER = 0.1
 LONGEST_PAUSE = 5.0
-"""Share of the time since a view was asked for that its next picture waits at least, up to so many
-seconds: errors fall with the square root of the paths, and one that had a tenth more of them looks
-the same.
+"""Share of the time since a view was asked for that passes at least before its next picture,
+and the most seconds that this may be. Errors fall with the square root of the number of paths:
+a picture with a tenth more of them looks the same.
 """
 
 
 class Service:
-    """One render engine behind HTTP. It starts beside the event loop, so that the socket answers
+    """One render engine behind HTTP. It starts in the background, so that the socket answers
     meanwhile.
     """
 
@@ -113,23 +114,22 @@ class Service:
         self._refining = 0
 
     async def start(self) -> None:
-        """Start the engine, and what comes with it: see ``startup``."""
+        """Start the engine, then open uploads and have updates published: see ``Startup``."""
         self.updates = UpdateBus()
         await self.startup.run(self._open, self._survey)
 
     def _open(self) -> None:
+        """Open the uploads, and publish updates of light on the event loop."""
         self.uploads.open()
         self.engine.listen(self.updates.publish)
 
     def _survey(self, scene: Scene) -> None:
-        """Work out what the document of a scene says, so that the first visitor does not wait for
-        it.
-        """
+        """Compute the document of a scene, so that the first visitor does not wait for it."""
         with suppress(IsogiError):
             scene_schema(self.planned(scene))
 
     async def close(self) -> None:
-        """Drop waiting work and close the engine, once its start has ended."""
+        """Drop waiting work, and close the engine once its start has ended."""
         await self.jobs.close()
         await self.startup.close()
         self.threads.close()
@@ -139,8 +139,8 @@ class Service:
         await asyncio.to_thread(self.engine.close)
 
     def job(self, key: str) -> Job:
-        """The job with this id. Raises UnknownJobError, and StartingError while it may still be
-        taken up.
+        """Return the job with this id. Raises UnknownJobError, but StartingError while jobs of
+        the last server may still be resumed.
         """
         try:
             return self.jobs.find(key)
@@ -152,38 +152,42 @@ class Service:
             raise
 
     async def dismiss(self, key: str, bearer: Bearer) -> Job:
-        """End a job of this bearer's. Raises ForbiddenError, and as ``job`` does."""
+        """End a job, or forget it if it has ended. Raises ForbiddenError if the ``bearer``
+        neither owns the job nor is an admin, and as ``job`` does.
+        """
         job = self.job(key)
         if not bearer.owns(job.owner):
             raise ForbiddenError(
-                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may "
-                "an admin."
+                f"The job '{job.id}' belongs to '{job.owner}': only the owner or an admin may "
+                "dismiss it."
             )
         return await self.jobs.dismiss(job.id)
 
     def reason(self) -> str:
-        """Why light is not baked."""
+        """Return the reason why light is not baked."""
         return (
             self.engine.trouble() or "Some light that the view needs cannot be baked: see /bakez."
         )
 
     @property
     def attended(self) -> bool:
-        """Whether a client waits for a frame, or has a stream open."""
+        """Return True if a client waits for a frame, or has a stream open."""
         return bool(self._requests.open or self.connections.open)
 
     def scene(self, name: str) -> Scene:
-        """The scene with this id; UnknownSceneError where there is none."""
+        """Return the scene with this id. Raises UnknownSceneError if there is none; a variant's
+        id names no scene here.
+        """
         scene = self.engine.scenes.get(name)
         if scene is None or self.engine.variant(name).any:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 
     async def variant(self, scene: Scene, params: LightParams, client: Hashable) -> Scene:
-        """The scene in the light, with the cut, at the time, of the material, with the surfaces and
-        without the labels that the parameters of a ``client`` ask for; itself where they do not.
+        """Return the variant of a scene that the parameters of a ``client`` ask for: light, cut,
+        time, material, surfaces, hidden labels. Return the scene itself if they change nothing.
 
-        Raises ParameterError where there is no such, and StartingError until the engine is up.
+        Raises ParameterError if it cannot be made, and StartingError until the engine is open.
         """
         change = Change(params.environment)
         if isinstance(params, VariantParams):
@@ -193,8 +197,8 @@ class Service:
         return await self.variants.of(scene, change, client)
 
     def planned(self, scene: Scene) -> Scene:
-        """The ``scene`` with the plan of the light that its store has, where that can be read
-        now.
+        """Return the ``scene`` with the plan of the light that its store has, or as it is if
+        that cannot be read now.
         """
         if not self.startup.open:
             return scene
@@ -203,8 +207,8 @@ class Service:
         return scene
 
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
-        """The picture that the parameters ask for. Raises ViewError, and StartingError until the
-        engine is up.
+        """Return the picture request that the parameters of a query describe. Raises ViewError,
+        and StartingError until the engine is open.
         """
         view = view_of(scene, params, self.settings)
         self.startup.check()
@@ -219,12 +223,15 @@ class Service:
         viewer: Viewer | None = None,
         pixel: tuple[int, int] | None = None,
     ) -> Result:
-        """``finish`` of the picture that the parameters ask for, both off the event loop; for the
-        request by default. Where a ``pixel`` is given, by column and row, and what the picture's
-        rays met is not kept, the picture is of that pixel alone.
+        """Render the picture that the parameters ask for, and return ``finish`` of it; both run on
+        threads.
 
-        Raises ViewError, BusyError, StoreError, StartingError until the engine is up, and Cancelled
-        once the client has left: light that it alone requested is not baked then.
+        By default the light is baked for the viewer of the request. If a ``pixel`` (column, row) is
+        given and the G-buffer of the view is not kept, only this pixel is drawn.
+
+        Raises ViewError, BusyError, StoreError, StartingError until the engine is open, and
+        Cancelled if the client disconnects: light that only this client requested is then not
+        baked.
         """
         picture = self.picture_of(scene, params)
         if pixel is not None and not self.engine.sees(picture.scene, picture.view):
@@ -233,22 +240,23 @@ class Service:
             answer = self._answer(
                 picture, viewer or request_viewer(request), params.wait_ms / 1000, finish
             )
-            return await attended(request, place.keep(answer))
+            return await run_while_connected(request, place.keep(answer))
 
     async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
-        """The result of some ``work`` for a request, off the event loop. Raises as ``render``
-        does.
+        """Return the result of some ``work`` for a request, run on a thread. Raises as
+        ``render`` does.
         """
         rank = self.rank(request_viewer(request), REQUEST_PATIENCE, self.settings.queue_seconds)
         with self._requests.admitted(client_of(request.scope)) as place:
-            return await attended(request, place.keep(self.threads.pictures.run(work, rank)))
+            return await run_while_connected(
+                request, place.keep(self.threads.pictures.run(work, rank))
+            )
 
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
-        """Where work for a ``viewer`` stands that may wait so many seconds, and waits for
-        ``longest`` at most.
+        """Return the rank of work for a ``viewer`` that can wait for ``patience`` seconds, and
+        gives up after ``longest``.
 
-        Streams and addresses are clients that share the threads, and several programs may ask from
-        one address.
+        An address has a larger weight than a stream, as several programs may ask from it.
         """
         if viewer.patient:
             weight = PATIENT
@@ -259,16 +267,17 @@ class Service:
         return Rank.within(patience, longest, self.threads.pictures.client(viewer.client, weight))
 
     def draft_rank(self, viewer: Viewer) -> Rank:
-        """Where a draft of a stream's view that moves stands, among drafts alone."""
+        """Return the rank of a draft of a moving view, among drafts only."""
         return Rank.within(DRAFT, client=self.threads.drafts.client(viewer.client, STREAM))
 
     async def show(
         self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None
     ) -> Shown:
-        """The picture with the light baked so far; the light that it lacks is requested for the
-        ``viewer``.
+        """Return the picture with the light baked so far, and request the light that it lacks
+        for the ``viewer``.
         """
         watch = watch or Stopwatch()
+        # Light that comes from now on may be missing in the frame.
         since = self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
@@ -283,24 +292,28 @@ class Service:
     async def request_light(
         self, picture: PictureRequest, frame: Frame, viewer: Viewer
     ) -> frozenset[Index]:
-        """Request the light that a frame lacks; the chunks that are coming."""
+        """Request the light that a frame lacks; return the chunks that will be baked. Nothing
+        is requested for a viewer that may not bake.
+        """
         if not viewer.bakes:
             return frozenset()
         want = partial(self.engine.want, picture.scene, frame, picture.target, viewer)
         return await self.threads.asking.run(want, Rank.within(DRAFT))
 
     async def _time_left(self, picture: PictureRequest, frame: Frame) -> TimeLeft | None:
-        """The time until all the light that a frame lacks is there."""
+        """Estimate the time until all light that a frame lacks is baked."""
         left = partial(self.engine.time_left, picture.scene, frame, picture.target)
         return await self.threads.asking.run(left, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
-        """The frame of a picture, drawn once for all requests that come meanwhile; no light is
-        requested for it.
+        """Return the frame of a picture, drawn once for all requests that come meanwhile. It
+        requests no light.
 
-        A request that joins another counts all of the time as time in the queue. Waits for kernels
-        of light that are still compiled; raises BusyError where others are.
+        A request that joins another one counts its time as time in the queue. Waits until kernels
+        of light are compiled; for other shadings raises BusyError if their kernels take too long.
         """
+        # Wait for the kernels that this shading needs. Sketches need no wait, but edges are
+        # smoothed only with all kernels.
         if picture.view.shading in SPECS:
             await self.startup.lit.wait()
         elif picture.view.shading in SKETCHES:
@@ -313,9 +326,12 @@ class Service:
             frame = self.engine.survey(
                 picture.scene, picture.view, picture.target, cancelled, watch
             )
-            frame.tail  # noqa: B018 (found on this thread, and kept: up to 35 ms, which the event loop has not)
+            # Compute the tail now: it takes up to 35 ms, too long for the event loop.
+            frame.tail  # noqa: B018
             return frame
 
+        # The newest update is part of the key: a request after new light does not join a drawing
+        # that began before it.
         with watch.stage("queue"):
             return await self.threads.drawing(picture.view).share(
                 (picture, self._newest(picture)), work, rank
@@ -324,10 +340,8 @@ class Service:
     async def frame_or_preview(
         self, picture: PictureRequest, rank: Rank, watch: Stopwatch
     ) -> Frame:
-        """The frame of a picture; an unshadowed one, all of it provisional, while it cannot have
-        light.
-
-        That is so where its light does not fit the memory, and while kernels of light are compiled.
+        """Return the frame of a picture. If its light does not fit the memory, or if kernels of
+        light are still compiled, return an unshadowed one instead, provisional everywhere.
         """
         if picture.view.shading not in SPECS or self.startup.lit.is_set():
             with suppress(NoRoomError):
@@ -339,18 +353,19 @@ class Service:
     async def refinements(
         self, picture: PictureRequest, viewer: Viewer
     ) -> AsyncGenerator[Shown, None]:
-        """The picture at once, then a better one as light comes, until it is final or no more light
-        is coming.
+        """Yield the picture at once, then better ones as light is baked, until it is final or no
+        more light will come.
 
-        All views that refine are drawn for no more than a share REFINING of the time together, so
-        that the workers have the rest. The last picture of each comes at once, and so does one in
-        which what was provisional has light. Where light was given up, the same picture comes once
-        more: it is not final, and no more is coming.
+        Pictures of all views at rest take at most the share REFINING of the time, so that workers
+        have the rest. The last picture of a view comes at once, and so does the first in which
+        nothing is provisional. If light was given up, the same picture is yielded once more, with
+        nothing coming.
         """
         known = None
         patience = REST_PATIENCE
         clock = asyncio.get_running_loop().time
         begun = clock()
+        # Show a preview until kernels of light are compiled.
         if not self.startup.lit.is_set():
             yield await self.show(picture, viewer, self.rank(viewer, patience))
             await self.startup.lit.wait()
@@ -358,6 +373,7 @@ class Service:
         while True:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
             given_up = not (shown.frame.final or shown.coming)
+            # Yield a picture only if its light or its measured error changed.
             if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
                 known = now
                 patience = REFINEMENT_PATIENCE
@@ -365,14 +381,14 @@ class Service:
             if not shown.coming:
                 return
             wait = await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
-            del shown  # megabytes, which nobody needs while light is baked
+            del shown  # Free megabytes while light is baked.
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
-        """Request the light of a view that is new before its first picture is lit: workers bake it
+        """Request the light of a new view before its first picture is lit, so that workers bake it
         meanwhile.
 
-        Where others wait for their turn, that picture would come later for it.
+        Skipped if others wait for a turn, as it would delay the picture by a further turn.
         """
 
         def work(cancelled: threading.Event) -> Frame | None:
@@ -382,6 +398,7 @@ class Service:
                 )
             return None
 
+        # Share the work among clients that open the same view.
         threads = self.threads.of(picture.view)
         if viewer.bakes and not threads.crowded:
             frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST_PATIENCE))
@@ -389,15 +406,14 @@ class Service:
                 await self.request_light(picture, frame, viewer)
 
     def make_way(self) -> None:
-        """Have the workers make way for a view that moves. Does not wait for that: a thread may
-        have to be started.
+        """Have the workers leave cores free for a view that moves. Runs on a thread, as the
+        call may have to start one.
         """
         asyncio.get_running_loop().run_in_executor(None, self.engine.baker.make_way)
 
     async def check(self, picture: PictureRequest) -> None:
-        """Check a picture that nobody looks at, one step further. Raises as ``render`` does.
-
-        One at a time: the steps of many jobs leave threads to what people wait for.
+        """Take one step of the check of a picture that no client looks at. Raises as ``render``
+        does. One step is taken at a time, so that jobs leave threads to people.
         """
 
         def work(cancelled: threading.Event) -> bool:
@@ -406,7 +422,7 @@ class Service:
         await self.threads.checks.share(picture, work, Rank.within(DRAFT))
 
     def leave(self, viewer: Viewer) -> None:
-        """A viewer has left: bake nothing more for it alone. Does not wait for that."""
+        """Drop the requests of a viewer that has gone. Runs on a thread."""
         asyncio.get_running_loop().run_in_executor(None, self.engine.leave, viewer)
 
     async def _answer(
@@ -416,32 +432,35 @@ class Service:
         wait: float,
         finish: Callable[[Shown], Result],
     ) -> Result:
-        """``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
+        """Return ``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
         watch = Stopwatch()
         loop = asyncio.get_running_loop()
         rank = self.rank(viewer, REQUEST_PATIENCE, self.settings.queue_seconds)
         deadline = loop.time() + wait
         try:
+            # Draw the picture, and draw it again when all light that was coming for it has come.
             await within(wait, self.startup.lit)
             shown = await self.show(picture, viewer, rank, watch)
             while shown.coming and (left := deadline - loop.time()) > 0:
                 coming = shown.coming
                 since = shown.since
-                del shown  # megabytes, which nobody needs while light is baked
+                del shown  # Free megabytes while light is baked.
                 with (
                     watch.stage("bake"),
                     self.updates.pending(self._bake(picture), coming, since) as pending,
                 ):
                     await within(left, pending.all)
                 shown = await self.show(picture, viewer, rank.begun, watch)
+            # A picture whose work has begun does not give up its place any more: time spent on it
+            # would be lost.
             return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
         except asyncio.CancelledError:
             self.leave(viewer)
             raise
 
     async def _next_update(self, picture: PictureRequest, wait: Wait, least: float) -> None:
-        """Returns when it is time to draw the picture again: not before the ``least`` seconds,
-        where it shows light.
+        """Return when it is time to draw the picture again, not before ``least`` seconds if it
+        shows light already.
         """
         self._refining += 1
         try:
@@ -449,24 +468,29 @@ class Service:
                 self._bake(picture), wait.coming, wait.since, wait.dark
             ) as pending:
                 await within(HEARTBEAT, pending.some)
+                # Drawing takes wait.work seconds: pause so long that the pictures of all refining
+                # views take a share REFINING of the time.
                 if wait.work:
                     pause = max((1.0 / REFINING - 1.0) * wait.work * self._refining, least)
                 else:
                     pause = 0.0
+                # A picture that gets light in its last dark part ends the pause.
                 await within(max(pause, SHORTEST_PAUSE), pending.lit)
         finally:
             self._refining -= 1
 
     def _bake(self, picture: PictureRequest) -> str:
+        """Return the name of the bake that a picture reads."""
         return self.engine.bake_of(picture.scene, picture.view)
 
     def _newest(self, picture: PictureRequest) -> int:
+        """Return the number of the newest update of light for a picture."""
         return self.updates.newest(self._bake(picture))
 
 
 async def service_of(connection: HTTPConnection) -> Service:
-    """The service of the app that the request came to; a coroutine, for anything else would have a
-    thread started.
+    """Return the service of the app that a request came to. A coroutine, as FastAPI runs plain
+    functions on a thread.
     """
     service: Service = connection.app.state.service
     return service
@@ -476,12 +500,12 @@ ServiceDep = Annotated[Service, Depends(service_of)]
 
 
 async def scene_of(scene: str, service: ServiceDep) -> Scene:
-    """The scene that the path names."""
+    """Return the scene that the path names."""
     return service.scene(scene)
 
 
 async def bearer(connection: HTTPConnection) -> Bearer:
-    """Who sends the request."""
+    """Return the bearer of the token that the request came with."""
     return bearer_of(connection.scope)
 
 
@@ -489,7 +513,7 @@ BearerDep = Annotated[Bearer, Depends(bearer)]
 
 
 async def client(connection: HTTPConnection) -> tuple[str, str]:
-    """Who sends the request, as limits count clients."""
+    """Return the client that sends the request, as limits count clients."""
     return client_of(connection.scope)
 
 
@@ -499,27 +523,28 @@ SceneDep = Annotated[Scene, Depends(scene_of)]
 
 
 DRAFTS = 2
-"""Threads for drafts alone, so that none waits for a full picture to end."""
+"""Threads for drafts alone, so that no draft waits for a full picture to end."""
 
 LARGE_PICTURE_PIXELS = 1 << 21
-"""Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides
-what is kept.
+"""Pixels above which pictures are drawn one at a time: each takes about 45 bytes a pixel in
+addition to the views that are kept.
 """
 
 ASKING = 2
-"""Threads that ask for light alone: they wait for each other at the queue of bakes, where no
-picture shall wait.
+"""Threads that request light. They wait for each other at the lock of the bake queue, and no
+picture shall wait for that.
 """
 
 
 class RenderThreads:
-    """Threads for each kind of work, so that none of them waits for another kind."""
+    """Threads for each kind of work, so that no kind waits for another."""
 
     def __init__(self, pictures: int) -> None:
-        """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait
-        for their turn.
+        """Use ``pictures`` threads for pictures that are neither drafts nor large; one of them
+        while drafts wait for their turn.
         """
-        self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
+        # Drafts are sized to take about the same time each, so that turns may count alike.
+        self.drafts = Renders(DRAFTS, even=True)
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
         self.large = Renders(1)
         self.paths = LongRenders()
@@ -528,8 +553,8 @@ class RenderThreads:
         self.checks = Renders(1)
 
     def drawing(self, view: View) -> Renders:
-        """The threads on which the picture of a view is drawn: those of path-traced ones have
-        places of their own, for each takes up to minutes.
+        """Return the threads on which the picture of a view is drawn. Path-traced pictures take
+        up to minutes and have separate places.
         """
         if view.shading != "path_traced":
             return self.of(view)
@@ -538,7 +563,9 @@ class RenderThreads:
         return self.paths
 
     def of(self, view: View) -> Renders:
-        """The threads on which the picture of a view is drawn, and written as a file."""
+        """Return the threads on which the picture of a view is encoded, and on which it is
+        drawn if it is not path-traced.
+        """
         if view.moving:
             return self.drafts
         if view.width * view.height > LARGE_PICTURE_PIXELS:
@@ -546,7 +573,7 @@ class RenderThreads:
         return self.pictures
 
     def close(self) -> None:
-        """Take no more work; what still waits is dropped."""
+        """Accept no more work, and drop work that still waits."""
         for each in (
             *(self.pictures, self.drafts, self.large, self.asking, self.checks),
             *(self.paths, self.large_paths),
@@ -554,19 +581,14 @@ class RenderThreads:
             each.close()
 
 
-ONCE = (
-    "queue",
-    "primary",
-    "texels",
-    "normals",
-    "lobes",
-)  # what they find is kept for a view's next pictures
+ONCE = ("queue", "primary", "texels", "normals", "lobes")
+"""Stages that the next pictures of a view do not repeat: their results are kept."""
 
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error
-    ``target``.
+    """A picture: a ``view`` of a scene, by its id, with the relative error ``target`` that it
+    is to reach.
     """
 
     scene: str
@@ -574,8 +596,8 @@ class PictureRequest:
     target: float
 
     def draft(self, scale: float) -> Self:
-        """The draft of this view while it moves, in a picture of ``scale`` times the width and the
-        height.
+        """Return the request for a draft of this view while it moves, with ``scale`` times the
+        width and height.
         """
         width, height = (
             max(round(scale * side), 1) for side in (self.view.width, self.view.height)
@@ -586,9 +608,9 @@ class PictureRequest:
 @dataclass(frozen=True, eq=False)
 class Shown:
     """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch``
-    of its stages.
+    that timed its stages.
 
-    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest
+    ``coming`` are the chunks that will be baked for it; ``since`` is the number of the newest
     update of light when the frame was begun.
     """
 
@@ -600,9 +622,10 @@ class Shown:
 
 
 class Wait(NamedTuple):
-    """What a picture waits for: the chunks that are ``coming``, newer than the update ``since``;
-    and the ``work`` on it, seconds, where it shows light. Parts of it are provisional until the
-    ``dark`` ones have light.
+    """The wait of a picture for light: for the chunks ``coming``, by updates newer than ``since``.
+
+    ``work`` are the seconds that drawing it takes, 0 if it shows no light yet. Parts of the picture
+    are provisional until the ``dark`` chunks have light.
     """
 
     coming: frozenset[Index]
@@ -612,7 +635,7 @@ class Wait(NamedTuple):
 
     @classmethod
     def after(cls, shown: Shown) -> Self:
-        """What the next picture waits for."""
+        """Return the wait for the picture that follows ``shown``."""
         if shown.frame.coverage["provisional"] == 1.0:
             return cls(shown.coming, shown.since, 0.0, frozenset())
         return cls(
@@ -621,7 +644,7 @@ class Wait(NamedTuple):
 
 
 def work_of(shown: Shown) -> float:
-    """Seconds of work on a picture that the next one of its view takes again, without those in the
-    queue.
+    """Return the seconds of drawing that the next picture of the view takes too: without the
+    queue, and without stages whose results are kept.
     """
     return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)

@@ -1,4 +1,6 @@
-"""A stream: what goes over a WebSocket, from the first view of one client to its leaving."""
+"""A stream: the WebSocket on which a client sends views and gets pictures, the newest view
+first.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +26,16 @@ from server.errors import BusyError, ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
 from server.problems import parameter_named, problem, problem_document, refusal, status_of
-from server.render.bakes import stream_viewer
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Place, Rank
+from server.render.viewers import stream_viewer
 from server.settings import Settings
 from server.values import Span
 
 
-def mixed(newest: float, before: float, fresh: float) -> float:
-    """The mean with the ``newest``, which counts by the share ``fresh``, from that ``before``, 0
-    for unknown.
+def running_mean(newest: float, before: float, fresh: float) -> float:
+    """Return the running mean with the ``newest`` value, whose weight is ``fresh``; ``before``
+    is the former mean, 0 if there is none.
     """
     return fresh * newest + (1.0 - fresh) * (before or newest)
 
@@ -43,74 +45,83 @@ QUARTER = 0.25
 """Shares of the full width and height that drafts have."""
 
 MAX_DRAFT_SECONDS = 0.045
-"""Seconds that a draft may be drawn and shown for."""
+"""Seconds that drawing and showing a draft may take: more than 20 drafts a second."""
 
 PACE_MARGIN = 0.8
-"""Share of that time in which larger drafts must be expected to come before they are tried."""
+"""Share of MAX_DRAFT_SECONDS that larger drafts are expected to take at most before they are
+tried; less than 1, so that sizes do not alternate.
+"""
 
 FRESH = 0.5
-"""How much the newest draft counts in what drafts are taken to need, against all before it."""
+"""Weight of the newest draft in the running mean of the time that drafts take."""
 
 
 class Drafts:
-    """The ``scale`` of a connection's drafts: a half of the full width and height, or a quarter
-    where that is slow.
+    """The size of a connection's drafts: ``scale`` is a half of the full width and height, or a
+    quarter if halves are slow.
     """
 
     def __init__(self, crowded: bool = False) -> None:
-        """Begin with halves, or with quarters where others wait for theirs."""
+        """Begin with halves, or with quarters if other drafts wait."""
         self.scale = QUARTER if crowded else HALF
         self._drawn = self._shown = 0.0
 
     def shown(self, seconds: float) -> None:
-        """The client took so long to show a draft that it was sent, as it says itself."""
-        self._shown = mixed(seconds, self._shown, FRESH)
+        """Note the seconds that the client took to show a draft, as it reports them."""
+        self._shown = running_mean(seconds, self._shown, FRESH)
 
     def drawn(self, seconds: float) -> None:
-        """A draft at ``scale`` was drawn for so long: size the next."""
-        self._drawn = mixed(seconds, self._drawn, FRESH)
+        """Note the seconds that a draft took to draw, and choose the size of the next one."""
+        self._drawn = running_mean(seconds, self._drawn, FRESH)
         took = self._drawn + self._shown
         pixels = (HALF / QUARTER) ** 2
+        # Time is proportional to the number of pixels.
         if self.scale == HALF and took > MAX_DRAFT_SECONDS:
             self._resize(QUARTER, 1.0 / pixels)
         elif self.scale == QUARTER and pixels * took < PACE_MARGIN * MAX_DRAFT_SECONDS:
             self._resize(HALF, pixels)
 
     def _resize(self, scale: float, pixels: float) -> None:
+        """Change the scale, and the expected times by the ratio of ``pixels``."""
         self.scale = scale
         self._drawn = pixels * self._drawn
         self._shown = pixels * self._shown
 
 
 MAX_PICTURES_AHEAD = 2
-"""Pictures that may be under way."""
+"""Pictures that may be sent without being acknowledged."""
 
 RECEIPT_SECONDS = 1.0
-"""Seconds after which a picture that was not acknowledged is taken for shown."""
+"""Seconds after which a picture without acknowledgement is taken for shown."""
 
 
 class Window:
-    """What was sent over one connection. Belongs to its event loop."""
+    """Flow control: the pictures that were sent over one connection and not yet shown. Belongs
+    to its event loop.
+    """
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, float]] = deque()
         self._moved = asyncio.Event()
 
     def sent(self, request: int) -> None:
-        """A picture for the request of this id was sent."""
+        """Note that a picture for the view request with this id was sent."""
         self._sent.append((request, asyncio.get_running_loop().time()))
 
     def shown(self, request: int) -> None:
-        """The client shows the first picture under way for a request; those before it are done."""
+        """Note that the client shows the oldest open picture of a view request; pictures sent
+        before it count as shown.
+        """
         if any(each == request for each, _ in self._sent):
             while self._sent.popleft()[0] != request:
                 pass
             self._moved.set()
 
     async def room(self) -> None:
-        """Returns when another picture may be sent."""
+        """Return when another picture may be sent."""
         while len(self._sent) >= MAX_PICTURES_AHEAD:
             left = self._sent[0][1] + RECEIPT_SECONDS - asyncio.get_running_loop().time()
+            # Do without a receipt that is overdue.
             if left <= 0.0:
                 self._sent.popleft()
                 continue
@@ -119,14 +130,12 @@ class Window:
 
 
 GAP = 1.0
-"""Seconds after the last view of a hand that moves for which it is taken to move on."""
+"""Seconds after the last view of a motion for which it counts as going on."""
 
 
 class Motion:
-    """How well a stream follows: ``drafts`` that were sent, and the ``seconds`` in which its view
-    moved.
-
-    ``since`` is when the newest view came. Belongs to its event loop.
+    """Measures how well a stream follows a moving view: number of ``drafts`` sent, ``seconds``
+    of motion, and ``since``, the time of the newest view. Belongs to its event loop.
     """
 
     def __init__(self) -> None:
@@ -136,7 +145,7 @@ class Motion:
         self._moving_since: float | None = None
 
     def took(self, moving: bool) -> None:
-        """A view came, and it moves or rests."""
+        """Note that a view came, ``moving`` or at rest."""
         now = asyncio.get_running_loop().time()
         if self._moving_since is not None:
             self.seconds += min(now - self._moving_since, GAP)
@@ -144,7 +153,9 @@ class Motion:
         self.since = now
 
     def sent(self, came: float, draft: bool) -> float:
-        """A picture is sent of the view that ``came`` then; how old it is."""
+        """Note that a picture is sent of the view that ``came`` at this time; return its age in
+        seconds.
+        """
         self.drafts += draft
         return asyncio.get_running_loop().time() - came
 
@@ -153,12 +164,13 @@ CLOSE_TOO_BIG = 1009
 CLOSE_POLICY = 1008
 CLOSE_TRY_LATER = 1013
 CLOSE_IDLE = 4000
-"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text;
-another client needs the place; none for long."""
+"""Codes with which a stream is closed (RFC 6455, 7.4): a message is too long; messages are too
+many or no text; another client needs the place; no message came for long.
+"""
 
 
 class Inbox:
-    """The messages of a stream, as long as they keep within the settings."""
+    """The messages of a stream, checked against the limits of the settings."""
 
     def __init__(self, socket: WebSocket, settings: Settings, place: Place) -> None:
         self._socket = socket
@@ -168,8 +180,8 @@ class Inbox:
         self._count = 0
 
     async def next(self) -> str | None:
-        """The next message; None when the client has gone. Raises StreamError where it breaks a
-        limit.
+        """Return the next message; None if the client has gone. Raises StreamError if a message
+        breaks a limit, or none comes for long.
         """
         try:
             message = await asyncio.wait_for(
@@ -181,6 +193,7 @@ class Inbox:
             ) from None
         if message["type"] == "websocket.disconnect":
             return None
+        # A message, even one that is refused, counts and keeps the stream's place.
         self._count_one()
         self._place.use()
         text = message.get("text")
@@ -193,6 +206,8 @@ class Inbox:
         return str(text)
 
     def _count_one(self) -> None:
+        """Count a message in the present second. Raises StreamError if there are too many."""
+        # Whole seconds are precise enough to stop a flood.
         second = int(asyncio.get_running_loop().time())
         if second == self._second:
             self._count = self._count + 1
@@ -209,8 +224,8 @@ Id = Annotated[int, Span(0, 2**53 - 1, whole=True)]
 
 
 class Receipt(NoParams):
-    """The client has shown a picture of the view with this id; it ``took`` so many milliseconds
-    from when it came.
+    """A message of the client: it shows a picture of the view with this id, and ``took`` this
+    many milliseconds for it.
     """
 
     shown: Id
@@ -218,10 +233,10 @@ class Receipt(NoParams):
 
 
 class ViewRequest(NoParams):
-    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for
-    ``chunks``.
+    """A message of the client: its view, ``moving`` or at rest.
 
-    A client that draws what moves by itself wants no ``pictures`` of it.
+    ``chunks`` asks for the chunks that a picture at rest reads. A client that draws moving views
+    itself sets ``pictures`` to false.
     """
 
     id: Id
@@ -231,7 +246,9 @@ class ViewRequest(NoParams):
     pictures: StrictBool = True
 
     def params(self) -> FrameParams:
-        """The view's parameters; ParameterError where they are not those of a frame."""
+        """Return the parameters of the view. Raises ParameterError if they are not those of a
+        frame, or name ``wait_ms``.
+        """
         params = read(FrameParams, self.view.items())
         if "wait_ms" in params.model_fields_set:
             raise ParameterError(
@@ -242,7 +259,7 @@ class ViewRequest(NoParams):
 
 
 def message_of(text: str) -> dict[str, Any]:
-    """The JSON object in a message; ParameterError where there is none."""
+    """Return the JSON object in a message. Raises ParameterError if there is none."""
     try:
         message = json.loads(text, parse_constant=_refuse)
     except (ValueError, RecursionError):
@@ -255,7 +272,9 @@ def message_of(text: str) -> dict[str, Any]:
 
 
 def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
-    """The message as what it is; ParameterError on the first thing that is wrong."""
+    """Return a message as a view request or a receipt. Raises ParameterError for the first
+    member that is wrong.
+    """
     if "shown" in message:
         return read(Receipt, message.items())
     return read(ViewRequest, message.items())
@@ -264,14 +283,15 @@ def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
 def answer(
     request: int, shown: Shown, form: str, draft: bool, chunks: list[CardChunk] | None = None
 ) -> str:
-    """The facts of the picture that follows, an answer to the ``request`` of this id, and the
-    chunks that it reads.
+    """Return the JSON facts about a picture, sent before it as the answer to the view
+    ``request`` with this id; with the ``chunks`` that it reads, if these are given.
     """
     frame = shown.frame
     if chunks is None:
         named = {}
     else:
         named = {"chunks": [each.model_dump() for each in chunks]}
+    # A draft is never final, though all light of its smaller picture may be there.
     return json.dumps(
         {
             "id": request,
@@ -289,27 +309,29 @@ def answer(
     )
 
 
-def complaint(request: Any, error: IsogiError, path: str) -> str:
-    """A problem with the message of this id, null where it has none."""
+def problem_message(request: Any, error: IsogiError, path: str) -> str:
+    """Return a problem document about the message with this id, null if it has none."""
     document = problem_document(status_of(error), str(error), path, **parameter_named(error))
     return json.dumps({"id": request if isinstance(request, int) else None, "problem": document})
 
 
 def _refuse(constant: str) -> NoReturn:
+    """Refuse constants such as NaN, which are not JSON."""
     raise ValueError(constant)
 
 
 WANT_EVERY = 0.5
-"""Seconds between two drafts of a moving view whose light is asked for: what it shows next needs
-much of the same.
+"""Seconds between two drafts of a moving view whose light is requested: the next views need
+much of the same light.
 """
 
 
 class Session:
-    """Answers the newest view that its client sent; work on an older one ends.
+    """The session of one stream: it answers the newest view that its client sent, and cancels work
+    on older ones.
 
-    A draft alone is drawn to its end while the view goes on moving: else none would be when views
-    come faster.
+    A draft is drawn to its end even if a newer moving view has come: if views come faster than
+    drafts, none would be completed otherwise.
     """
 
     def __init__(self, socket: WebSocket, service: Service, scene: Scene, place: Place) -> None:
@@ -332,18 +354,18 @@ class Session:
         self._shows: float | None = None
 
     async def run(self) -> None:
-        """Returns when the client has left, or broke a limit; nothing is baked for it any more."""
+        """Run until the client leaves or breaks a limit. Then drop its requests."""
         reading = asyncio.create_task(self._read())
         working = asyncio.create_task(self._work())
         try:
             await asyncio.wait({reading, working}, return_when=asyncio.FIRST_COMPLETED)
+            # Raise the error of the task that ended.
             for task in (reading, working):
                 if task.done():
                     await task
         except StreamError as error:
-            with suppress(
-                WebSocketDisconnect, RuntimeError
-            ):  # the client, or its broken frame, may have closed it
+            # The client, or its broken frame, may have closed the socket already.
+            with suppress(WebSocketDisconnect, RuntimeError):
                 await self._socket.close(error.code, str(error))
         except WebSocketDisconnect:
             pass
@@ -356,7 +378,7 @@ class Session:
             self._metrics.count_motion(self._motion.drafts, self._motion.seconds)
 
     async def _read(self) -> None:
-        """Take in messages until the client leaves."""
+        """Read messages until the client leaves; answer invalid ones with a problem document."""
         while (text := await self._inbox.next()) is not None:
             request: Any = None
             try:
@@ -364,27 +386,31 @@ class Session:
                 request = message.get("id")
                 self._take(read_message(message))
             except IsogiError as error:
-                await self._send(complaint(request, error, self._socket.url.path))
+                await self._send(problem_message(request, error, self._socket.url.path))
 
     def _take(self, message: ViewRequest | Receipt) -> None:
+        """Take in a message."""
         if isinstance(message, Receipt):
             self._window.shown(message.shown)
+            # Receipts of full pictures say nothing about drafts.
             if message.shown != self._still:
                 self._drafts.shown(message.took / 1000.0)
             return
-        if not (message.moving):
+        if not message.moving:
             self._still = message.id
         older = self._newest
         self._newest = (message, message.params())
         self._motion.took(message.moving and message.pictures)
         self._changed.set()
+        # Cancel work on the former view, unless it is a draft and the view still moves.
         if self._showing and not (older and older[0].moving and message.moving):
             self._showing.cancel()
 
     async def _work(self) -> None:
-        """Show the newest view, again and again."""
+        """Show the newest view whenever there is one."""
         while True:
             await self._changed.wait()
+            # While the client catches up, newer views replace the one to be shown.
             await self._window.room()
             self._changed.clear()
             self._shows = self._motion.since
@@ -395,11 +421,12 @@ class Session:
             finally:
                 self._showing.cancel()
                 await asyncio.wait({self._showing})
+            # Raise the error of the work, if any.
             if not self._showing.cancelled():
                 self._showing.result()
 
     async def _show(self, request: ViewRequest, params: FrameParams) -> None:
-        """Answer a view request, or send what is wrong with it."""
+        """Answer a view request, or send a problem document about it."""
         if not request.pictures:
             return
         try:
@@ -408,27 +435,29 @@ class Session:
                 self._scene, params, client_of(self._socket.scope)
             )
             picture = self._service.picture_of(self._lit, smoothed(params, form))
-            await (
-                self._draft(request, params, picture)
-                if request.moving
-                else self._rest(request, params, picture, form)
-            )
+            if request.moving:
+                await self._draft(request, params, picture)
+            else:
+                await self._rest(request, params, picture, form)
         except IsogiError as error:
             if why := refusal(error):
                 self._metrics.refused.labels(why).inc()
-            await self._send(complaint(request.id, error, self._socket.url.path))
+            await self._send(problem_message(request.id, error, self._socket.url.path))
 
     async def _draft(
         self, request: ViewRequest, params: FrameParams, picture: PictureRequest
     ) -> None:
-        """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
+        """Send one picture of a moving view, of a size and format that is fast, and request its
+        light now and then.
+        """
         self._service.make_way()
         small = picture.draft(self._drafts.scale)
         watch = Stopwatch()
         rank = self._service.draft_rank(self._viewer)
         frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
-        self._drafts.drawn(sum(watch.seconds.values()))  # smaller ones where many wait
+        # Time in the queue counts, so that drafts become smaller if many clients wait.
+        self._drafts.drawn(sum(watch.seconds.values()))
         await self._picture(request, params, shown, "jpeg", rank)
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
@@ -438,19 +467,19 @@ class Session:
     async def _rest(
         self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str
     ) -> None:
-        """The full picture of a view at rest, and each better one, until it is final."""
+        """Send the full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
                 await self._picture(
                     request, params, shown, form, self._service.rank(self._viewer, DRAFT)
                 )
-                del shown  # megabytes, while the client catches up and light is baked
+                del shown  # Free megabytes while the client catches up and light is baked.
                 await self._window.room()
 
     async def _picture(
         self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank
     ) -> None:
-        """Send a picture and its facts."""
+        """Encode a picture, and send it with its facts."""
         if params.exposure is None:
             exposure = self._lit.default_exposure
         else:
@@ -468,22 +497,28 @@ class Session:
         self._metrics.count_picture(
             "draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds
         )
+        # The first picture of a view measures how quickly the stream follows.
         if self._shows is not None:
             self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))
             self._shows = None
         await self._send(facts, picture)
 
     def _chunks(self, request: ViewRequest, shown: Shown) -> list[CardChunk] | None:
-        """The chunks that a full picture reads, where the client asks for them."""
+        """Return the chunks that a full picture reads, if the client asks for them."""
         if request.moving or not request.chunks:
             return None
         return chunks_in(self._service.engine.renderer(self._lit.id), shown.frame)
 
     async def _send(self, text: str, data: bytes | None = None) -> None:
-        """Send all of it or nothing, also where the sender is cancelled on the way."""
+        """Send a message completely, even if the sender is cancelled meanwhile: facts without
+        their picture would confuse the client.
+        """
         await asyncio.shield(self._send_all(text, data))
 
     async def _send_all(self, text: str, data: bytes | None) -> None:
+        """Send a text and its binary message without others between them; a client that has
+        gone gets nothing.
+        """
         with suppress(WebSocketDisconnect, RuntimeError):
             async with self._sending:
                 await self._socket.send_text(text)
@@ -492,7 +527,7 @@ class Session:
 
 
 async def kept(socket: WebSocket, session: Session, place: Place) -> None:
-    """Run a session until its client leaves, or another one needs its place."""
+    """Run a session until its client leaves, or until another client takes its place."""
     try:
         await place.keep(session.run())
     except BusyError as error:
@@ -505,11 +540,10 @@ router = APIRouter(prefix="/v1/scenes/{scene}")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
-    """The client sends views, the newest wins: drafts while it moves, the full picture at rest,
-    better as light comes.
+    """Send pictures of the views that the client sends, the newest view first: drafts while it
+    moves, the full picture at rest, better ones as light is baked.
 
-    Refused with a problem before it begins where the scene is unknown, or too many streams are
-    open.
+    Refused with a problem document if the scene is unknown, or if too many streams are open.
     """
     try:
         found = service.scene(scene)

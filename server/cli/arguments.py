@@ -1,5 +1,5 @@
-"""What commands share: the modules that do their work, the options of views and of work, and how a
-volume is taken.
+"""Arguments that commands share: options of views, of volumes and of work, and the modules that
+do the work.
 """
 
 import json
@@ -37,11 +37,11 @@ COMMAND_MODULES = {
     "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }
-"""The module that does a command's work; ``settings`` are read by pydantic."""
+"""The module that does the work of a command; "settings" is the one that reads settings."""
 
 
 def module_of(command: str) -> Any:
-    """The module that does a command's work, loaded now: help is answered without any of them."""
+    """Import the module of a command, now: help is printed without any of them."""
     with waiting("starting"):
         return import_module(COMMAND_MODULES[command])
 
@@ -49,22 +49,24 @@ def module_of(command: str) -> Any:
 Command = Callable[..., Any]
 
 FIRST_HEADING = "Options"
-"""The heading of options of no group."""
+"""The heading of options without a group."""
 
 VIEW_GROUPS = {
     heading: tuple(knob.name for knob in KNOB_GROUPS[heading])
     for heading in (FIRST_HEADING, "Camera", "Light", "Picture")
 }
-"""The knobs that are options of a view, by the headings of help."""
+"""The knobs that are options of a view, by heading."""
 
 
 def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
-    """The options of a view with their help; the azimuth and the like take a ``span`` such as
-    first:last too.
+    """Return the options of a view with their help. Options in RANGE_OPTIONS also take a ``span``
+    such as first:last.
 
-    Where a command has defaults of its own, ``otherwise`` has them by name.
+    ``otherwise`` describes, by name, the defaults of a command that differ from the usual ones.
     """
-    otherwise = {"azimuth": "", "elevation": "", "distance": "all of it is seen"} | otherwise
+    otherwise = {"azimuth": "", "elevation": "", "distance": "fitted to the surface"} | otherwise
+    # The camera is fitted to the surface unless options place it, so angles and distance have no
+    # fixed default.
     fitted = {
         name: replace(KNOBS[name], default=None, otherwise=usual)
         for name, usual in otherwise.items()
@@ -72,21 +74,21 @@ def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
     knobs = {
         name: fitted.get(name, KNOBS[name]) for names in VIEW_GROUPS.values() for name in names
     }
-    return {
-        name: f"{knob.text[:-1]}; or {span}." if span and name in RANGE_OPTIONS else knob.text
-        for name, knob in knobs.items()
-    }
+    texts = {name: knob.text for name, knob in knobs.items()}
+    if span:
+        texts |= {name: f"{texts[name][:-1]}; or {span}." for name in RANGE_OPTIONS}
+    return texts
 
 
 RANGE_OPTIONS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
-"""Options of a view that also take ranges, where there are many views."""
+"""Options of a view that also take ranges in commands that make several views."""
 
 VIEW_OPTIONS = view_options()
 FILM_OPTIONS = view_options("first:last")
 GRID_OPTIONS = view_options("first:last:step")
 
 DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
-"""Options that a reference, which is radiance alone, does not read."""
+"""Options that ``reference`` does not read, as it stores radiance."""
 
 PICTURE_OPTIONS = (
     "window",
@@ -100,37 +102,37 @@ REPORT_OPTIONS = {
 }
 PREWARM_OPTIONS = {
     "views": (
-        "Directions of each isovalue, spread over all sides; default: 12 where none are given."
+        "Directions for each isovalue, spread over all sides; default: 12 if none are given."
     ),
-    "times": "Steps of a series in time, each with light of its own: all, 3, 0:9 or 0:9:3.",
+    "times": "Steps of a series in time, each with separate light: all, 3, 0:9 or 0:9:3.",
     "target_error": "Relative error of pictures at which light is final.",
     **{name: KNOBS[name].text for name in ("distance", "fov", "width", "height")},
 }
 WORK_OPTIONS = {
     "workers": "Processes that compute light; default: one per core.",
-    "store": "Path or URL where light is kept; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to compute on, tls://…, instead of own workers.",
-    "scheduler_ca": "File of the authority, PEM, that signed its certificate.",
-    "scheduler_cert": "File of the certificate, PEM, that it is shown.",
-    "scheduler_key": "File of that certificate's key, PEM.",
+    "store": "Path or URL of the light's store; default: in the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler whose workers bake, tls://…",
+    "scheduler_ca": "File of the authority, PEM, that signed the scheduler's certificate.",
+    "scheduler_cert": "File of this client's certificate, PEM.",
+    "scheduler_key": "File of the certificate's key, PEM.",
     "insecure_scheduler": "Join a scheduler without certificates.",
 }
 SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-LIGHT_HELP = (
-    f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
-)
+LIGHT_HELP = f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
 
 RAW_HELP = (
-    "What a file without a header holds: sizes along x, y, z, type and byte order, such "
+    "The content of a file without a header: sizes along x, y, z, type and byte order, such "
     "as 256x256x128,uint8,little."
 )
 
 
 def options(table: dict[str, str]) -> Callable[[Command], Command]:
-    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+    """Return a decorator that adds a text option for each row; values are checked when they are
+    read, as those of HTTP are.
+    """
 
     def decorate(command: Command) -> Command:
         for name, text in reversed(table.items()):
@@ -147,18 +149,18 @@ VOLUME_OPTIONS = (
     *("axes", "raw", "solid", "smooth", "pieces", "environment"),
     *("cut", "surfaces", "hide", "material"),
 )
-"""Options of ``volume_options``; those that are given follow the # of a target."""
+"""Options of ``volume_options``; given ones are appended to the target after a #."""
 
 
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options of VOLUME_OPTIONS, which become parts of the command's target."""
+    """Add the options VOLUME_OPTIONS to a command, and append given ones to its target."""
 
     @click.option(
         "--axes",
         type=click.Choice(["world", "raw"]),
         help=(
-            "Where the volume lies: as its file says, or raw, its voxels' indices times "
-            "spacing; default: world."
+            "Place of the volume: as its file says, or raw, voxel index times spacing; default: "
+            "world."
         ),
     )
     @click.option("--raw", help=RAW_HELP)
@@ -166,20 +168,20 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--solid",
         type=click.Choice(["above", "below"]),
         help=(
-            "Which side of the isovalue is solid; default: above; below where most of the "
+            "Side of the isovalue that is solid; default: above, but below if most of the "
             "border is above."
         ),
     )
     @click.option(
         "--smooth",
         help=(
-            "Smooth the volume by a Gaussian of so many voxels, 0 to 8: about 1 takes the "
-            "dimples of noise away; default: 0."
+            "Width in voxels, 0 to 8, of a Gaussian that smooths the volume: about 1 removes "
+            "dimples due to noise; default: 0."
         ),
     )
     @click.option(
         "--pieces",
-        help="Show no pieces of fewer voxels than this, such as specks of noise; default: 0, all.",
+        help="Hide pieces of fewer voxels than this, such as specks of noise; default: 0, none.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})
@@ -187,6 +189,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def placed(**given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
         placing = {key: given.pop(key) for key in VOLUME_OPTIONS}
+        # A probe's file is relative to the present directory, not to the volume.
         if "." in (placing["environment"] or ""):
             placing["environment"] = str(Path(placing["environment"]).resolve())
         given[name] = placed_target(given[name], placing)
@@ -196,9 +199,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
-    """A command's target with what its options say of the volume after its #; None where nothing is
-    said of none.
-    """
+    """Append options about the volume to a command's target after a #; None if there is neither."""
     for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
@@ -208,7 +209,7 @@ def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str 
 
 
 def raw_option(command: Command) -> Command:
-    """Decorator: the option of ``volume_options`` that says what bare voxels are, alone."""
+    """Add only the option --raw, which describes a file without a header."""
 
     @click.option("--raw", help=RAW_HELP)
     @wraps(command)
@@ -219,18 +220,18 @@ def raw_option(command: Command) -> Command:
 
 
 EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-"""The type of an option that names a file which must be there."""
+"""Type of an option that names an existing file."""
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 
 Check = Callable[[click.Context, click.Parameter, str | None], float | None]
-"""A callback of an option that is a number."""
+"""A callback that reads an option as a number."""
 
 
 def checked(read: Callable[[str], float]) -> Check:
-    """Callback of an option: what ``read`` makes of its text; BadParameter says why where it is
-    refused.
+    """Return a callback that reads the text of an option by ``read``; its ValueError becomes
+    BadParameter.
     """
 
     def check(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
@@ -243,7 +244,7 @@ def checked(read: Callable[[str], float]) -> Check:
 
 
 def number(low: float, high: float) -> Check:
-    """Callback of an option that is a number from ``low`` to ``high``."""
+    """Return a callback for a number from ``low`` to ``high``."""
     return checked(Span(low, high).read)
 
 
@@ -256,13 +257,13 @@ age = checked(seconds_of_age)
 
 
 def settings_from(config: Path | None = None, **given: Any) -> "Settings":
-    """The settings: options first, then the environment, then a file; UsageError names what is
-    wrong.
+    """Read the settings: options first, then the environment, then a file. Raises UsageError
+    that names the wrong one.
     """
     settings: Settings = module_of("settings").settings_from(config, **given)
     return settings
 
 
 def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> None:
-    """Print facts, for a script or for a person."""
+    """Print facts, as JSON or as text for a person."""
     click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))

@@ -1,5 +1,5 @@
-"""The ``isogi`` command: what each command takes. The module that does its work is loaded when it
-is called.
+"""The ``isogi`` command line: the arguments of each command. The module that does its work is
+loaded when it is called.
 """
 
 import gc
@@ -52,26 +52,29 @@ BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 
 
 def main() -> None:
-    """Run the command line and leave with its exit status."""
+    """Run the command line, and exit with its status."""
     keep_memory_small()
-    let_all_names_be_written()
-    gc.set_threshold(
-        50_000
-    )  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
+    escape_unknown_characters()
+    # A command creates 200,000 objects that it keeps: to search these for garbage took a tenth of
+    # its start.
+    gc.set_threshold(50_000)
     sys.exit(run(sys.argv[1:]))
 
 
-def let_all_names_be_written() -> None:
-    """Have stdout and stderr take any text: a file's name may be one that their encoding lacks."""
+def escape_unknown_characters() -> None:
+    """Let stdout and stderr escape characters that their encoding lacks: file names may hold
+    any.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on
-    stderr.
+    """Run one command; return 0 if it is done, 1 if it failed, 2 for wrong use or bad input.
+    Errors are one line on stderr.
     """
+    # Errors of use and input exit with 2, errors at work with 1.
     try:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
     except click.Abort:
@@ -93,7 +96,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def complain(message: str, status: int) -> int:
-    """Say on stderr, in one line, what is wrong; gives the exit status back."""
+    """Print one line on stderr about an error; return the exit ``status``."""
     click.echo(f"isogi: {' '.join(message.split())}", err=True)
     return status
 
@@ -106,8 +109,9 @@ def complain(message: str, status: int) -> int:
 @click.version_option(package_name="isogi")
 @click.pass_context
 def cli(context: click.Context) -> None:
-    """Look at isosurfaces of volumes in light from all around."""
-    if context.invoked_subcommand != "serve":  # which says it in its log
+    """Render isosurfaces of volumes with global illumination."""
+    # ``serve`` writes these sentences to its log.
+    if context.invoked_subcommand != "serve":
         for sentence in module_of("settings").unknown_variables():
             complain(sentence, 0)
 
@@ -116,7 +120,7 @@ def cli(context: click.Context) -> None:
 @click.argument("target", required=False)
 @volume_options
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
-    """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a
+    """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); by default a
     demo.
     """
     settings = settings_from(config, **given)
@@ -134,7 +138,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     "--target-error", callback=share_of_error, help="Relative error at which a pixel is final."
 )
 @click.option(
-    "--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h."
+    "--time", "seconds", callback=duration, help="Stop baking after this time: 90, 90s, 10m or 1h."
 )
 @options(WORK_OPTIONS)
 @AS_JSON
@@ -146,7 +150,7 @@ def render(
     as_json: bool,
     **given: Any,
 ) -> int:
-    """Write a picture of TARGET; the suffix of the output chooses png, jpeg, webp or npy."""
+    """Write a picture of TARGET; the suffix of OUTPUT chooses png, jpeg, webp or npy."""
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     knobs = {
         name: value
@@ -157,7 +161,7 @@ def render(
     facts = work.render(scene, output, knobs, settings, seconds)
     show(facts, work.rendered, as_json)
     if facts["trouble"]:
-        return complain(f"The light is not done. {facts['trouble']}", 1)
+        return complain(f"The light is not complete. {facts['trouble']}", 1)
     return 0
 
 
@@ -177,7 +181,7 @@ def render(
     "--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005."
 )
 @click.option(
-    "--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h."
+    "--time", "seconds", callback=duration, help="Stop after this time: 90, 90s, 10m or 1h."
 )
 @click.option(
     "--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light."
@@ -193,7 +197,7 @@ def reference(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Path-trace a view of TARGET from every pixel. Goes on where OUTPUT stopped."""
+    """Path-trace a view of TARGET from every pixel. Continues a reference that OUTPUT holds."""
     if samples is not None and target_error is not None:
         raise click.UsageError("--samples and --target-error both say when to stop: keep one.")
     if samples is None and target_error is None and seconds is None:
@@ -225,13 +229,13 @@ def reference(
 @click.option(
     "--deadline",
     callback=duration,
-    help="90s, 10m or 1h, and a tenth more: what does not fit is left out.",
+    help="90s, 10m or 1h, plus a tenth: studies that do not fit are left out.",
 )
 @click.option(
     "--only",
     multiple=True,
     metavar="KEY",
-    help="Run this study alone; may be given more than once.",
+    help="Run only this study; may be given more than once.",
 )
 @AS_JSON
 def report(
@@ -243,10 +247,9 @@ def report(
     as_json: bool,
     **given: Any,
 ) -> int:
-    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as
-    a page.
+    """Measure the errors of TARGET's light by cause, and their cost, and write a page about them.
 
-    What was measured is kept in the folder: the same command goes on where it was stopped.
+    Measurements are kept in the folder: the same command continues one that was stopped.
     """
     work = module_of("report")
     knobs = {name: value for name, value in given.items() if value is not None}
@@ -272,76 +275,83 @@ def report(
 @click.option(
     "--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction."
 )
-@click.option("--views-file", type=EXISTING_FILE, help="Such, .json or .toml.")
+@click.option("--views-file", type=EXISTING_FILE, help="Directions in a file, .json or .toml.")
 @click.option(
     "--orbit",
     "orbits",
     multiple=True,
     metavar="36@20",
-    help="A number of directions at an elevation.",
+    help="Directions around the volume: a number, at an elevation.",
 )
 @click.option(
-    "--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side."
+    "--all-directions", is_flag=True, default=None, help="Whole isosurfaces, for all directions."
 )
 @options(PREWARM_OPTIONS)
 @click.option(
-    "--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h."
+    "--deadline",
+    callback=duration,
+    help="Stop after this time, with the light that is baked: 90, 90s, 10m or 1h.",
 )
 @options(WORK_OPTIONS)
 @click.option(
-    "--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing."
+    "--dry-run",
+    is_flag=True,
+    help="Print how much there is to bake and how long it takes; bake nothing.",
 )
 @click.option(
     "--continue",
-    "go_on",
+    "resume",
     is_flag=True,
-    help="Go on with the last prewarm of TARGET that was stopped.",
+    help="Resume the last prewarm of TARGET that was stopped.",
 )
+@click.option("--server", metavar="URL", help="Have a running server bake; its token: ISOGI_TOKEN.")
 @click.option(
-    "--server", metavar="URL", help="Have a running server do it; its token: ISOGI_TOKEN."
+    "--detach", is_flag=True, help="Print the job's address, and do not wait for its end."
 )
-@click.option("--detach", is_flag=True, help="Print the job's address, and leave the server to it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def prewarm(
     scene: str,
     dry_run: bool,
-    go_on: bool,
+    resume: bool,
     server: str | None,
     detach: bool,
     as_json: bool,
     **given: Any,
 ) -> int:
-    """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on
-    (--continue).
+    """Bake light ahead: of views of TARGET, or of whole isosurfaces; --continue resumes a stopped
+    prewarm.
     """
     work = module_of("prewarm")
     workers = {name: given.pop(name) for name in WORK_OPTIONS}
     times = given.pop("times")
+    # Refuse options that do not go together.
     fields = work.fields_given(given)
-    if go_on and (set(fields) - {"deadline"} or times or dry_run or server):
+    if resume and (set(fields) - {"deadline"} or times or dry_run or server):
         raise click.UsageError(
-            "--continue goes on with what was asked for: leave all but --deadline, --workers … out."
+            "--continue resumes the former order: leave out all options but --deadline, --workers …"
         )
     if detach and not server:
-        raise click.UsageError("--detach leaves a server to it: say which by --server.")
+        raise click.UsageError("--detach is for a job of a server: name it by --server.")
     order = work.order_of(fields)
+    # Bake here: the rest of an earlier order, or the order.
     if server is None:
         settings = settings_from(**workers)
-        if go_on:
-            rest = work.go_on(scene, settings, order.deadline)
+        if resume:
+            rest = work.resume(scene, settings, order.deadline)
         else:
             rest = None
         if rest:
             done = [rest]
         else:
             done = work.prewarm_series(scene, times, order, settings, dry_run)
+    # A server has its own workers and scenes: options of the work here mean nothing to it.
     elif named := [
         name.replace("_", "-")
         for name, value in {"times": times, **workers}.items()
         if value is not None
     ]:
         raise click.UsageError(
-            f"--{named[0]} is for this process alone: leave it out, or leave --server out."
+            f"--{named[0]} is only for work in this process: leave it out, or leave --server out."
         )
     elif detach:
         address = work.detach(server, scene, order, dry_run)
@@ -349,7 +359,7 @@ def prewarm(
         return 0
     else:
         done = [work.follow(server, scene, order, dry_run)]
-    return 1 if work.tell(done, as_json) else 0
+    return 1 if work.print_summaries(done, as_json) else 0
 
 
 @cli.command()
@@ -358,14 +368,16 @@ def prewarm(
 @click.option(
     "--plan",
     is_flag=True,
-    help="All facts: also the plan, the histogram, and how steep its surfaces are.",
+    help="Print all facts, with the plan, the histogram, and the stiffness of surfaces.",
 )
 @click.option(
-    "--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw how steep it is, .png."
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw the stiffness to this file, .png.",
 )
 @AS_JSON
 def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> None:
-    """Say what isogi makes of TARGET, a volume or a scene, in ten lines; with --plan, in full."""
+    """Summarise TARGET, a volume or a scene, in ten lines; with --plan, print all facts."""
     click.echo(module_of("inspect").inspect(target, picture, as_json, plan))
 
 
@@ -377,9 +389,7 @@ def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> Non
 )
 @AS_JSON
 def convert(target: str, output: Path, as_json: bool) -> None:
-    """Write the volume of TARGET as an OME-Zarr image, with coarser levels: what is slow to open,
-    once for all.
-    """
+    """Write the volume of TARGET as an OME-Zarr image with coarser levels, which opens quickly."""
     work = module_of("convert")
     show(work.convert(target, output), work.converted, as_json)
 
@@ -392,7 +402,7 @@ def convert(target: str, output: Path, as_json: bool) -> None:
     "--output",
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Its file.",
+    help="The file to write.",
 )
 @click.option(
     "--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last."
@@ -403,7 +413,7 @@ def convert(target: str, output: Path, as_json: bool) -> None:
 @click.option(
     "--coefficients",
     is_flag=True,
-    help="Harmonics of the light too, into a .vti: see docs/export.md.",
+    help="Also write harmonics of the light, into a .vti: see docs/export.md.",
 )
 @options(WORK_OPTIONS)
 @AS_JSON
@@ -459,10 +469,10 @@ def export(
 @options(WORK_OPTIONS)
 @AS_JSON
 def film(scene: str, as_json: bool, **given: Any) -> None:
-    """Film TARGET: a whole turn, what is given as first:last, a way along views, or steps; stopped,
-    it goes on.
+    """Film TARGET: a whole turn, options given as first:last, a path along views, or steps in time.
 
-    The suffix of the output chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs.
+    The suffix of OUTPUT chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs. The
+    same command continues one that was stopped.
     """
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("film")
@@ -482,11 +492,9 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 )
 @options(GRID_OPTIONS)
 @click.option(
-    "--interactive", is_flag=True, help="Instead a page that draws by the visitor's graphics card."
+    "--interactive", is_flag=True, help="Write a page that draws on the visitor's graphics card."
 )
-@click.option(
-    "--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take."
-)
+@click.option("--megabytes", callback=number(0.1, 1e6), help="Size limit of the interactive page.")
 @click.option("--caption", help="A text under the picture.")
 @click.option(
     "--target-error", callback=share_of_error, help="Relative error at which a picture is final."
@@ -500,11 +508,11 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 @options(WORK_OPTIONS)
 @AS_JSON
 def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
-    """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the
-    same goes on.
+    """Write a page that shows pictures of TARGET by sliders, without a server.
 
-    What is given as first:last:step becomes a slider; with none, the azimuth. An interactive page
-    draws by itself whatever it is put to, of the isovalues first:last.
+    An option given as first:last:step becomes a slider; without any, the azimuth. An interactive
+    page draws all views itself, for isovalues given as first:last. The same command continues one
+    that was stopped.
     """
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("publish --interactive" if interactive else "publish")
@@ -540,16 +548,14 @@ STORE_ARGUMENT = click.argument("where", metavar="[STORE]", required=False)
 
 @cli.group()
 def store() -> None:
-    """Look after a STORE of light, a folder or URL; by default the one that `isogi serve` uses.
+    """Maintain a STORE of light, a folder or URL; by default the one that `isogi serve` uses.
 
-    All of it is safe beside servers and workers that use the store.
+    All of it is safe while servers and workers use the store.
     """
 
 
 def store_at(where: str | None) -> Any:
-    """The store that is named, else the one that the settings name. Raises StoreError where there
-    is none.
-    """
+    """Open the named store, else that of the settings. Raises StoreError if there is none."""
     return module_of("store").existing_store(settings_from(store=where))
 
 
@@ -573,17 +579,17 @@ def verify(where: str | None, as_json: bool) -> int:
 )
 @AS_JSON
 def repair(where: str | None, delete: bool, as_json: bool) -> None:
-    """Put damaged objects of a STORE away, so that they are baked again when they are needed."""
+    """Move damaged objects of a STORE away, so that they are baked again when they are needed."""
     work = module_of("store")
     show(work.repair(store_at(where), delete), work.repaired, as_json)
 
 
 @store.command()
 @STORE_ARGUMENT
-@click.option("--quick", is_flag=True, help="Read no chunk: count no texels.")
+@click.option("--quick", is_flag=True, help="Read no chunks, and count no texels.")
 @AS_JSON
 def stats(where: str | None, quick: bool, as_json: bool) -> None:
-    """List what a STORE holds: bakes with their size, texels, costs and age."""
+    """List the bakes in a STORE, with their size, texels, costs and age."""
     work = module_of("store")
     show(work.stats(store_at(where), not quick), work.table, as_json)
 
@@ -593,18 +599,18 @@ def stats(where: str | None, quick: bool, as_json: bool) -> None:
 @click.option(
     "--older-than",
     callback=age,
-    help="Light that was neither baked nor read for so long: 30d, 12h.",
+    help="Light that was neither baked nor read for this time: 30d, 12h.",
 )
 @click.option(
     "--keep-gb",
     type=click.FloatRange(0),
-    help="The longest unused light beyond this number of gigabytes.",
+    help="The light unused longest, above this number of gigabytes.",
 )
 @click.option(
-    "--scene", help="Light of this scene or volume alone; with no other option, all of it."
+    "--scene", help="Only light of this scene or volume; without other options, all of it."
 )
 @click.option("--empty", is_flag=True, help="Layers that hold no light.")
-@click.option("--yes", is_flag=True, help="Delete it; without this, only list what would go.")
+@click.option("--yes", is_flag=True, help="Delete; without this option, only list.")
 @AS_JSON
 def prune(
     where: str | None,
@@ -615,9 +621,11 @@ def prune(
     yes: bool,
     as_json: bool,
 ) -> None:
-    """Delete light from a STORE that is not needed any more, once --yes says so."""
+    """Delete light from a STORE that is no longer needed; without --yes, only list it."""
     if older_than is None and keep_gb is None and scene is None and not empty:
-        raise click.UsageError("Say what is to go: --older-than, --keep-gb, --scene or --empty.")
+        raise click.UsageError(
+            "Name the light to delete: --older-than, --keep-gb, --scene or --empty."
+        )
     work = module_of("store")
     rule = work.rule_of(older_than, keep_gb, scene, empty)
     show(work.prune(store_at(where), rule, yes), work.pruned, as_json)

@@ -1,7 +1,7 @@
-"""``isogi export`` and ``isogi convert``: files for the tools that people already use.
+"""``isogi export`` and ``isogi convert``: files for other tools.
 
-An isosurface or a whole volume with its light; and a volume as an OME-Zarr image, which opens
-quickly.
+``export`` writes an isosurface or a volume with its light; ``convert`` writes a volume as an
+OME-Zarr image, which opens quickly.
 """
 
 from collections.abc import Iterable, Mapping
@@ -40,18 +40,18 @@ from server.exports.lit_files import (
 from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
-from server.render.workforce import root_of
+from server.render.stores import root_of
 from server.settings import Settings
 from server.views import view_of
 
 MOST_TURNS = 1000
-"""Turns of the light that are written at once, at most."""
+"""Rotations of the light that are written by one command, at most."""
 
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """A file with light that is asked for: its isovalues, when light is good enough, and whether
-    with coefficients.
+    """A file with light that a command asks for: its isovalues, the error at which light is
+    good enough, and ``coefficients`` if these are exported too.
     """
 
     output: Path
@@ -64,12 +64,13 @@ class ExportRequest:
 def export(
     target: Target, request: ExportRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
-    """Bake what is lacking, write light to a file, and say what is in it and how good it is.
+    """Bake missing light, and write a file with it; return facts about its content and quality.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError,
+    Raises SceneError, VolumeError, LightError and ViewError before any work, and StoreError,
     WorkersError and OSError later.
     """
     suffix = checked_suffix(request.output)
+    # Light that is not rotated needs one number per texel instead of harmonics.
     still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not request.coefficients
     scene = open_scene(target, settings, **({"rotating": False} if still else {}))
     files = files_of(request.output, knobs)
@@ -89,6 +90,7 @@ def export(
     else:
         rung = FIRST_LEVEL
     given = order_of({name: value for name, value in order.items() if value})
+    # Bake whole isosurfaces; coefficients with all samples.
     summary = prewarm_scene(scene, given, settings, rung=rung)
     renderer = Renderer(
         Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles()
@@ -97,6 +99,7 @@ def export(
         exposure = scene.default_exposure
     else:
         exposure = request.exposure
+    # One list of places serves all rotations of the light.
     places = places_to_light(renderer, suffix, levels.spans)
     for path, view in views.items():
         with Progress(f"lighting {path.name}", "point") as bar:
@@ -111,7 +114,7 @@ def export(
 
 
 def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:
-    """The parameters of each file: one, or a numbered one for each turn of a yaw such as 0:330:30.
+    """Return the parameters of each file: one file, or numbered ones for a yaw such as 0:330:30.
 
     Raises ParameterError.
     """
@@ -125,6 +128,7 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
             f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw"
         )
     stem = output.name[: -len(suffix)]
+    # Leading zeros keep files in order.
     digits = len(str(len(turns)))
     names = (
         f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}"
@@ -137,8 +141,8 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
 
 
 def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) -> None:
-    """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the
-    kind of file.
+    """Raise ViewError, SceneError or VolumeError if isovalues, lattice or orientation do not
+    suit the file format.
     """
     scene.require_texels()
     suffix = suffix_of(request.output)
@@ -151,13 +155,14 @@ def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) ->
         )
     if suffix in WRITERS:
         check_lattice(scene)
+    # OME-Zarr holds no rotation, and a folder that exists is not overwritten.
     if suffix == ".zarr":
         for path in files:
             check_zarr(path, scene.volume.orientation.affine(scene.volume.spacing))
 
 
 def size_facts(places: Lit, levels: Levels) -> dict[str, Any]:
-    """Which isovalues a file has, and the light of how many places."""
+    """Return the isovalues of a file, and the number of places with light."""
     if isinstance(places, Mesh):
         isovalue = levels.spans[0][0]
         return {
@@ -169,7 +174,7 @@ def size_facts(places: Lit, levels: Levels) -> dict[str, Any]:
 
 
 def exported(facts: Mapping[str, Any]) -> str:
-    """What ``export`` did, for a person."""
+    """Return the facts of ``export`` as text for a person."""
     if "triangles" in facts:
         what = (
             f"{facts['vertices']:,} vertices and {facts['triangles']:,} triangles at "
@@ -187,19 +192,22 @@ def exported(facts: Mapping[str, Any]) -> str:
 
 
 def convert(target: str, output: Path) -> dict[str, Any]:
-    """Write the volume of a ``target`` to the folder ``output``, and say what is in it.
+    """Write the volume of a ``target`` to the folder ``output``, and return facts about it.
 
-    Raises SceneError and VolumeError, and ParameterError where the target or the output cannot be.
+    Raises SceneError and VolumeError, and ParameterError if the target is no volume of a file, or
+    the output has another suffix.
     """
     if output.suffix != ".zarr":
         raise ParameterError(
             f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr."
         )
+    # Open the volume of a file without the scene around it.
     settings = SceneSettings(find_source(target, {}))
     name = settings.text("volume", "")
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
     grid, _ = open_own(settings)
+    # Refuse values that isogi could not show.
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)
@@ -213,7 +221,7 @@ def convert(target: str, output: Path) -> dict[str, Any]:
 
 
 def converted(facts: dict[str, Any]) -> str:
-    """The facts for a person."""
+    """Return the facts of ``convert`` as text for a person."""
     size = " × ".join(map(str, facts["size"]))
     first = f"{facts['file']}: {size} voxels of {facts['dtype']}, {facts['bytes'] / 1e6:,.1f} MB"
     return "\n".join([first, f"read as {facts['read_as']}", *facts["notes"]])

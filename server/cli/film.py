@@ -1,7 +1,6 @@
-"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a
-movie.
+"""``isogi film``: the frames of a film as pictures in a folder, or as a movie.
 
-Pillow writes GIF and WebP, FFmpeg MP4 and WebM.
+Pillow writes GIF and WebP, FFmpeg writes MP4 and WebM.
 """
 
 import io
@@ -21,7 +20,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import film_path, steps_in, view_in, views_in
-from server.cli.reel import Reel, ReelRequest, said
+from server.cli.reel import Reel, ReelRequest, quality_line
 from server.cli.render import is_placed
 from server.errors import LibraryError, ParameterError
 from server.parameters import FrameParams, read
@@ -35,19 +34,19 @@ MOST_FRAMES = 100_000
 """Frames of a film, at most."""
 
 FRAME_FILE_NAME = "frame-%05d.png"
-"""The names of a film's pictures, numbered from 1."""
+"""File names of a film's pictures, numbered from 1."""
 
 LOOPS: dict[str, dict[str, Any]] = {
     ".gif": {"optimize": False},
     ".webp": {"quality": 85, "method": 4},
 }
-"""Movies that Pillow writes, and how."""
+"""Movie formats that Pillow writes, with its options."""
 
 MOVIE_CODECS = {
     ".mp4": ("-c:v", "libx264", "-crf", "16", "-preset", "slow", "-movflags", "+faststart"),
     ".webm": ("-c:v", "libvpx-vp9", "-crf", "24", "-b:v", "0", "-row-mt", "1"),
 }
-"""Movies that FFmpeg writes: codec and quality."""
+"""Movie formats that FFmpeg writes, with options for codec and quality."""
 
 MOVIE_COLOUR_OPTIONS = [
     "-vf",
@@ -63,14 +62,14 @@ MOVIE_COLOUR_OPTIONS += [
     "-color_range",
     "tv",
 ]
-"""What players need to know of the pictures: sRGB, by the matrix of BT.709."""
+"""Tags that tell players the colour space of the pictures: sRGB, by the matrix of BT.709."""
 
 
 @dataclass(frozen=True)
 class FilmRequest(ReelRequest):
-    """A film that is asked for: keyframes, seconds of film, and when a frame is good enough.
+    """A film that a command asks for: keyframes, length in seconds, frames per second.
 
-    Of a series the film goes through the steps that ``times`` names, each as long as the others.
+    ``times`` names steps of a series that the film goes through, each for the same time.
     """
 
     views: tuple[str, ...] = ()
@@ -81,12 +80,12 @@ class FilmRequest(ReelRequest):
 
     @property
     def is_movie(self) -> bool:
-        """Whether the film is one file, and no folder of pictures."""
+        """Return True if the film is one file, and not a folder of pictures."""
         return bool(self.output.suffix)
 
     @property
     def folder(self) -> Path:
-        """Where the pictures are kept."""
+        """Return the folder in which the pictures are kept."""
         if self.is_movie:
             return self.output.with_name(f"{self.output.name}.frames")
         return self.output
@@ -95,11 +94,12 @@ class FilmRequest(ReelRequest):
 def film(
     target: str, request: FilmRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
-    """Render the frames that are not there yet, make the movie of all, and say how good they are.
+    """Render the frames that are missing, and make the movie; return facts about its quality.
 
-    Raises SceneError, VolumeError, LightError, ViewError and LibraryError before anything is begun,
+    Raises SceneError, VolumeError, LightError, ViewError and LibraryError before any work, and
     StoreError, WorkersError and OSError later.
     """
+    # Check all input, and each frame, before the first is rendered.
     check_folder(request.output)
     views = keyframes(request)
     scene = open_scene(variant_of(target, views), settings)
@@ -120,8 +120,8 @@ def film(
 
 
 def keyframes(request: FilmRequest) -> list[dict[str, str]]:
-    """The parameters of each view that is given. Raises ParameterError where one is none, or
-    alone.
+    """Return the parameters of each keyframe. Raises ParameterError if one cannot be read, or
+    if there is a single one.
     """
     views = [view_in(text) for text in request.views]
     if request.views_file is not None:
@@ -132,15 +132,17 @@ def keyframes(request: FilmRequest) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The ``target`` in the environment, with the cut, at the time, of the material and without the
-    labels that all views name.
+    """Return the ``target`` with the environment, cut, time, smoothing, hidden labels and material
+    that all views share.
 
-    ParameterError where one names other surfaces.
+    Raises ParameterError if a view names surfaces.
     """
     if any("surfaces" in view for view in views):
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
+    # A change that all views share becomes part of the target; views that differ in one are refused
+    # later.
     for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
@@ -151,8 +153,8 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
 def shots_of(
     scene: Scene, request: FilmRequest, views: Sequence[Mapping[str, str]], knobs: Mapping[str, str]
 ) -> list[FrameParams]:
-    """The parameters of each frame along the ``views``; ParameterError where frames are none, or
-    too many.
+    """Return the parameters of each frame along the ``views``. Raises ParameterError if there
+    are too many frames, or none.
     """
     count = round(request.length * request.fps)
     if not 1 <= count <= MOST_FRAMES:
@@ -160,6 +162,8 @@ def shots_of(
             f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length"
         )
     knobs = with_first_view(scene, knobs, views)
+    # Parameters that a view leaves out take the scene's values, so that the path can interpolate
+    # them.
     own = {name: str(value) for name, value in defaults(scene).items()}
     if not any(is_placed(view) for view in (knobs, *views)):
         own["azimuth"], own["elevation"] = map(repr, scene.front)
@@ -180,17 +184,18 @@ def shots_of(
 
 
 def filmed(facts: Mapping[str, Any]) -> str:
-    """What ``film`` did, for a person."""
-    return said(facts, "frames")
+    """Return the facts of ``film`` as text for a person."""
+    return quality_line(facts, "frames")
 
 
 def check_movie(output: Path, width: int, height: int) -> None:
-    """Raise ViewError where the file's name is that of no movie, or its size not one's, and
-    LibraryError.
+    """Raise ViewError if the file names no movie format, or the format does not allow the size;
+    LibraryError if FFmpeg is missing.
     """
     suffix = output.suffix.lower()
     if suffix in MOVIE_CODECS:
         encoder(suffix)
+        # Colours are stored at half resolution (4:2:0).
         if width % 2 or height % 2:
             raise ViewError(
                 f"A {suffix} needs even width and height, not {width} × {height}: change them."
@@ -203,7 +208,7 @@ def check_movie(output: Path, width: int, height: int) -> None:
 
 
 def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
-    """Write the pictures, files in their order, to a movie. Raises LibraryError, OSError."""
+    """Write pictures, in the order of their files, to a movie. Raises LibraryError and OSError."""
     suffix = output.suffix.lower()
     if suffix in LOOPS:
         first, *others = (Image.open(path) for path in pictures)
@@ -220,6 +225,7 @@ def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
         )
         write_whole(output, data.getvalue())
         return
+    # Write to another file first, so that the output is complete or missing.
     half = pictures[0].with_name(f"movie{suffix}")
     reading = ["-framerate", f"{fps:g}", "-i", str(pictures[0].with_name(FRAME_FILE_NAME))]
     command = [
@@ -241,7 +247,7 @@ def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
 
 
 def encoder(suffix: str) -> str:
-    """The program FFmpeg. Raises LibraryError where it is missing."""
+    """Return the path of FFmpeg. Raises LibraryError if it is missing."""
     try:
         import imageio_ffmpeg  # noqa: PLC0415
 

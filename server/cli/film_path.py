@@ -1,4 +1,4 @@
-"""The path of a film: the parameters of its views, frame by frame, eased along keyframes."""
+"""The path of a film: the parameters of each frame, eased along keyframes."""
 
 import math
 import re
@@ -20,28 +20,28 @@ Knobs = Mapping[str, str]
 """Parameters of a view, as text."""
 
 PERIODIC_ANGLES = ("azimuth", "yaw", "pitch", "roll")
-"""Angles that are the same after a whole turn."""
+"""Angles of period 360°."""
 
 FIXED_PARAMETERS = (
     *("width", "height", "shading", "samples", "overlay", "shine"),
     *("projection", "environment", "background", "window"),
     *("cut", "time", "smooth", "hide", "material"),
 )
-"""Parameters that are no quantity: all views have the same."""
+"""Parameters that cannot be interpolated: all views have the same."""
 
 HEX_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
 
 ON_THE_PAGE = ("scene", "name", "compare", "rulers", "measure", "slices", "draw")
-"""Parameters of a page's link that are none of a picture."""
+"""Parameters of a page's link that do not belong to a picture."""
 
 
 def film_path(
     given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int, still: bool = False
 ) -> list[dict[str, str]]:
-    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as
-    first:last, or around, unless the camera is ``still``.
+    """Return the views of ``frames`` frames: along the keyframes ``views``; or between the ends of
+    parameters ``given`` as first:last; or once around, unless the camera is ``still``.
 
-    ``scene`` are parameters that a view leaves to it. Raises ParameterError.
+    ``scene`` are the values of parameters that views leave out. Raises ParameterError.
     """
     given = untinted(given, scene)
     views = [untinted(view, scene) for view in views]
@@ -52,6 +52,7 @@ def film_path(
         )
     if views:
         return along([{**given, **view} for view in views], scene, frames, short=True)
+    # Without anything that moves, the camera turns once around.
     if not swept and not still:
         start = given.get("azimuth", defaults(scene)["azimuth"])
         given = {**given, "azimuth": f"{start}:{finite_number('azimuth', start) + 360.0!r}"}
@@ -64,15 +65,17 @@ def film_path(
 
 
 def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list[dict[str, str]]:
-    """The views of so many frames along the ``keys``, which angles reach by the ``short`` way or as
-    they are.
+    """Return the views of ``frames`` frames along the keyframes ``keys``. Angles take the ``short``
+    way if that is set, else the way that their numbers say.
 
-    A path that ends where it began goes round evenly; any other begins and ends at rest. Raises
-    ParameterError.
+    A closed path, whose last keyframe equals the first, moves evenly; any other starts and ends at
+    rest. Raises ParameterError.
     """
     names = list(dict.fromkeys(name for key in keys for name in key))
     usual = defaults(scene)
     whole = [{name: key.get(name, usual.get(name, "")) for name in names} for key in keys]
+    # Parameters that are equal in all keyframes stay as they are; the others are interpolated as
+    # numbers.
     fixed = {name: whole[0][name] for name in names if len({key[name] for key in whole}) == 1}
     tracks = {
         name: track(name, [key[name] for key in whole], short)
@@ -80,6 +83,7 @@ def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list
         if name not in fixed
     }
     closed = bool(tracks) and all(is_closed(name, rows) for name, rows in tracks.items())
+    # The last frame of a closed path comes before its end, which is the first frame again.
     places = (len(keys) - 1) * np.arange(frames) / max(frames if closed else frames - 1, 1)
     moving = {name: eased(rows, places, closed) for name, rows in tracks.items()}
     return [
@@ -89,18 +93,22 @@ def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list
 
 
 def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
-    """Values at ``places`` (m,) from 0 to k-1 of a curve through ``rows`` (k, n), one row at each
-    whole place.
+    """Interpolate ``rows`` (k, n) at ``places`` (m,) from 0 to k - 1: a curve through one row at
+    each integer.
 
-    A monotone cubic (Fritsch and Carlson 1980, with harmonic means as slopes): it passes no row's
-    value on its way to the next. Slopes at the ends of a path that is not ``closed`` are zero.
+    The curve is a monotone cubic that overshoots no row. The slopes at the ends of a path that is
+    not ``closed`` are zero. Source: Fritsch and Carlson, "Monotone piecewise cubic interpolation",
+    1980, with harmonic means as slopes.
     """
     steps = np.diff(rows, axis=0)
     rest = np.zeros_like(steps[:1])
     before = np.concatenate([steps[-1:] if closed else rest, steps])
     after = np.concatenate([steps, steps[:1] if closed else rest])
+    # The slope at a row is the harmonic mean of the steps before and after it, zero if their signs
+    # differ.
     same = before * after > 0.0
     slopes = np.where(same, 2.0 * before * after / np.where(same, before + after, 1.0), 0.0)
+    # Evaluate the cubic Hermite polynomial of the interval.
     at = np.clip(places.astype(np.intp), 0, len(steps) - 1)
     t = (places - at)[:, None]
     rise = t * t * (3.0 - 2.0 * t)
@@ -109,8 +117,8 @@ def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
 
 
 def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
-    """The values of a parameter at the keyframes, (k, n). Raises ParameterError where it is none
-    that can move.
+    """Return the values of a parameter at the keyframes, (k, n). Raises ParameterError if it
+    cannot move.
     """
     if name in FIXED_PARAMETERS:
         raise ParameterError(f"{name} cannot change in a film: give all views the same.", name)
@@ -124,7 +132,9 @@ def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
         raise ParameterError(
             f"{name} has more numbers in some views than in others: give it alike.", name
         )
+    # A single number stands for all channels.
     rows = np.array([row if len(row) == most else row * most for row in parts])
+    # q and -q are the same rotation: choose the sign that is closer to the keyframe before.
     if name == "light":
         rows[1:] *= np.cumprod(np.where(np.sum(rows[1:] * rows[:-1], axis=1) < 0.0, -1.0, 1.0))[
             :, None
@@ -135,15 +145,15 @@ def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
 
 
 def is_closed(name: str, rows: np.ndarray) -> bool:
-    """Whether a parameter ends where it began, angles after whole turns."""
+    """Return True if a parameter ends at its first value; angles after whole turns."""
     way = np.abs(rows[-1] - rows[0])
-    return bool(
-        np.all((np.minimum(way % 360.0, -way % 360.0) if name in PERIODIC_ANGLES else way) < 1e-9)
-    )
+    if name in PERIODIC_ANGLES:
+        way = np.minimum(way % 360.0, -way % 360.0)
+    return bool(np.all(way < 1e-9))
 
 
 def text_of(name: str, row: np.ndarray) -> str:
-    """The values of a parameter as text."""
+    """Return the values of a parameter as text, angles without whole turns."""
     return ",".join(
         repr(math.fmod(value, 360.0) if name in PERIODIC_ANGLES else value)
         for value in row.tolist()
@@ -151,7 +161,9 @@ def text_of(name: str, row: np.ndarray) -> str:
 
 
 def defaults(scene: Knobs) -> dict[str, str]:
-    """What a view says that leaves a parameter out."""
+    """Return the values of parameters that views leave out: the scene's, else the general
+    defaults.
+    """
     usual = {
         name: field.default
         for name, field in FrameParams.model_fields.items()
@@ -161,7 +173,7 @@ def defaults(scene: Knobs) -> dict[str, str]:
 
 
 def finite_number(name: str, text: str) -> float:
-    """The number in a text. Raises ParameterError."""
+    """Return the number that a text spells. Raises ParameterError."""
     value = finite(text)
     if math.isnan(value):
         raise ParameterError(f"{name} must be a number, or first:last, not {shown(text)}.", name)
@@ -169,7 +181,7 @@ def finite_number(name: str, text: str) -> float:
 
 
 def ends_of(name: str, text: str) -> tuple[str, str]:
-    """The two ends in a text such as 60:120. Raises ParameterError."""
+    """Return the two ends of a text such as 60:120. Raises ParameterError."""
     first, _, last = text.partition(":")
     if ":" in last:
         raise ParameterError(f"{name} must be a number, or first:last, not {shown(text)}.", name)
@@ -177,8 +189,8 @@ def ends_of(name: str, text: str) -> tuple[str, str]:
 
 
 def view_in(text: str) -> dict[str, str]:
-    """The parameters in a link that the page shares, or in a text such as
-    ``azimuth=40,elevation=30``.
+    """Return the parameters in a link that the page shares, or in a text such as
+    ``azimuth=40,elevation=30``. Raises ParameterError.
     """
     if "://" in text or text.startswith("?"):
         return {
@@ -186,6 +198,7 @@ def view_in(text: str) -> dict[str, str]:
             for name, value in parse_qsl(urlsplit(text).query)
             if name not in ON_THE_PAGE
         }
+    # Otherwise the text is a list of name=value.
     pairs = [part.partition("=") for part in text.split(",")]
     if not all(name and equals for name, equals, _ in pairs):
         raise ParameterError(
@@ -195,8 +208,8 @@ def view_in(text: str) -> dict[str, str]:
 
 
 def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
-    """A view whose ``tint``, the colour that a page's link has beside the albedo, is part of the
-    albedo.
+    """Return a view whose ``tint``, a colour that the page's links give next to the albedo, is part
+    of the albedo.
 
     Raises ParameterError.
     """
@@ -206,6 +219,7 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
         return view
     if not HEX_COLOUR.fullmatch(tint):
         raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
+    # The tint is the hue of an albedo whose largest channel is given.
     most = max(
         finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(",")
     )
@@ -213,7 +227,7 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
 
 
 def views_in(document: Any) -> list[dict[str, str]]:
-    """The views in a document: a list of links, or of tables of parameters. Raises
+    """Return the views in a document: a list of links, or of tables of parameters. Raises
     ParameterError.
     """
     if isinstance(document, dict):
@@ -228,7 +242,7 @@ def views_in(document: Any) -> list[dict[str, str]]:
 
 
 def known(view: Any) -> dict[str, str]:
-    """The parameters of a view in a document as text. Raises ParameterError."""
+    """Return the parameters of a view in a document as text. Raises ParameterError."""
     if not isinstance(view, dict):
         raise ParameterError(
             f"A view must be a link or a table of parameters, not {shown(view)}.", "views-file"
@@ -238,14 +252,14 @@ def known(view: Any) -> dict[str, str]:
 
 
 STEPS_PATTERN = re.compile(r"(\d{1,7})(?::(\d{1,7})(?::0*([1-9]\d{0,6}))?)?", re.ASCII)
-"""What steps of a series look like: 3, 0:9 or 0:9:3."""
+"""Steps of a series: 3, 0:9 or 0:9:3."""
 
 
 def steps_in(text: str, scene: Scene) -> list[int]:
-    """The steps of the scene's series that a ``text`` names: all, one, first:last or
+    """Return the steps of the scene's series that a ``text`` names: all, one, first:last or
     first:last:step.
 
-    Raises ParameterError where it names none, or the scene's volume is no series that has them.
+    Raises ParameterError if it names none, or steps that the series does not have.
     """
     count = scene.volume.moment[1]
     if count < 2:
@@ -257,6 +271,7 @@ def steps_in(text: str, scene: Scene) -> list[int]:
         raise ParameterError(
             f"times must be all, a step, or first:last:step, not {shown(text)}.", "times"
         )
+    # all, or first:last:step with both ends included.
     if found is None:
         first = "0"
         last = str(count - 1)
@@ -273,7 +288,9 @@ def steps_in(text: str, scene: Scene) -> list[int]:
 
 @contextmanager
 def at_step(time: int) -> Iterator[None]:
-    """Say at which step of a series a view cannot be had: value ranges are each step's."""
+    """Name the step of the series in a ViewError of the block, as value ranges differ between
+    steps.
+    """
     try:
         yield
     except ViewError as error:

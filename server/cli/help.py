@@ -1,4 +1,4 @@
-"""Help: options in groups, each by what it is for, and examples."""
+"""Help of commands: options in groups by subject, and examples."""
 
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +11,7 @@ from server.cli.arguments import FIRST_HEADING, VIEW_GROUPS
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "": (
         ("isogi engine.nhdr", "serve a volume: open the address in a browser"),
-        ("isogi inspect engine.nhdr", "what isogi makes of it"),
+        ("isogi inspect engine.nhdr", "a summary of it"),
         ("isogi render engine.nhdr -o engine.png", "a picture of it"),
     ),
     "serve": (
@@ -34,7 +34,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "reference": (
         (
             "isogi reference engine.toml -o truth.npz --azimuth 40 --time 10m",
-            "goes on where it stopped",
+            "continues the file",
         ),
     ),
     "report": (
@@ -46,11 +46,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
             "isogi prewarm engine.toml --isovalue 60:120:5 --views 12",
             "13 isovalues, 12 views of each",
         ),
-        ("isogi prewarm engine.toml --continue", "goes on where it was stopped"),
+        ("isogi prewarm engine.toml --continue", "resumes the stopped one"),
     ),
     "inspect": (
         ("isogi inspect engine.nhdr", "the facts that matter"),
-        ("isogi inspect engine.toml --plan", "all of them, and what will be computed"),
+        ("isogi inspect engine.toml --plan", "all facts, and the plan of the light"),
         ("isogi inspect engine.nhdr --picture stiffness.png", "how steep its surfaces are"),
     ),
     "convert": (
@@ -70,25 +70,25 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("isogi publish engine.toml -o engine --isovalue 60:160:20", "a slider of the isovalue"),
     ),
     "bench": (("isogi bench engine.nhdr --size 256", "half a minute"),),
-    "store": (("isogi store stats", "what the user's own store holds"),),
-    "store verify": (("isogi store verify", "the user's own store"),),
+    "store": (("isogi store stats", "the user's store"),),
+    "store verify": (("isogi store verify", "the user's store"),),
     "store repair": (("isogi store repair s3://bucket/light --delete", "a store elsewhere"),),
     "store stats": (("isogi store stats /light --quick", "without reading its chunks"),),
     "store prune": (
-        ("isogi store prune --older-than 30d", "lists what would go"),
+        ("isogi store prune --older-than 30d", "lists what would be deleted"),
         ("isogi store prune --keep-gb 20 --yes", "deletes it"),
     ),
 }
-"""Each command, by its words after ``isogi``: lines to type, and what each is for."""
+"""Examples of each command, by its words after ``isogi``: lines to type, with explanations."""
 
 
 HELP_GROUPS = {
     **{title: names for title, names in VIEW_GROUPS.items() if title != FIRST_HEADING},
-    "Light that is kept": (
+    "Store and memory": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),
     ),
-    "Who computes": (
+    "Workers and threads": (
         *(
             "workers",
             "scheduler",
@@ -99,7 +99,7 @@ HELP_GROUPS = {
         ),
         *("render_threads", "render_queue", "queue_seconds", "jobs"),
     ),
-    "Who may ask, and for how much": (
+    "Access and limits": (
         *(
             "token_file",
             "tokens_file",
@@ -125,7 +125,7 @@ HELP_GROUPS = {
     "Streams": ("streams", "stream_bytes", "stream_rate", "stream_idle_seconds"),
     "Log": ("log_format", "log_level"),
 }
-"""The options of each group, by name; those of none come first, under Options."""
+"""The options of each group, by name; options without a group come first, under Options."""
 
 MAX_EXAMPLE_COLUMNS = 46
 """Columns of the longest example that has its explanation on the same line."""
@@ -135,7 +135,7 @@ class WithExamples(click.Command):
     """A command whose help ends with examples."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the command's lines of EXAMPLES."""
+        """Write the examples of the command."""
         rows = EXAMPLES.get(ctx.command_path.partition(" ")[2], ())
         if rows:
             with formatter.section("Examples"):
@@ -162,26 +162,28 @@ class GroupedCommand(WithExamples):
 
 
 def group_of(name: str) -> str:
-    """The group that an option is in."""
+    """Return the heading of the group that an option belongs to."""
     return next((title for title, names in HELP_GROUPS.items() if name in names), FIRST_HEADING)
 
 
 class Group(WithExamples, click.Group):
-    """A group of commands with such help."""
+    """A group of commands with this kind of help."""
 
     command_class = GroupedCommand
 
 
 class Commands(Group):
-    """The commands of ``isogi``. What is no command but names a volume or a scene is served."""
+    """The commands of ``isogi``. A word that is no command but names a volume or a scene is
+    served.
+    """
 
     group_class = Group
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where
-        there is none.
+        """Find the command; ``isogi FILE`` is ``isogi serve FILE``. Raises UsageError if there
+        is none.
         """
         word = args[0]
         if word in self.commands or word.startswith("-"):
@@ -192,23 +194,23 @@ class Commands(Group):
 
 
 def names_target(word: str) -> bool:
-    """Whether a word names a file, a folder, a demo or a URL rather than a command."""
+    """Return True if a word names a file, a folder, a demo or a URL rather than a command."""
     path = Path(word.partition("#")[0])
     return word.startswith("demo:") or "://" in word or bool(path.suffix) or path.exists()
 
 
 class SettingsCommand(GroupedCommand):
-    """A command that takes all settings. Its help is made late, for settings load a library that
-    takes its time.
+    """A command that takes all settings. Its options are made when they are needed, as the
+    settings import pydantic, which is slow.
     """
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The command's own parameters and the settings' options."""
+        """Return the command's parameters and the options of all settings."""
         *own, help_option = super().get_params(ctx)
         return [*own, *import_module("server.cli.setting_options").setting_options(), help_option]
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option, and then the examples."""
+        """List the settings that have no option, then the examples."""
         with formatter.section("Only in the environment or the file"):
             formatter.write_dl(import_module("server.cli.setting_options").secrets())
         super().format_epilog(ctx, formatter)

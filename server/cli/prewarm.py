@@ -1,5 +1,5 @@
-"""``isogi prewarm``: light baked ahead by workers of this process, or by a server whose job the
-command follows.
+"""``isogi prewarm``: light is baked ahead by workers of this process, or by a server whose job
+the command follows.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.progress import Progress, open_scene
-from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
-from server.render.workforce import root_of
+from server.render.patience import STALLED_SECONDS
+from server.render.stores import root_of
 from server.settings import Settings
 from server.values import document_in
 from worker.bake_requests import Viewer
@@ -43,11 +43,11 @@ __all__ = [
     "detach",
     "fields_given",
     "follow",
-    "go_on",
     "order_of",
     "prewarm",
     "prewarm_series",
-    "tell",
+    "print_summaries",
+    "resume",
 ]
 
 
@@ -57,11 +57,12 @@ PREWARM_STOPPED = "This was stopped, and what is baked is kept: the same with --
 
 
 def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = False) -> Summary:
-    """Bake what is asked for in a scene or a volume, and sum it up; ``dry``: what it would take.
+    """Bake the light that an ``order`` asks for in a scene or volume, and return a summary; if
+    ``dry``, only forecast it.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError
-    and WorkersError later. Whatever it ends with, what is baked stays, and the record in the store
-    says what was asked.
+    Raises SceneError, VolumeError, LightError and ViewError before any work, and StoreError and
+    WorkersError later. However it ends, baked light stays, and the record in the store holds the
+    order.
     """
     begun = time.monotonic()
     return prewarm_scene(open_scene(target, settings), order, settings, dry, begun)
@@ -70,11 +71,11 @@ def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = Fa
 def prewarm_series(
     target: str, times: str | None, order: PrewarmOrder, settings: Settings, dry: bool = False
 ) -> Iterator[Summary]:
-    """Do the work of ``prewarm`` at each step that ``times`` names of a series, in turn; at the
-    scene's alone for None.
+    """Yield the summary of ``prewarm`` at each step of a series that ``times`` names; at the
+    scene's step if it is None.
 
-    The order's deadline is that of all steps together: what is left of it is shared evenly. Raises
-    what ``prewarm`` raises, and ParameterError for steps that are not there.
+    The deadline of the order is that of all steps together, shared evenly among those that are
+    left. Raises as ``prewarm`` does, and ParameterError for steps that do not exist.
     """
     if times is None:
         yield prewarm(target, order, settings, dry)
@@ -87,6 +88,7 @@ def prewarm_series(
             scene = first
         else:
             scene = at_time(first, step, first.id)
+        # Time that a step does not use is shared by the later ones.
         now = time.monotonic()
         if order.deadline is None:
             left = None
@@ -107,20 +109,21 @@ def prewarm_scene(
     begun: float | None = None,
     rung: int = FIRST_LEVEL,
 ) -> Summary:
-    """``prewarm`` of a scene that is open; time is counted from when it was ``begun``.
+    """Do the work of ``prewarm`` for an open scene; time counts from ``begun``.
 
-    Texels of whole isosurfaces are to have as many samples as ``rung`` at least, those not good
-    enough with fewer.
+    ``rung`` is the least number of samples for texels of whole isosurfaces that are not good enough
+    with fewer.
     """
     if begun is None:
         begun = time.monotonic()
+    # Refuse views that are not allowed before any work.
     Views(order, scene, settings)
     record = Record(root_of(settings), scene, order, "command")
     with Progress() as bar:
         bar.begin("loading kernels")
-        with working(scene, settings, hire=not dry) as engine:
+        with working(scene, settings, with_workers=not dry) as engine:
             bar.begin("planning")
-            context = desk_of(engine, scene, order, partial(show, bar), begun)
+            context = context_of(engine, scene, order, partial(show, bar), begun)
             context.rung = rung
             what = wanted(context, order, settings)
             if dry:
@@ -134,8 +137,10 @@ def prewarm_scene(
                 raise Cancelled(PREWARM_STOPPED) from None
 
 
-def tell(summaries: Iterable[Summary], as_json: bool) -> int:
-    """Print each of the ``summaries`` as it comes, and count the chunks that could not be baked."""
+def print_summaries(summaries: Iterable[Summary], as_json: bool) -> int:
+    """Print each of the ``summaries`` as it comes; return the number of chunks that could not
+    be baked.
+    """
     failed = 0
     for summary in summaries:
         click.echo(summary.model_dump_json() if as_json else str(summary))
@@ -144,13 +149,13 @@ def tell(summaries: Iterable[Summary], as_json: bool) -> int:
 
 
 def show(bar: Progress, step: Step) -> None:
-    """Draw a step on a bar of its own."""
+    """Draw a step on the bar."""
     bar.name(step.what.lower(), step.unit)
     bar.show(step.done, step.total, step.left)
 
 
-def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
-    """``prewarm`` with the order that came to no end last. Raises SceneError where there is
+def resume(target: str, settings: Settings, deadline: float | None) -> Summary:
+    """Resume the last prewarm of a scene that was not completed. Raises SceneError if there is
     none.
     """
 
@@ -165,19 +170,20 @@ def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
     return prewarm(target, document.order.model_copy(update={"deadline": deadline}), settings)
 
 
-def desk_of(
+def context_of(
     engine: RenderEngine,
     scene: Scene,
     order: PrewarmOrder,
     report: Callable[[Step], None],
     begun: float,
 ) -> PrewarmContext:
-    """What the command works with; its time began earlier."""
+    """Return the context of a prewarm by this command, whose time began at ``begun``."""
     target = order.target_error or scene.target_error
     if order.deadline is None:
         deadline = math.inf
     else:
         deadline = begun + order.deadline
+    # Frames and checks are drawn in this process, without requests.
     return PrewarmContext(
         engine,
         scene,
@@ -193,7 +199,8 @@ def desk_of(
 
 
 def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of an order that the options give."""
+    """Return the fields of an order that the options give."""
+    # Options that are left out take the defaults of the order.
     fields = {name: value for name, value in given.items() if value not in (None, ())}
     file = fields.pop("views_file", None)
     directions = [direction_in(text) for text in fields.pop("directions", ())]
@@ -208,7 +215,7 @@ def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def direction_in(text: str) -> dict[str, str]:
-    """The direction in a text such as ``azimuth=40,elevation=30``."""
+    """Return the direction in a text such as ``azimuth=40,elevation=30``. Raises ParameterError."""
     pairs = [part.partition("=") for part in text.split(",")]
     if not all(name and equals for name, equals, _ in pairs):
         raise ParameterError(
@@ -218,7 +225,7 @@ def direction_in(text: str) -> dict[str, str]:
 
 
 def orbit_in(text: str) -> dict[str, str]:
-    """The orbit in a text such as ``36@20`` or ``36``."""
+    """Return the orbit in a text such as ``36@20`` or ``36``."""
     count, at, elevation = text.partition("@")
     if at:
         return {"count": count, "elevation": elevation}
@@ -226,7 +233,9 @@ def orbit_in(text: str) -> dict[str, str]:
 
 
 def directions_in(file: Path) -> list[Any]:
-    """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
+    """Return the ``directions`` in a JSON or TOML file, each such as {"azimuth": 40,
+    "elevation": 30}. Raises ParameterError.
+    """
     document = document_in(file, json.loads)
     if isinstance(document, dict):
         found = document.get("directions")
@@ -240,14 +249,14 @@ def directions_in(file: Path) -> list[Any]:
 
 
 def detach(server: str, target: str, order: PrewarmOrder, dry: bool) -> str:
-    """Begin a job on a server; its address. Raises as ``posted`` does."""
+    """Start a job on a server, and return its address. Raises as ``posted`` does."""
     with posted(server, target, order, dry) as job:
         return job.address
 
 
 def follow(server: str, target: str, order: PrewarmOrder, dry: bool) -> Summary:
-    """The summary of a server's job, once it has ended; a bar shows how far it is. Raises as
-    ``posted`` does.
+    """Start a job on a server, follow it with a bar, and return its summary. Raises as ``posted``
+    does.
 
     An interrupt of the command dismisses the job.
     """
@@ -269,11 +278,10 @@ def follow(server: str, target: str, order: PrewarmOrder, dry: bool) -> Summary:
 
 @contextmanager
 def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator[Job]:
-    """The job that a server begins; the client's errors become the command's, in the server's
-    words.
+    """Start a job on a server, and yield it. Errors of the client become those of the command.
 
-    Raises UnknownSceneError, ParameterError where the server refuses, IsogiError, and LibraryError
-    where a library of the client is missing.
+    Raises UnknownSceneError, ParameterError if the server refuses, IsogiError, and LibraryError if
+    a library of the client is missing.
     """
     try:
         from isogi import client  # noqa: PLC0415 (its libraries are an extra)
@@ -296,8 +304,8 @@ def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator
 
 
 def scene_named(target: str, scenes: list[str]) -> str:
-    """The scene that is meant: by its id, or the name of its file; UnknownSceneError where the
-    server has none such.
+    """Return the scene that is meant, by its id or the name of its file. Raises
+    UnknownSceneError if the server has none such.
     """
     for name in (target, Path(target).stem.lower(), target.removeprefix("demo:")):
         if name in scenes:

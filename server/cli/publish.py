@@ -1,5 +1,5 @@
-"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and light, and a page for
-them.
+"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and rotations of the
+light, and a page that shows them.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import PERIODIC_ANGLES
-from server.cli.reel import Reel, ReelRequest, said
+from server.cli.reel import Reel, ReelRequest, quality_line
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
@@ -33,7 +33,7 @@ MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""
 
 DEFAULT_AZIMUTHS = "0:345:15"
-"""Azimuths of the grid where nothing else moves."""
+"""Azimuths of the grid if no parameter has several values."""
 
 PAGE_SUFFIXES = {".html", ".htm"}
 """Suffixes of pages that are one file."""
@@ -43,8 +43,8 @@ PAGE_TEMPLATE = Path(__file__).with_name("published.html")
 
 @dataclass(frozen=True)
 class PageRequest(ReelRequest):
-    """A page that is asked for, with a ``caption``. One that draws by itself may take so many
-    ``megabytes``.
+    """A page that a command asks for, with a ``caption``. An interactive page may take
+    ``megabytes`` at most.
     """
 
     megabytes: float | None = None
@@ -52,18 +52,19 @@ class PageRequest(ReelRequest):
 
     @property
     def one_file(self) -> bool:
-        """Whether the page is to be one file, and not a folder."""
+        """Return True if the page is to be one file, and not a folder."""
         return self.output.suffix.lower() in PAGE_SUFFIXES
 
 
 def publish(
     target: Target, request: PageRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
-    """Render the pictures that are not there yet, write the page, and say how good they are.
+    """Render the pictures that are missing, and write the page; return facts about its quality.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError,
+    Raises SceneError, VolumeError, LightError and ViewError before any work, and StoreError,
     WorkersError and OSError later.
     """
+    # Refuse options of interactive pages.
     if request.megabytes is not None:
         raise ParameterError(
             "--megabytes is for a page that draws by itself: give --interactive too.", "megabytes"
@@ -78,6 +79,7 @@ def publish(
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
     knobs = with_first_view(scene, knobs)
+    # Check each picture of the grid before the first is rendered.
     shots = shots_of(
         sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)}
     )
@@ -93,8 +95,8 @@ def publish(
 
 
 def check_output(output: Path) -> None:
-    """Raise ViewError where a page cannot be written there: no folder is around it, or what is
-    there is no folder, or for a page that is one file no file.
+    """Raise ViewError if a page cannot be written there: its parent folder is missing, or a
+    file has the name of the folder, or the reverse.
     """
     check_folder(output)
     if output.suffix.lower() in PAGE_SUFFIXES:
@@ -105,14 +107,15 @@ def check_output(output: Path) -> None:
 
 
 def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
-    """The values of each parameter that is given as first:last:step; azimuths all around where none
-    is.
+    """Return the values of each parameter given as first:last:step; azimuths all around if there is
+    none.
 
     Raises ParameterError.
     """
     given = {name: values_in(name, text) for name, text in knobs.items() if ":" in text}
     sliders = given or {"azimuth": values_in("azimuth", DEFAULT_AZIMUTHS)}
     count = 1
+    # Stop as soon as the product is too large.
     for values in sliders.values():
         count *= len(values)
         if count > MOST_PICTURES:
@@ -123,7 +126,7 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
 
 
 def values_in(name: str, text: str) -> list[float]:
-    """The numbers in a text such as 0:90:15. Raises ParameterError."""
+    """Return the numbers of a text such as 0:90:15. Raises ParameterError."""
     numbers = [finite(part) for part in text.split(":")]
     sensible = (
         len(numbers) == 3
@@ -140,8 +143,8 @@ def values_in(name: str, text: str) -> list[float]:
 def shots_of(
     sliders: Mapping[str, list[float]], knobs: Mapping[str, str]
 ) -> dict[str, FrameParams]:
-    """The parameters of each picture of the grid, by the name of its file: the places of its
-    sliders.
+    """Return the parameters of each picture of the grid, by file name, which holds the places
+    of the sliders.
     """
     shots = {}
     for places in itertools.product(*(range(len(values)) for values in sliders.values())):
@@ -154,9 +157,7 @@ def shots_of(
 
 
 def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, caption: str) -> str:
-    """The page, with all that it shows but the pictures: it needs no server, nor another file of
-    text.
-    """
+    """Return the HTML of the page, which needs no other file but the pictures."""
     facts = reel.summary()
     quality = (
         f"{facts['final']:.0%} of the pictures final at a relative error of "
@@ -175,19 +176,21 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, captio
         ],
         "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
     }
+    # A < within JSON could end the script element.
     return PAGE_TEMPLATE.read_text(encoding="utf-8").replace(
         "{DATA}", json.dumps(document).replace("<", "\\u003c")
     )
 
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
-    """The place of a slider where the page begins: the nearest to what the scene is seen with at
-    first.
+    """Return the place at which a slider starts: the value closest to the first view of the
+    scene.
     """
     front = dict(zip(("azimuth", "elevation"), scene.front, strict=True))
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0
+    # Distances of angles are taken the short way round.
     away = np.abs(np.array(values) - usual)
     if name in PERIODIC_ANGLES:
         turn = 360.0
@@ -197,15 +200,13 @@ def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
 
 
 def ground_colour(background: str) -> str:
-    """What is behind the surfaces of pictures as CSS has it: ``#rrggbb``, empty where that is the
-    page itself.
-    """
+    """Return the background of the pictures as a CSS colour, empty if it is transparent."""
     if background == "transparent":
         return ""
     return f"#{coded(np.array(ground_of(background))).tobytes().hex()}"
 
 
 def published(facts: Mapping[str, Any]) -> str:
-    """What ``publish`` did, for a person."""
+    """Return the facts of ``publish`` as text for a person."""
     grid = " × ".join(f"{count} {name}" for name, count in facts["sliders"].items())
-    return f"{said(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"
+    return f"{quality_line(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"

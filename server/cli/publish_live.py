@@ -1,5 +1,5 @@
-"""``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from
-static files, or as one file.
+"""``isogi publish --interactive``: a page that draws a scene on the visitor's graphics card,
+from static files or as one file.
 """
 
 import math
@@ -19,7 +19,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import card_obstacles
-from server.cli.prewarm import desk_of, show
+from server.cli.prewarm import context_of, show
 from server.cli.publish import PageRequest, check_output
 from server.cli.render import working
 from server.errors import ParameterError
@@ -43,29 +43,29 @@ from server.settings import Settings
 from server.views import isovalue_of, view_of, with_first_view
 
 LIGHT_TARGET_SHARE = 0.5
-"""The target that light is planned and baked for, over that of the page's pictures: no pixel has
-light of its own.
+"""The target error of light, relative to that of the page's pictures: the page cannot trace
+paths where texels are too coarse.
 """
 
 ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
-"""Errors by rounding that are tried, over the target: the first one whose files are small enough is
-taken.
+"""Rounding errors that are tried, relative to the target; the first one whose files are small
+enough is taken.
 """
 
 TAKEN = (
     *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
     *("yaw", "pitch", "roll", "albedo", "exposure", "background"),
 )
-"""Options of a view that the page begins with."""
+"""Parameters of the page's first view that options may give."""
 
 PAGE_BACKGROUNDS = ("light", "dark")
-"""Backgrounds that the page has."""
+"""Backgrounds that the page offers."""
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """A page that is asked for by a ``request``: what it begins with, its isovalues, and the
-    ``goal``, an error.
+class PagePlan:
+    """The page that is to be made: the ``request``, the parameters and the view that it starts
+    with, its isovalues, and the ``goal``, a relative error.
     """
 
     request: PageRequest
@@ -76,31 +76,31 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Offer:
-    """The ``files`` of a page, and ``facts`` of it: among them the error of its pictures."""
+class PageVersion:
+    """A page: its ``files``, and ``facts`` about it, including the error of its pictures."""
 
     files: Mapping[str, bytes]
     facts: Mapping[str, Any]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all files."""
+        """Return the bytes of all files."""
         return size_of(self.files)
 
     @property
     def error(self) -> float:
-        """The relative error of the page's pictures."""
+        """Return the relative error of the page's pictures."""
         return float(self.facts["error"]["likely"])
 
 
 def publish(
     target: Target, request: PageRequest, knobs: Mapping[str, str], settings: Settings
 ) -> dict[str, Any]:
-    """Bake the light of a range of isovalues, write a page that draws it, and say how large and how
-    good it is.
+    """Bake the light of a range of isovalues, and write a page that draws it; return facts about
+    its size and quality.
 
-    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, and ViewError
-    where the page takes more than it may; StoreError, WorkersError and OSError later.
+    Raises SceneError, VolumeError, LightError and ViewError before any work; ViewError if the page
+    exceeds its size; StoreError, WorkersError and OSError.
     """
     if request.seconds is not None or request.deadline is not None:
         raise ParameterError(
@@ -109,26 +109,27 @@ def publish(
     check_output(request.output)
     goal = request.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
-    span, params = asked(scene, knobs)
+    span, params = first_view_of(scene, knobs)
     view = view_of(scene, params, settings)
-    with at_work(scene, settings, request.begun) as context:
+    with prewarming(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
-        offer = fitting(
-            offers(context, Wish(request, params, view, span, goal), settings),
+        # Take the page with the most exact light that fits the size.
+        version = first_fitting(
+            page_versions(context, PagePlan(request, params, view, span, goal), settings),
             request.megabytes,
             goal,
         )
     if request.one_file:
-        write_whole(request.output, offer.files[PAGE])
+        write_whole(request.output, version.files[PAGE])
     else:
-        write_files(request.output, offer.files)
-    facts = {"file": str(request.output), "one_file": request.one_file, **offer.facts}
-    facts["bytes"] = offer.nbytes
+        write_files(request.output, version.files)
+    facts = {"file": str(request.output), "one_file": request.one_file, **version.facts}
+    facts["bytes"] = version.nbytes
     return {**facts, "seconds": request.passed}
 
 
-def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
-    """The isovalues that are asked for, and the view that the page begins with. Raises
+def first_view_of(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
+    """Return the isovalues of the page, and the parameters of its first view. Raises
     ParameterError.
     """
     others = [
@@ -145,6 +146,7 @@ def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
     if first.get("background") not in PAGE_BACKGROUNDS and "background" not in knobs:
         first.pop("background", None)
     params = read(FrameParams, {**first, "isovalue": repr(start)}.items())
+    # Refuse isovalues outside the scene's range.
     for end in (span.low, span.high):
         isovalue_of(scene, params.model_copy(update={"isovalue": end}))
     ground_of(params)
@@ -152,7 +154,9 @@ def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
 
 
 def ground_of(params: FrameParams) -> str:
-    """What is behind the surface: light, dark, or as the browser has it. Raises ParameterError."""
+    """Return the background: light, dark, or "page", the browser's preference. Raises
+    ParameterError.
+    """
     if "background" not in params.model_fields_set:
         return "page"
     if params.background not in PAGE_BACKGROUNDS:
@@ -163,8 +167,8 @@ def ground_of(params: FrameParams) -> str:
 
 
 def refuse_obstacles(renderer: Renderer, view: View) -> None:
-    """Raise ViewError where a card cannot draw the scene, and SceneError where that keeps no
-    light.
+    """Raise ViewError if a card cannot draw the scene, and SceneError if the scene keeps no
+    light in texels.
     """
     renderer.prepared.scene.require_texels()
     if found := card_obstacles(renderer.prepared, view, True):
@@ -175,52 +179,56 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
 
 
 @contextmanager
-def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
-    """An engine with workers, and what a bake of the scene works with."""
+def prewarming(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
+    """Start an engine with workers, and yield the context in which light of the scene is baked."""
     with Progress() as bar:
         bar.begin("loading kernels")
         with working(scene, settings) as engine:
-            yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
+            yield context_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
-def offers(context: PrewarmContext, wish: Wish, settings: Settings) -> Iterator[Offer]:
-    """The page with ever fewer bits of light, baked until pictures of the first one are at the
-    goal.
+def page_versions(
+    context: PrewarmContext, planned: PagePlan, settings: Settings
+) -> Iterator[PageVersion]:
+    """Bake the light until the error of pictures is at the goal; yield the page with ever fewer
+    bits for its light.
     """
     renderer = context.renderer
     target = context.target
-    span = wish.span
+    span = planned.span
     views = [
-        replace(each, albedo=wish.view.albedo)
+        replace(each, albedo=planned.view.albedo)
         for each in views_of(context, span.low, span.high, settings)
     ]
-    codings = [coding_at(renderer, share * wish.goal) for share in ROUNDING_SHARES]
-    baked = bake_range(context, (span.low, span.high), codings[0], views, wish.goal)
+    codings = [coding_at(renderer, share * planned.goal) for share in ROUNDING_SHARES]
+    # Measure the pictures with the first, finest coding.
+    baked = bake_range(context, (span.low, span.high), codings[0], views, planned.goal)
     volume = volume_files(renderer, span)
-    document = document_of(renderer, wish.params, wish.view, span)
-    first = first_view(renderer, wish.params, document["scene"]["start"], settings)
-    poster = poster_of(renderer, wish.params, first, target)
+    document = document_of(renderer, planned.params, planned.view, span)
+    first = first_view(renderer, planned.params, document["scene"]["start"], settings)
+    poster = poster_of(renderer, planned.params, first, target)
     for coding in codings:
+        # Coarser codings need no new light, only other files.
         light = light_files(renderer, span, coding, target, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
-        facts["target_error"] = wish.goal
+        facts["target_error"] = planned.goal
         known = {
             "files": list(light),
             "steps": coding.steps.tolist(),
-            "background": ground_of(wish.params),
-            "caption": wish.request.caption or "",
+            "background": ground_of(planned.params),
+            "caption": planned.request.caption or "",
             **facts,
         }
-        files = files_of({**document, "light": known}, poster, {**volume, **light}, wish.request)
+        files = files_of({**document, "light": known}, poster, {**volume, **light}, planned.request)
         sizes = {"volume_bytes": size_of(volume), "light_bytes": size_of(light)}
-        yield Offer(files, {**facts, **sizes})
+        yield PageVersion(files, {**facts, **sizes})
 
 
 def files_of(
     document: Mapping[str, Any], poster: bytes, data: Mapping[str, bytes], request: PageRequest
 ) -> dict[str, bytes]:
-    """The files of a page, which says how many bytes it takes: it and its ``data``, or all as one
-    file.
+    """Return the files of a page, which states its size: the page and its ``data``, or all as
+    one file.
     """
     inside: Mapping[str, bytes] = data if request.one_file else {}
     outside: Mapping[str, bytes] = {} if request.one_file else data
@@ -231,18 +239,18 @@ def files_of(
 
 
 def size_of(files: Mapping[str, bytes]) -> int:
-    """Bytes of files."""
+    """Return the total bytes of files."""
     return sum(map(len, files.values()))
 
 
 def coding_at(renderer: Renderer, error: float) -> Coding:
-    """The coding of a scene's transfer with this error."""
+    """Return the coding of a scene's transfer that has this rounding error."""
     spec = renderer.caches.spec("gi")
     return coding_for(spec, raw_scale(spec), error)
 
 
 def page_facts(scene: Scene, span: Span, baked: RangeLight, error: TotalError) -> dict[str, Any]:
-    """What there is to say of a page's light."""
+    """Return the facts about the light of a page."""
     return {
         "scene": scene.name,
         "isovalues": [span.low, span.high],
@@ -252,24 +260,27 @@ def page_facts(scene: Scene, span: Span, baked: RangeLight, error: TotalError) -
     }
 
 
-def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Offer:
-    """The first offer that takes no more than it may. Raises ViewError where its pictures would
-    miss the target.
+def first_fitting(
+    versions: Iterator[PageVersion], megabytes: float | None, target: float
+) -> PageVersion:
+    """Return the first version that is small enough. Raises ViewError if none is, or if its
+    pictures miss the target.
     """
     if megabytes is None:
         most = math.inf
     else:
         most = 1e6 * megabytes
-    best = offer = next(some)
-    while offer.nbytes > most and (coarser := next(some, None)):
-        offer = coarser
-    if offer.nbytes > most or (offer is not best and offer.error > max(target, best.error)):
-        raise ViewError(too_large(best, offer, most))
-    return offer
+    # Versions become smaller and less exact.
+    best = version = next(versions)
+    while version.nbytes > most and (coarser := next(versions, None)):
+        version = coarser
+    if version.nbytes > most or (version is not best and version.error > max(target, best.error)):
+        raise ViewError(too_large(best, version, most))
+    return version
 
 
-def too_large(best: Offer, smallest: Offer, most: float) -> str:
-    """What to say where a page takes more bytes than the ``most``, and what would fit."""
+def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
+    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit."""
     sentence = (
         f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "
         "and may take less:"
@@ -282,6 +293,7 @@ def too_large(best: Offer, smallest: Offer, most: float) -> str:
         )
         return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
     light = smallest.facts["light_bytes"]
+    # Files besides the light do not shrink: if these are too large, no target helps.
     beside = smallest.nbytes - light
     if beside >= most:
         return f"{sentence} {more}. Its volume and the page alone take {beside / 1e6:.2f} MB."
@@ -292,7 +304,7 @@ def too_large(best: Offer, smallest: Offer, most: float) -> str:
 
 
 def published(facts: Mapping[str, Any]) -> str:
-    """What ``publish --interactive`` did, for a person."""
+    """Return the facts of ``publish`` as text for a person."""
     low, high = facts["isovalues"]
     error = facts["error"]
     good = (

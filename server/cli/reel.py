@@ -1,4 +1,4 @@
-"""Pictures of many views of a scene in a folder, each as good as asked; those that are there are
+"""Pictures of many views of a scene in a folder, for films and pages; pictures that exist are
 not made again.
 """
 
@@ -32,22 +32,22 @@ from server.views import view_of
 from worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 RECORD_WRITE_SECONDS = 1.0
-"""Seconds between two writings of what is known of the pictures; after a crash, the last ones are
-made again.
+"""Seconds between two writings of the list of pictures; after a crash, pictures that it lacks
+are made again.
 """
 
 
 OPEN_STEPS = 2
-"""Steps of a series that are open at a time, besides the scene's."""
+"""Steps of a series that are open at a time, in addition to the scene's."""
 
 
 @dataclass(frozen=True)
 class ReelRequest:
-    """Pictures that a command is asked for: the file or folder that they go to, and when one of
-    them is good enough.
+    """Pictures that a command asks for: the file or folder for them, and when a picture is good
+    enough.
 
-    A picture ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``,
-    in seconds since the work was ``begun``.
+    A picture ends at the ``target_error``, or after ``seconds``; all of them end by the
+    ``deadline``, in seconds since ``begun``.
     """
 
     output: Path
@@ -58,7 +58,9 @@ class ReelRequest:
     begun: float = field(default_factory=time.monotonic)
 
     def share(self, pictures: int) -> float | None:
-        """Seconds for the next picture where so many are left; None for as long as it takes."""
+        """Return the seconds for the next picture if ``pictures`` are left; None if it may take
+        any time.
+        """
         if self.deadline is None:
             left = math.inf
         else:
@@ -68,27 +70,25 @@ class ReelRequest:
 
     @property
     def passed(self) -> float:
-        """Seconds since the work was begun."""
+        """Return the seconds since the work was begun."""
         return self.clock() - self.begun
 
 
 class Reel:
-    """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there
-    stay.
-    """
+    """The pictures of ``shots`` in a ``folder``, with ``facts`` about each that is made."""
 
     def __init__(self, folder: Path, scene: Scene, shots: Mapping[str, FrameParams]) -> None:
-        """Look at what is there of ``shots``, by the names of their files. Raises ViewError where
-        it is another's.
+        """Find the pictures that exist; ``shots`` are parameters by file name. Raises ViewError
+        if the folder holds other pictures.
         """
         self.shots = shots
         self._folder = folder
         self._scene = scene
         self._list = folder / "pictures.json"
-        moving = (
-            len({shot.time for shot in shots.values()}) > 1
-        )  # the whole box is seen: each step has its surface
+        # Each step of a series has another surface: the camera sees the whole volume then.
+        moving = len({shot.time for shot in shots.values()}) > 1
         self._placed = moving or any(is_placed(shot.model_fields_set) for shot in shots.values())
+        # The digest of all that pictures depend on tells if the folder belongs to the same request.
         asked = [[name, shot.model_dump(mode="json")] for name, shot in shots.items()]
         whole = [scene.digest, scene.default_exposure, self._placed, asked]
         self._digest = blake2b(json.dumps(whole).encode(), digest_size=12).hexdigest()
@@ -107,16 +107,16 @@ class Reel:
         self._kept = len(self.facts)
 
     def path(self, name: str) -> Path:
-        """The file of a picture."""
+        """Return the path of a picture."""
         return self._folder / name
 
     @property
     def missing(self) -> list[str]:
-        """The names of pictures that are not there yet."""
+        """Return the names of pictures that are not made yet."""
         return [name for name in self.shots if name not in self.facts]
 
     def keep(self, name: str, picture: bytes, facts: Mapping[str, Any]) -> None:
-        """Write a picture, and what is known of it."""
+        """Write a picture, and note the facts about it."""
         self.path(name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(self.path(name), picture)
         self.facts[name] = dict(facts)
@@ -124,6 +124,7 @@ class Reel:
             self._write_list()
 
     def _write_list(self) -> None:
+        """Write the list of pictures and their facts."""
         write_whole(
             self._list,
             json.dumps({"asked": self._digest, "pictures": self.facts}, indent=1).encode(),
@@ -131,8 +132,8 @@ class Reel:
         self._written = time.monotonic()
 
     def summary(self) -> dict[str, Any]:
-        """How good the pictures are: the share that is final, the target, and the median and the
-        worst error.
+        """Return the quality of all pictures: the share that is final, the target, the median
+        and the largest error.
         """
         errors = [facts["error"] for facts in self.facts.values()]
         target = next(iter(self.shots.values())).max_error or self._scene.target_error
@@ -142,13 +143,13 @@ class Reel:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the pictures are of, how many there are and were kept, and how large they are."""
+        """Return the name of the scene, the number of pictures, of kept ones, and their size."""
         first = next(iter(self.shots.values()))
         count = {"pictures": len(self.shots), "kept": self._kept}
         return {"scene": self._scene.name, **count, "width": first.width, "height": first.height}
 
     def shoot(self, request: ReelRequest, settings: Settings) -> None:
-        """Make the pictures that are missing, if any. Raises StoreError and WorkersError."""
+        """Make the pictures that are missing. Raises StoreError and WorkersError."""
         if not self.missing:
             return
         with working(self._scene, settings) as engine, Progress("rendering", "picture") as bar:
@@ -161,10 +162,12 @@ class Reel:
     def _shoot(
         self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress
     ) -> None:
+        """Make the missing pictures one after the other, with a bar."""
         missing = self.missing
         shots = self.shots
         variants = Variants(engine, lambda _: None, most=OPEN_STEPS)
         bar.show(0, len(missing))
+        # All pictures share one target and distance, at which the whole surface is visible.
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))
@@ -174,8 +177,10 @@ class Reel:
             shot = shots[name]
             seconds = request.share(len(missing) - done)
             scene = self._at(variants, shot.time)
-            with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
+            step = nullcontext() if scene is self._scene else at_step(scene.volume.moment[0])
+            with step:
                 view = view_of(scene, shot, settings)
+            # Draw the picture with its share of the time.
             later = time_of_others(spent, len(missing) - done - 1)
             show = partial(self._show, engine, scene, shot, bar, (done, len(missing)), later)
             frame = awaited(engine, scene.id, view, shot.max_error, seconds, show)
@@ -198,8 +203,8 @@ class Reel:
         later: TimeLeft | None,
         frame: Frame,
     ) -> None:
-        """Draw how many pictures are done, of how many, and the time that this one takes and those
-        ``later``.
+        """Draw on the bar the number of pictures done, and the time for this picture and the
+        ``later`` ones.
         """
         own = engine.time_left(scene.id, frame, shot.max_error)
         if own and later:
@@ -208,7 +213,9 @@ class Reel:
             bar.show(*counts, note=f"this one: {left_text(own)}")
 
     def _at(self, variants: Variants, time: int | None) -> Scene:
-        """The scene at a step of its series; itself where none is named. Raises ParameterError."""
+        """Return the scene at a step of its series; the scene itself if none is named. Raises
+        ParameterError.
+        """
         variant = SceneVariant.of(self._scene, Change(time=time))
         if variant.any:
             return variants.make(self._scene, variant, None)
@@ -216,10 +223,10 @@ class Reel:
 
 
 def time_of_others(spent: Sequence[float], count: int) -> TimeLeft | None:
-    """The time that so many further pictures take, by the seconds ``spent`` on each so far; None
-    before there are two.
+    """Estimate the time for ``count`` further pictures from the seconds ``spent`` on each so far;
+    None before there are two.
 
-    The first says nothing of others: its light is theirs, too.
+    The first picture is not counted, as the others reuse its light.
     """
     if len(spent) < 2:
         return None
@@ -227,8 +234,8 @@ def time_of_others(spent: Sequence[float], count: int) -> TimeLeft | None:
     return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
 
 
-def said(facts: Mapping[str, Any], what: str) -> str:
-    """How good the pictures of a summary are, for a person; ``what`` names and counts them."""
+def quality_line(facts: Mapping[str, Any], what: str) -> str:
+    """Return the quality of the pictures as text for a person; ``what`` names the pictures."""
     size = f"{facts['pictures']} {what} of {facts['width']} × {facts['height']}"
     error = f"error {facts['error']['median']:.4f}, at worst {facts['error']['worst']:.4f}"
     return (

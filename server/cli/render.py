@@ -1,4 +1,4 @@
-"""``isogi render`` and ``isogi reference``: one view as a picture, from the cache or
+"""``isogi render`` and ``isogi reference``: one view as a picture, with cached light or
 path-traced.
 """
 
@@ -38,22 +38,22 @@ from server.clocks import waiting
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import FORMAT_OF_SUFFIX, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
-from server.render.bakes import Patience, time_limit
 from server.render.engine import RenderEngine, engine_for
+from server.render.patience import Patience, time_limit
 from server.settings import Settings
 from server.views import PLACING, view_of, with_first_view
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
 FRAME_SECONDS = 2.0
-"""Seconds between two frames, while light is baked."""
+"""Seconds between two frames while light is baked."""
 
 LOOKED_AT = 24
-"""Pictures of many, at most, whose surfaces are looked at."""
+"""Pictures of a series, at most, whose surfaces are fitted by the camera."""
 
 PACKED_PIXEL_BYTES = 1
 NPY_PIXEL_BYTES = 36
-"""Bytes of a pixel that room is looked for, in a packed picture and in an npy."""
+"""Bytes of a pixel for which free space is checked, in a compressed picture and in an npy file."""
 
 REFERENCE_BYTES = 1 << 30
 """Bytes of light that the renderer of a reference may hold."""
@@ -66,14 +66,16 @@ def render(
     settings: Settings,
     seconds: float | None = None,
 ) -> dict[str, Any]:
-    """Write the picture of a view, named by ``knobs``, and say how good it is and what it took.
+    """Write the picture of a view with the parameters ``knobs``; return facts about its quality and
+    cost.
 
-    Ends when every pixel is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
-    LightError and ViewError before anything is begun, StoreError, WorkersError and OSError later.
+    Ends when the picture is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
+    LightError and ViewError before any work, and StoreError, WorkersError and OSError later.
     """
     started = time.monotonic()
     form = format_of(output)
     scene = open_scene(target, settings)
+    # Check all input before the engine starts.
     knobs = with_first_view(scene, knobs)
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
@@ -81,6 +83,7 @@ def render(
     pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
     check_writable(output, pixel * params.width * params.height)
 
+    # Bake and draw; by default the camera sees the whole surface.
     with working(scene, settings) as engine:
         drawn = draw(engine, scene, knobs, settings, form, seconds)
     write_whole(output, drawn.encoded(form))
@@ -144,7 +147,7 @@ def draw(
 
 
 def why_empty(scene: Scene, view: View) -> str:
-    """Why a picture of a view shows no surface, in a sentence that says what to do."""
+    """Return a sentence that explains why a picture shows no surface, with advice."""
     low, high = scene.volume.value_range
     if low == high:
         return f"No surface: all values are {low:.6g}."
@@ -165,9 +168,7 @@ def why_empty(scene: Scene, view: View) -> str:
 
 
 def stopped_by(frame: Frame) -> str:
-    """What ended the rendering of a frame: its target, the samples that were asked for, or the
-    time.
-    """
+    """Return the reason for the end of a frame's rendering: "target", "samples" or "time"."""
     if frame.final:
         return "target"
     if frame.view.shading == "path_traced":
@@ -176,7 +177,7 @@ def stopped_by(frame: Frame) -> str:
 
 
 def rendered(facts: Mapping[str, Any]) -> str:
-    """What ``render`` did, for a person."""
+    """Return the facts of ``render`` as text for a person."""
     states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
     quality = (
         f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at "
@@ -193,7 +194,9 @@ def rendered(facts: Mapping[str, Any]) -> str:
 
 
 def unsure(facts: Mapping[str, Any]) -> str:
-    """Why a picture is provisional though its error is below the target, for a person."""
+    """Return the reason, for a person, why a picture is provisional though its error is below
+    the target.
+    """
     if facts["interval"] is None:
         return "not measured yet"
     low, high = facts["interval"]
@@ -205,27 +208,27 @@ def unsure(facts: Mapping[str, Any]) -> str:
 
 
 def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
-    """Size, quality and version of a frame, and the time until it would be final."""
+    """Return size, quality and version of a frame, and the time until it would be final."""
     size = {"width": frame.view.width, "height": frame.view.height}
     return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
 
 
 @contextmanager
-def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[RenderEngine]:
-    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed
-    at the end.
+def working(scene: Scene, settings: Settings, with_workers: bool = True) -> Iterator[RenderEngine]:
+    """Start an engine for a ``scene``: kernels compiled, stores open and, if ``with_workers``,
+    its workers starting. Close it at the end of the block.
     """
     with waiting("preparing the scene"):
-        engine = engine_for(scene, settings, hire)
+        engine = engine_for(scene, settings, with_workers)
     with closing(engine):
         with compiling(lambda: engine.kernels.progress, "starting workers"):
-            engine.start(hire=hire)
+            engine.start(with_workers=with_workers)
         yield engine
 
 
 def format_of(output: Path) -> str:
-    """The format that the file's suffix names; ViewError for others and where the folder is
-    missing.
+    """Return the picture format of the file's suffix. Raises ViewError for other suffixes, or
+    if the folder is missing.
     """
     if output.suffix.lower() not in FORMAT_OF_SUFFIX:
         raise ViewError(
@@ -236,18 +239,21 @@ def format_of(output: Path) -> str:
 
 
 def is_placed(given: Iterable[str]) -> bool:
-    """Whether any of the parameters that are ``given`` places the camera."""
+    """Return True if any of the ``given`` parameters places the camera."""
     return not PLACING.isdisjoint(given)
 
 
 def seen_whole(
     renderer: Renderer, shots: Sequence[FrameParams], settings: Settings
 ) -> list[FrameParams]:
-    """The ``shots`` with one target and one distance for all of them, from the directions that they
-    give.
+    """Return the ``shots`` with one target and one distance at which the whole surface is visible
+    in all of them, from the directions that they give.
+
+    At most LOOKED_AT shots, evenly spread, are fitted.
     """
     scene = renderer.prepared.scene
     turned = [from_front(scene, shot) for shot in shots]
+    # Fitting each of many pictures would take long, and neighbours differ little.
     few = np.unique(np.linspace(0, len(turned) - 1, LOOKED_AT).round().astype(int))
     stands = [stand_of(scene, turned[n], settings) for n in few]
     target, distance = fit(renderer, stands, shots[0].projection)
@@ -255,9 +261,7 @@ def seen_whole(
 
 
 def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
-    """The ``shot`` from the angles that it gives, and where it gives none, from the scene's
-    front.
-    """
+    """Return the ``shot`` with the angles of the scene's front for those that it leaves out."""
     azimuth, elevation = scene.front
     front = {"azimuth": azimuth, "elevation": elevation}
     return shot.model_copy(
@@ -266,7 +270,7 @@ def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
 
 
 def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
-    """Where the camera of a picture looks from."""
+    """Return the direction that the camera of a picture looks from."""
     view = view_of(scene, shot.model_copy(update={"projection": PROJECTIONS[0]}), settings)
     return Stand(view, shot.azimuth, shot.elevation)
 
@@ -274,8 +278,8 @@ def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
 def draw_refined(
     engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None
 ) -> Frame:
-    """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never
-    runs back.
+    """Bake and draw as ``awaited`` does, with a bar that shows the time left and never runs
+    back.
     """
     begun = time.monotonic()
     shown = 0.0
@@ -285,6 +289,7 @@ def draw_refined(
         def show(frame: Frame) -> None:
             nonlocal shown
             left = engine.time_left(scene, frame, max_error)
+            # Progress is the share of time that has passed; it never decreases.
             passed = time.monotonic() - begun
             if frame.final:
                 done = 1.0
@@ -306,17 +311,18 @@ def awaited(
     seconds: float | None,
     show: Callable[[Frame], object] = lambda _: None,
 ) -> Frame:
-    """The frame once it is final or the time is spent; those on the way are shown.
+    """Return the frame once it is final, or the time is over; call ``show`` with each frame on the
+    way.
 
-    A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where
-    the workers fail, or nothing has changed for as long as a ``Patience`` lasts.
+    A path-traced frame is as good as its samples, and is returned at once. Raises WorkersError if
+    the workers fail, or if nothing has changed for as long as ``Patience`` allows.
     """
     patience = Patience(clock=time.monotonic)
     if seconds is None:
         deadline = math.inf
     else:
         deadline = time.monotonic() + seconds
-    # a first picture is drawn however long it takes; what makes it better ends at the deadline
+    # The first picture is drawn however long it takes; refinements end at the deadline.
     frame = None
     with time_limit(deadline) as over:
         while True:
@@ -333,6 +339,7 @@ def awaited(
                 if frame is None:
                     raise
                 return frame
+            # The frame lacks light of texels, or its picture is to be checked.
             coming = frame.checkable or engine.lacking(scene, frame)[1].demands
             show(frame)
             if frame.final or time.monotonic() >= deadline or not coming:
@@ -341,7 +348,7 @@ def awaited(
                 continue
             if engine.trouble():
                 raise WorkersError(engine.trouble())
-            patience.check(frame.version, engine.workforce.preparing, engine.unready())
+            patience.check(frame.version, engine.workers.preparing, engine.unready())
 
 
 def reference(
@@ -352,12 +359,11 @@ def reference(
     bounces: int | None,
     goal: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Grow the reference of a view, named by ``knobs``, in the file ``output``, and say how good it
-    is.
+    """Continue the path-traced reference of a view in the file ``output``, and return facts about
+    its quality.
 
-    It is written after each round, and gone on from where it is there already. ``goal`` are a
-    Goal's. Raises SceneError, VolumeError, LightError and ViewError before anything is begun,
-    ReportError and OSError later.
+    The file is written after each round. ``goal`` are the fields of a Goal. Raises SceneError,
+    VolumeError, LightError and ViewError before any work, and ReportError and OSError later.
     """
     check_file(output)
     scene = open_scene(target, settings)
@@ -367,20 +373,21 @@ def reference(
 
 
 def check_file(output: Path) -> None:
-    """ViewError where the file's name is of another kind, or its folder missing."""
+    """Raise ViewError if the file's suffix is not .npz, or its folder is missing."""
     if output.suffix != ".npz":
         raise ViewError(f"{output} is no name for a reference: end it in .npz.")
     check_folder(output)
 
 
 def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, Any]:
-    """Grow the reference in ``output`` to its goal, with a bar; its facts."""
+    """Continue the reference in ``output`` until its goal, with a bar; return its facts."""
 
     if output.exists():
         former = load_reference(output, scene, view)
     else:
         former = None
     found = former
+    # The reference needs no store of light: a temporary one serves its renderer.
     with (
         tempfile.TemporaryDirectory(prefix="isogi-reference-") as store,
         tqdm(unit="path", unit_scale=True) as bar,
@@ -399,7 +406,7 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
 
 
 def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
-    """Put on the bar how good a reference is, and how many paths are still to come."""
+    """Show on the bar the noise of a reference, and the expected number of paths."""
     foreseen = goal.foresee(found)
     if foreseen is None:
         bar.total = None
@@ -409,14 +416,14 @@ def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
 
 
 def reference_facts(found: Reference) -> dict[str, Any]:
-    """Size and quality of a reference, and the processor's seconds that it took."""
+    """Return size and quality of a reference, and the seconds of processor time that it took."""
     height, width = found.on.shape
     size = {"width": width, "height": height, "surface": int(found.on.sum())}
     return {**size, "samples": found.samples, "noise": found.noise, "seconds": found.seconds}
 
 
 def grown(facts: Mapping[str, Any]) -> str:
-    """What ``reference`` did, for a person."""
+    """Return the facts of ``reference`` as text for a person."""
     size = f"{facts['width']} × {facts['height']}, {facts['samples']} paths per pixel"
     return (
         f"{facts['file']}: {size}, noise {facts['noise']:.5f}, {facts['seconds']:.1f} "

@@ -1,4 +1,4 @@
-"""``isogi serve``: the socket, and how the server starts and stops."""
+"""``isogi serve``: the socket, and the start and stop of the server."""
 
 import asyncio
 import gc
@@ -33,13 +33,14 @@ from server.settings import Settings
 log = logging.getLogger("isogi.server")
 
 EXIT_SECONDS = 3.0
-"""Seconds that a stopping process has left for itself once its requests had theirs."""
+"""Seconds that a stopping process has for itself after the time of its requests."""
 
 HAND_OVER = 0.0005
-"""Seconds after which a thread that holds the interpreter lets another have it; a tenth of what
-Python has by itself.
+"""Seconds after which a thread that holds the interpreter hands it over; a tenth of Python's
+default.
 
-Each step of a picture asks for it again, next to threads that load light and answer requests.
+Each step of a picture needs the interpreter again, while other threads load light and answer
+requests.
 """
 
 UNLIT_NOTE = " (without light until all is compiled)"
@@ -52,11 +53,11 @@ EXPOSED_WARNING = (
 
 
 def serve(target: str | None, settings: Settings) -> None:
-    """Serve one scene until SIGTERM or SIGINT. The workers start while the app is made and the
+    """Serve one scene until SIGTERM or SIGINT. The workers start while the app is assembled and
     kernels are loaded.
 
-    Raises UsageError where others could reach it without a token, and IsogiError where the scene,
-    the port or the engine fails.
+    Raises UsageError if other machines could reach the server without a token, and IsogiError if
+    the scene, the port or the engine fails.
     """
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED_WARNING.format(host=settings.host))
@@ -65,23 +66,24 @@ def serve(target: str | None, settings: Settings) -> None:
         log.warning("%s", sentence)
     sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
+    # Take the port first, so that a conflict shows before any work.
     with listen(settings.host, settings.port) as listener:
         engine = engine_for(scene, settings)
         if engine.kernels.progress is None:
-            engine.hire()
+            engine.start_workers()
         with bar_of(engine, settings):
             asyncio.run(run(create_app(engine, settings), listener))
 
 
 def bar_of(engine: RenderEngine, settings: Settings) -> AbstractContextManager[None]:
-    """A bar that shows how far kernels are compiled; none among the lines of a log of JSON."""
+    """Return a bar for the compilation of kernels; none if the log is JSON lines."""
     if settings.log_format == "json":
         return nullcontext()
     return compiling(lambda: engine.kernels.progress)
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket; IsogiError where the address cannot be had."""
+    """Return a listening socket. Raises IsogiError if the address cannot be had."""
     if ":" in host:
         family = socket.AF_INET6
     else:
@@ -93,12 +95,14 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def reason(error: OSError) -> str:
-    """What the system says, without the address that Python adds to it."""
+    """Return the message of the system, without the address that Python adds."""
     return (error.strerror or str(error)).partition(" (while")[0]
 
 
 def queued(listener: socket.socket) -> Iterator[socket.socket]:
-    """Connections that wait to be accepted: they would be reset when the listener is closed."""
+    """Yield connections that wait to be accepted: they would be reset if the listener was
+    closed.
+    """
     while True:
         try:
             yield listener.accept()[0]
@@ -107,10 +111,10 @@ def queued(listener: socket.socket) -> Iterator[socket.socket]:
 
 
 class Server(uvicorn.Server):
-    """Serves an app that ``create_app`` made; when it stops, requests come to their end first."""
+    """Serves an app made by ``create_app``, and completes requests before it stops."""
 
     def __init__(self, app: FastAPI, stopping: Callable[[], None] = lambda: None) -> None:
-        """Be ready to serve under the app's settings; ``stopping`` is called when it begins to
+        """Configure the server by the app's settings; ``stopping`` is called when it begins to
         stop.
         """
         settings: Settings = app.state.settings
@@ -120,38 +124,40 @@ class Server(uvicorn.Server):
         self.stopping = stopping
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Take the connections that wait and no more, answer what was asked, and then close the
-        app.
-        """
+        """Accept the connections that wait and no more, complete requests, then close the app."""
         self.stopping()
         self.closing.begin()
+        # Connections in the queue of the socket have perhaps sent a request already.
         last = [each for listener in sockets or () for each in queued(listener)]
         for server in self.servers:
             server.close()
         loop = asyncio.get_running_loop()
         for each in last:
             await loop.connect_accepted_socket(self._connection, each)
+        # Requests that take longer than shutdown_seconds are ended.
         end = asyncio.create_task(self._end())
         await super().shutdown(sockets)
         end.cancel()
 
     async def _end(self) -> None:
+        """End open requests when their time is over."""
         await asyncio.sleep(self.patience)
         await self.closing.end()
 
     def _connection(self) -> asyncio.Protocol:
+        """Make the protocol of a new connection."""
         assert isinstance(self.config, ServerConfig)
         return Connection(self.config, self.server_state, self.lifespan.state)
 
 
 async def run(app: FastAPI, listener: socket.socket) -> None:
-    """Serve the app, say where once it is ready, and end with the engine's error where it did not
-    start.
+    """Serve the app, print its address once it is ready, and raise the engine's error if that
+    did not start.
     """
     service: Service = app.state.service
 
     def stopping() -> None:
-        """End in time; at once where nobody was served, and no kernel need be waited for."""
+        """Exit in time; soon if nobody was served yet, without waiting for kernels."""
         if not watching.done():
             click.echo("isogi: stopped before it was ready", err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))
@@ -161,14 +167,14 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     serving = asyncio.create_task(server.serve([listener]))
     startup = service.startup
     watching = asyncio.create_task(startup.ready())
+    # Wait until the service is ready or failed, or the server stops.
     await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
-    stopped = (
-        server.should_exit
-    )  # by a signal: what fails after that, such as workers that are gone, is no failure
+    # After a signal, errors such as workers that are gone are no failure.
+    stopped = server.should_exit
     if startup.failure:
         server.should_exit = True
     elif watching.done() and not stopped:
-        # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
+        # 200,000 objects stay: searching these for garbage would stop all threads for 0.2 s.
         gc.freeze()
         say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT_NOTE}")
     watching.cancel()
@@ -178,10 +184,10 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
 
 
 def leave_within(seconds: float) -> None:
-    """End the process after so long at the latest: compiling and reading a slow store cannot be
-    stopped.
+    """Exit the process after this number of seconds at most: compiling, and reading from a slow
+    store, cannot be interrupted.
 
-    All clients have their answers by then, and the store is whole at any time.
+    All clients have their answers by then, and the store is consistent at any time.
     """
     timer = threading.Timer(seconds, leave)
     timer.daemon = True
@@ -189,9 +195,10 @@ def leave_within(seconds: float) -> None:
 
 
 def leave() -> None:
-    """End the process now, and before it the processes that it started, which may themselves be
-    starting; then their semaphores are given back, which Python would report as leaked.
+    """Kill all child processes, which may still be starting, release semaphores that Python
+    would report as leaked, and exit.
     """
+    # Spare the resource tracker of Python, which cleans up shared memory after this process.
     tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
     try:
         for each in psutil.Process().children(recursive=True):
@@ -204,8 +211,8 @@ def leave() -> None:
 
 
 def stop_on_signals(server: uvicorn.Server) -> None:
-    """Let SIGTERM and SIGINT end the server and not the process, before uvicorn listens to them and
-    after.
+    """Let SIGTERM and SIGINT stop the server in an orderly way, also before uvicorn handles
+    them.
     """
 
     def stop(*_: Any) -> None:
@@ -216,7 +223,7 @@ def stop_on_signals(server: uvicorn.Server) -> None:
 
 
 def address(listener: socket.socket) -> str:
-    """The URL of a listening socket."""
+    """Return the URL of a listening socket."""
     host, port = listener.getsockname()[:2]
     if ":" in host:
         return f"http://[{host}]:{port}/"

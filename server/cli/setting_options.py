@@ -1,4 +1,4 @@
-"""Options that settings make: read, and documented."""
+"""Options for settings: reading them, and their documentation."""
 
 import os
 import re
@@ -14,10 +14,10 @@ from isogi_core.errors import advice
 from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
 
 PREFIX = "ISOGI_"
-"""What the names of environment variables begin with."""
+"""Prefix of environment variables."""
 
 SECRET_SETTINGS = ("token",)
-"""Settings without an option: what a command is given, all users of the machine can see."""
+"""Settings without an option, as all users of a machine can see the options of its commands."""
 
 CONFIG = (
     "A TOML file with settings, such as port = 8080; options and the environment come before it."
@@ -25,10 +25,10 @@ CONFIG = (
 
 
 def settings_from(config: Path | None = None, **given: Any) -> Settings:
-    """The settings: options first, then the environment, then a file; UsageError names what is
-    wrong.
+    """Read the settings: options first, then the environment, then a file. Raises UsageError that
+    names the wrong one.
 
-    The token is taken out of the environment, which workers inherit.
+    The token is removed from the environment, which workers inherit.
     """
     try:
         settings = read_settings(
@@ -45,6 +45,7 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             raise click.UsageError(
                 f"There is no setting '{name}': {advice(name, Settings.model_fields)}"
             ) from None
+        # Never print a token.
         if name in SECRET_SETTINGS:
             value = ""
         else:
@@ -55,15 +56,15 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
 
 
 OTHER_VARIABLES = ("ISOGI_KERNEL_CACHE", "ISOGI_SHARED_DATA")
-"""Variables that are no settings of a server."""
+"""Environment variables that are not settings of a server."""
 
 SERVICE_LINKS = re.compile(r"ISOGI_(SERVICE_|PORT_\d)\w*")
-"""Variables that Kubernetes sets where a service is called isogi."""
+"""Environment variables that Kubernetes sets if a service is called isogi."""
 
 
 def unknown_variables() -> list[str]:
-    """A sentence about each variable of the environment that looks like a setting and is none: it
-    may be misspelt.
+    """Return a sentence about each environment variable that looks like a setting but is none,
+    as it may be misspelt.
     """
     known = [*map(variable, (*Settings.model_fields, *FORMER_SETTING_NAMES)), *OTHER_VARIABLES]
     unknown = [
@@ -77,7 +78,9 @@ def unknown_variables() -> list[str]:
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """The known variable that resembles a name, by all but their prefix; else where they stand."""
+    """Return a hint for an unknown name: the known variable that resembles it, apart from the
+    prefix; else the command that lists all.
+    """
     words = {each.removeprefix(PREFIX): each for each in known}
     if close := get_close_matches(name.removeprefix(PREFIX).upper(), words, 1):
         return f"did you mean {words[close[0]]}?"
@@ -90,7 +93,7 @@ KINDS = {
     "float_parsing": "a number",
     "bool_parsing": "true or false",
 }
-"""What values are to be, by pydantic's types of errors."""
+"""Expected kinds of values, by pydantic's types of errors."""
 
 BOUNDS = {
     "greater_than_equal": ("at least", "ge"),
@@ -98,11 +101,13 @@ BOUNDS = {
     "less_than_equal": ("at most", "le"),
     "less_than": ("less than", "lt"),
 }
-"""What numbers that are out of range are to be, with the key of the bound, by the same types."""
+"""Words for bounds of numbers, and the key of the bound in the error, by pydantic's types of
+errors.
+"""
 
 
 def complaint(name: str, error: Mapping[str, Any]) -> str:
-    """What a setting is to be, in plain words, by pydantic's ``error``."""
+    """Return the requirement that a setting does not meet, by pydantic's ``error``."""
     if (kind := KINDS.get(error["type"])) is not None:
         return f"{name} is {kind}"
     if (bound := BOUNDS.get(error["type"])) is not None:
@@ -112,7 +117,7 @@ def complaint(name: str, error: Mapping[str, Any]) -> str:
 
 
 def setting_options() -> list[click.Parameter]:
-    """An option for each setting that may have one, and for the file of settings."""
+    """Return the options of all settings that may have one, and the option for their file."""
     file = click.Option(
         ["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG
     )
@@ -131,17 +136,17 @@ def setting_options() -> list[click.Parameter]:
 
 
 def switched(name: str) -> bool:
-    """Whether a setting is on or off, so that its option takes no value."""
+    """Return True if a setting is on or off, so that its option takes no value."""
     return Settings.model_fields[name].annotation is bool
 
 
 def secrets() -> list[tuple[str, str]]:
-    """The settings that have no option: environment variable and description."""
+    """Return environment variable and description of the settings that have no option."""
     return [(variable(name), described(name)) for name in SECRET_SETTINGS]
 
 
 def described(name: str) -> str:
-    """What a setting is for, with its default where the description does not name it."""
+    """Return the description of a setting, with its default if the description does not name it."""
     field = Settings.model_fields[name]
     text = field.description or ""
     complete = (
@@ -156,17 +161,17 @@ def described(name: str) -> str:
 
 
 def flag(name: str) -> str:
-    """The option of a setting."""
+    """Return the option of a setting."""
     return f"--{name.replace('_', '-')}"
 
 
 def variable(name: str) -> str:
-    """The environment variable of a setting."""
+    """Return the environment variable of a setting."""
     return f"{PREFIX}{name.upper()}"
 
 
 def rows() -> list[str]:
-    """One row of a Markdown table for each setting, as docs/settings.md has them."""
+    """Return one row of a Markdown table for each setting, as in docs/settings.md."""
     options = {
         name: "–" if name in SECRET_SETTINGS else f"`{flag(name)}`"
         for name in Settings.model_fields

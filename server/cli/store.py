@@ -1,4 +1,4 @@
-"""``isogi store``: what a store holds, whether it is sound, and what is repaired or deleted."""
+"""``isogi store``: statistics of a store, checks of its objects, repair and pruning."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from isogi_core.cache.upkeep import (
 )
 from isogi_core.storage.store import Store
 from server.progress import Progress
-from server.render.workforce import existing_store
+from server.render.stores import existing_store
 from server.values import span
 
 __all__ = [
@@ -37,10 +37,13 @@ __all__ = [
 
 
 def stats(root: Store, texels: bool) -> dict[str, Any]:
-    """What a store holds, layer by layer. Raises StoreError."""
+    """Return the content of a store, layer by layer; with counts of ``texels`` if that is set.
+    Raises StoreError.
+    """
     with Progress("counting", "chunk") as bar:
         census = census_of(root, texels, bar.count)
     layers = [layer_facts(count, root.now()) for count in census.counts.values()]
+    # A quick count has not read chunks: it knows neither texels nor paths.
     if not texels:
         layers = [
             {key: value for key, value in layer.items() if key not in ("texels", "paths")}
@@ -59,7 +62,7 @@ def stats(root: Store, texels: bool) -> dict[str, Any]:
 
 
 def layer_facts(count: Count, now: float) -> dict[str, Any]:
-    """One layer."""
+    """Return the facts about one layer."""
     own = count.facts.attributes
     layer = count.facts.layer
     files = count.files
@@ -83,21 +86,21 @@ def layer_facts(count: Count, now: float) -> dict[str, Any]:
 
 
 def by_samples(count: Count) -> dict[str, int]:
-    """Texels with light by the samples that they took."""
+    """Return the number of lit texels for each number of samples."""
     return {
         str(samples): texels for samples, texels in sorted(count.samples.items()) if samples > 0
     }
 
 
 def seconds_or_none(seconds: float) -> float | None:
-    """Seconds as JSON may have them; None where they are unknown."""
+    """Return seconds as JSON allows them; None if they are unknown."""
     if math.isnan(seconds):
         return None
     return max(seconds, 0.0)
 
 
 def bake_facts(layers: tuple[str, ...], census: Census) -> dict[str, Any]:
-    """What one bake took."""
+    """Return the cost of one bake."""
     cost = census.costs[layers]
     return {
         "layers": list(layers),
@@ -108,9 +111,10 @@ def bake_facts(layers: tuple[str, ...], census: Census) -> dict[str, Any]:
 
 
 def table(facts: Mapping[str, Any]) -> str:
-    """What a store holds, for a person: each volume, and under it its layers."""
+    """Return the content of a store as text: each volume, and below it its layers."""
     lines = []
     volume = None
+    # Layers are sorted by volume: write its name once.
     for layer in facts["layers"]:
         if layer["volume"] != volume:
             volume = layer["volume"]
@@ -131,7 +135,7 @@ def table(facts: Mapping[str, Any]) -> str:
 
 
 def layer_line(layer: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
-    """One layer, for a person."""
+    """Return the text about one layer."""
     what = f"{layer['digest'][:8]} {layer['kind']}, order {layer['order']}, {layer['precision']}"
     parts = [what, f"{layer['chunks']:,} chunks", f"{layer['bytes'] / 1e6:,.1f} MB"]
     if "texels" in layer:
@@ -149,7 +153,7 @@ def layer_line(layer: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
 def rule_of(
     older_than: float | None, keep_gb: float | None, scene: str | None, empty: bool
 ) -> PruneRule:
-    """What the options say is to go."""
+    """Return the rule of pruning that the options state."""
     if older_than is None:
         age = math.inf
     else:
@@ -158,7 +162,9 @@ def rule_of(
 
 
 def prune(root: Store, rule: PruneRule, delete: bool) -> dict[str, Any]:
-    """List what a ``rule`` lets go, and ``delete`` it if so. Raises StoreError."""
+    """List the layers that a ``rule`` removes, and ``delete`` them if that is set. Raises
+    StoreError.
+    """
     census = census_of(root, texels=False)
     plan = plan_prune(census, rule, root.now())
     if delete:
@@ -167,7 +173,9 @@ def prune(root: Store, rule: PruneRule, delete: bool) -> dict[str, Any]:
 
 
 def plan_facts(plan: PrunePlan, now: float) -> dict[str, Any]:
-    """What goes, and what would if it were not being written to."""
+    """Return the layers that are removed, and those that are kept only because they are being
+    written.
+    """
     names = ("digest", "scene", "volume", "kind", "chunks", "bytes", "used_ago")
     going, busy = (
         [layer_facts(count, now) for count in counts] for counts in (plan.going, plan.busy)
@@ -180,7 +188,7 @@ def plan_facts(plan: PrunePlan, now: float) -> dict[str, Any]:
 
 
 def pruned(facts: Mapping[str, Any]) -> str:
-    """What went, or would, for a person."""
+    """Return the facts of ``prune`` as text for a person."""
     if facts["deleted"]:
         verb = "deleted"
     else:
@@ -197,24 +205,24 @@ def pruned(facts: Mapping[str, Any]) -> str:
 
 
 def prune_line(layer: Mapping[str, Any]) -> str:
-    """A layer that goes, for a person."""
+    """Return the text about a layer that is removed."""
     what = f"{layer['digest'][:8]} {layer['kind']} light of {layer['volume']}"
     return f"{what}, {layer['bytes'] / 1e6:,.1f} MB, used {span(layer['used_ago'] or 0.0, 2)} ago"
 
 
 MAX_LISTED_OBJECTS = 20
-"""Damaged objects that are listed one by one; the rest is counted."""
+"""Objects that are listed one by one; further ones are counted."""
 
 
 def verify(root: Store) -> dict[str, Any]:
-    """Check every object of a store. Raises StoreError where it cannot be read."""
+    """Check every object of a store. Raises StoreError if it cannot be read."""
     with Progress("checking", "object") as bar:
         audit = audit_store(root, progress=bar.count)
     return facts_of(audit, root)
 
 
 def facts_of(audit: Audit, root: Store) -> dict[str, Any]:
-    """What an audit found."""
+    """Return the facts of an audit."""
     inventory = audit.inventory
     return {
         "store": str(root.url),
@@ -233,7 +241,7 @@ def facts_of(audit: Audit, root: Store) -> dict[str, Any]:
 
 
 def verified(facts: Mapping[str, Any]) -> str:
-    """What was found, for a person."""
+    """Return the facts of ``verify`` as text for a person."""
     damaged = facts["damaged"]
     lines = [f"{each['key']}: {each['why']}" for each in damaged[:MAX_LISTED_OBJECTS]] + more(
         damaged
@@ -260,14 +268,16 @@ def verified(facts: Mapping[str, Any]) -> str:
 
 
 def more(names: Sequence[Any]) -> list[str]:
-    """How many were not listed."""
+    """Return a line with the number of names that were not listed, if any."""
     if len(names) > MAX_LISTED_OBJECTS:
         return [f"… and {len(names) - MAX_LISTED_OBJECTS:,} more"]
     return []
 
 
 def repair(root: Store, delete: bool) -> dict[str, Any]:
-    """Put away what is damaged in a store, and remove what was left over. Raises StoreError."""
+    """Move damaged objects of a store to quarantine, or ``delete`` them, and remove leftovers.
+    Raises StoreError.
+    """
     with Progress("checking", "object") as bar:
         repair = repair_store(root, delete, bar.count)
     moved = [{"key": key, "to": to} for key, to in repair.moved.items()]
@@ -279,7 +289,7 @@ def repair(root: Store, delete: bool) -> dict[str, Any]:
 
 
 def repaired(facts: Mapping[str, Any]) -> str:
-    """What was done, for a person."""
+    """Return the facts of ``repair`` as text for a person."""
     moved = facts["put_away"]
     lines = [
         f"{each['key']}: {'deleted' if each['to'] is None else 'now ' + each['to']}"

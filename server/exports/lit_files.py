@@ -1,7 +1,7 @@
-"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that
-their names say.
+"""Files of isosurfaces and volumes with their light, in formats of other tools, chosen by the
+suffix.
 
-A volume may also have what its light is the product of: coefficients of transfer and of the turned
+A volume may also hold the factors of its light: transfer coefficients, and those of the rotated
 environment.
 """
 
@@ -39,15 +39,15 @@ from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.pictures import compress
 
 VTI = ".vti"
-"""The kind of file that can hold coefficients."""
+"""The suffix of the format that can hold coefficients."""
 
 TEXTURE = "light.png"
-"""The file of the texture in a package of USD."""
+"""The file of the texture in a USD package."""
 
 
 def usdz_bytes(mesh: LitMesh) -> bytes:
-    """A package of USD: the mesh, and its light as a texture. Raises VolumeError where that is too
-    large.
+    """Return a USD package of the mesh, with its light as a texture. Raises VolumeError if that
+    is too large.
     """
     texture = compress(light_texture(mesh), "png")
     return usdz_package({"isosurface.usda": usd_layer(mesh, TEXTURE), TEXTURE: texture})
@@ -59,19 +59,19 @@ MESHES: dict[str, Callable[[LitMesh], bytes]] = {
     ".obj": obj_bytes,
     ".usdz": usdz_bytes,
 }
-"""What makes a file of a mesh."""
+"""Functions that encode a mesh, by suffix."""
 
 
 def suffix_of(output: Path) -> str:
-    """The ending of a file's name that says its kind; empty for others."""
+    """Return the suffix of a known file format; empty for others."""
     return next(
         (suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), ""
     )
 
 
 def checked_suffix(output: Path) -> str:
-    """The suffix of a file that can be written; ViewError for others, and where its folder is
-    missing.
+    """Return the suffix of a file that can be written. Raises ViewError for other files, or if
+    the folder is missing.
     """
     suffix = suffix_of(output)
     if not suffix:
@@ -84,8 +84,8 @@ def checked_suffix(output: Path) -> str:
 
 
 def check_coefficients(scene: Scene, suffix: str) -> None:
-    """Raise ViewError where files of this kind hold no coefficients, SceneError where a scene's
-    light is no such.
+    """Raise ViewError if the format holds no coefficients, and SceneError if the scene's
+    surface is coloured by data, as coefficients belong to one albedo.
     """
     if suffix != VTI:
         raise ViewError(
@@ -99,7 +99,9 @@ def check_coefficients(scene: Scene, suffix: str) -> None:
 
 
 def with_colour(lit: LitVolume) -> LitVolume:
-    """The volume with light as sRGB bytes, too, for tools that show no floats as colours."""
+    """Return the volume with its light as sRGB bytes too, for tools that show no floats as
+    colours.
+    """
     colour = np.stack([srgb_bytes(layer) for layer in lit.arrays["light"]])
     return replace(lit, arrays={**lit.arrays, "colour": colour})
 
@@ -108,18 +110,18 @@ POINTS_PER_BATCH = 1 << 17
 """Points that are lit together."""
 
 Report = Callable[[int, int], None]
-"""Takes how many points are lit, of how many."""
+"""Takes the number of points that are lit, and of all."""
 
 Spans = Sequence[tuple[float, float]]
-"""Isovalues, from low to high each."""
+"""Ranges of isovalues, each from low to high."""
 
 Lit = Mesh | np.ndarray
-"""What a file has the light of: the vertices of a mesh, or voxels (m, 3; z, y, x)."""
+"""Places whose light a file holds: the vertices of a mesh, or voxels (m, 3; z, y, x)."""
 
 
 def places_to_light(renderer: Renderer, suffix: str, spans: Spans) -> Lit:
-    """What a file of this kind has the light of, for isovalues in ``spans``; ViewError where a mesh
-    is empty.
+    """Return the places whose light a file of this format holds, for isovalues in ``spans``.
+    Raises ViewError if a mesh is empty.
     """
     if suffix in MESHES:
         return surface_mesh(renderer, spans[0][0])
@@ -135,11 +137,11 @@ def write_lit(
     report: Report,
     coefficients: bool = False,
 ) -> None:
-    """Write an isosurface, or values at all voxels, with the light of a view at ``places`` to a
-    file.
+    """Write an isosurface, or the values of all voxels, with the light of a view at ``places``;
+    light is multiplied by ``exposure``.
 
-    A volume also has the ``coefficients`` of its light where these are asked for. Raises
-    VolumeError and OSError.
+    A volume also gets the ``coefficients`` of its light if that is set. Raises VolumeError and
+    OSError.
     """
     suffix = suffix_of(output)
     if isinstance(places, Mesh):
@@ -150,7 +152,9 @@ def write_lit(
 
 
 def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
-    """The mesh of an isosurface, in the volume's units; ViewError where there is none."""
+    """Return the mesh of an isosurface in voxel indices; ``isovalue`` is in the units of the
+    volume's file. Raises ViewError if it is empty.
+    """
     surface = renderer.prepared.surface(isovalue)
     mesh = isosurface_mesh(renderer.prepared.scene.volume.voxels, surface.isovalue)
     if not len(mesh.quads):
@@ -159,14 +163,14 @@ def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
 
 
 def no_surface(isovalue: float) -> ViewError:
-    """What to raise where no surface is."""
+    """Return the error for an isovalue without a surface."""
     return ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
 
 
 def lit_mesh(
     renderer: Renderer, view: View, mesh: Mesh, exposure: float, report: Report
 ) -> LitMesh:
-    """A mesh in the world, with the light of a view at its vertices."""
+    """Return a mesh in the world, with the light of a view at its vertices."""
     scene = renderer.prepared.scene
     colours, normals = (np.empty_like(mesh.vertices) for _ in range(2))
     for rows, frame, towards in lit_pieces(renderer, view, mesh.vertices, report):
@@ -178,7 +182,7 @@ def lit_mesh(
 
 
 def check_lattice(scene: Scene) -> None:
-    """Raise SceneError where texels are not voxels, so that a volume cannot hold their light."""
+    """Raise SceneError if texels are not voxels, so that a volume cannot hold their light."""
     if scene.lattice_shape != scene.volume.shape:
         raise SceneError(
             "A volume with light has a texel at each voxel: set lattice = 1 in the scene."
@@ -186,8 +190,8 @@ def check_lattice(scene: Scene) -> None:
 
 
 def lit_voxels(renderer: Renderer, spans: Spans) -> np.ndarray:
-    """Indices z, y, x (m, 3) of the voxels whose light isosurfaces read that are in the ``spans``
-    of isovalues.
+    """Return indices z, y, x (m, 3) of the voxels whose texels isosurfaces in the ``spans`` of
+    isovalues read.
     """
     prepared = renderer.prepared
     volume = prepared.scene.volume
@@ -207,10 +211,11 @@ def lit_volume(
     report: Report,
     coefficients: bool = False,
 ) -> LitVolume:
-    """Values and light at all voxels; light is zero but in ``voxels``: see ``lit_voxels``.
+    """Return values and light at all voxels; light is zero except at ``voxels``: see
+    ``lit_voxels``.
 
-    With ``coefficients``, the harmonics that make it up too, and what comes straight from lobes
-    beside them.
+    With ``coefficients``, also the harmonics that make up the light, and the direct light of lobes,
+    which these do not contain.
     """
     volume = renderer.prepared.scene.volume
     light = np.zeros((*volume.shape, 3), np.float32)
@@ -222,6 +227,7 @@ def lit_volume(
         for array in lobes.values():
             array[tuple(voxels[rows].T)] = exposure * renderer.lobe_radiance(frame)
     values = np.empty(volume.shape, np.float32)
+    # Convert layer by layer: the float64 copy of one layer is small.
     for z, layer in enumerate(volume.voxels):
         values[z] = volume.offset + volume.scale * layer.astype(np.float64)
     place = volume.orientation
@@ -236,7 +242,7 @@ def lit_volume(
 def lit_pieces(
     renderer: Renderer, view: View, points: np.ndarray, report: Report
 ) -> Iterator[tuple[slice, Frame, np.ndarray]]:
-    """Frames of one row, and normals, of ``points`` (m, 3), some rows at a time."""
+    """Yield frames of one row, and normals, of ``points`` (m, 3), a batch of rows at a time."""
     for start in range(0, len(points), POINTS_PER_BATCH):
         rows = slice(start, min(start + POINTS_PER_BATCH, len(points)))
         frame, normals = renderer.light_points(view, points[rows])
@@ -249,14 +255,14 @@ SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
 
 FILE_BYTES_PER_VOXEL = 19
 FILE_BYTES_PER_NUMBER = 4
-"""Bytes of a volume's file for each voxel, at most: value, light and colour; and of each number
-besides.
+"""Bytes of a volume's file for each voxel, at most: value, light and colour; and for each
+further number.
 """
 
 
 def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, numbers: int = 0) -> int:
-    """How large the file of an isosurface, or of the volume around it, will be; with ``numbers``
-    more a voxel.
+    """Return the expected size of the file of an isosurface, or of its volume; with ``numbers``
+    further numbers per voxel.
     """
     volume = prepared.scene.volume
     if suffix in WRITERS:
@@ -265,14 +271,14 @@ def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, number
 
 
 LIGHT_KIND_WORDS = {"direct": "direct", "indirect": "reflected"}
-"""How files name light by its kind; others keep their names."""
+"""Names of kinds of light in files; other kinds keep their names."""
 
 COLOUR_CHANNELS = ("red", "green", "blue")
 
 
 def term_names(spec: BakeSpec) -> list[str]:
-    """A name for each term of a bake spec: direct or reflected light, numbered where kept for
-    several albedos.
+    """Return a name for each term of a bake spec: direct or reflected light, numbered if it is
+    kept for several albedos.
     """
     kinds = [spec.plan.layers[term.layers[0]].kind for term in spec.terms]
     return [
@@ -282,8 +288,8 @@ def term_names(spec: BakeSpec) -> list[str]:
 
 
 def columns_of(spec: BakeSpec) -> dict[str, slice]:
-    """The columns of each band of each term in the transfer of a spec's texels, by the names of
-    arrays.
+    """Return the columns of each band of each term in the transfer of a spec's texels, by name
+    of the array.
     """
     return {
         f"{name}_band{band}": slice(int(first) + band**2, int(first) + (band + 1) ** 2)
@@ -293,14 +299,14 @@ def columns_of(spec: BakeSpec) -> dict[str, slice]:
 
 
 def coefficient_count(spec: BakeSpec) -> int:
-    """Numbers that a voxel has besides its light: its coefficients, and what comes straight from
+    """Return the numbers per voxel in addition to its light: coefficients, and the light of
     lobes.
     """
     return spec.channels * spec.columns + (len(COLOUR_CHANNELS) if spec.lobes else 0)
 
 
 def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, np.ndarray]:
-    """What each term's coefficients are multiplied by for red, green and blue, (3, n²): see
+    """Return the factors of each term's coefficients for red, green and blue, (3, n²): see
     ``coefficients_at``.
     """
     spec = renderer.caches.spec(view.shading)
@@ -312,11 +318,11 @@ def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, n
 
 
 def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[str, np.ndarray]:
-    """Arrays of the transfer of texels at ``voxels`` (m, 3; z, y, x), zero elsewhere: (nz, ny, nx,
-    2 l + 1) for band l.
+    """Return arrays of the transfer of texels at ``voxels`` (m, 3; z, y, x), zero elsewhere: (nz,
+    ny, nx, 2 l + 1) for band l.
 
-    One for each band, and for each colour where these differ. Radiance without what comes straight
-    from lobes is the sum over terms and bands of coefficients times those of ``environments``.
+    There is one array for each band, and for each colour if these differ. Radiance without lobes is
+    the sum over terms and bands of coefficients times those of ``environments``.
     """
     caches = renderer.caches
     shape = renderer.prepared.scene.volume.shape
@@ -326,11 +332,13 @@ def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[
     else:
         colours = [""]
     columns = columns_of(spec)
+    # Grey transfer has one array per band, coloured transfer one per colour.
     arrays = {
         f"{name}{colour}": np.zeros((*shape, own.stop - own.start), np.float32)
         for name, own in columns.items()
         for colour in colours
     }
+    # Scatter the coefficients of texels into the arrays, chunk by chunk.
     for rows, transfer in transfers(caches, view.shading, voxels):
         places = tuple(voxels[rows].T)
         for name, own in columns.items():
@@ -342,16 +350,18 @@ def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[
 def transfers(
     caches: Caches, shading: str, voxels: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Some of the ``voxels`` at a time, by their numbers: the transfer of their texels (k,
+    """Yield batches of ``voxels``, by their numbers, with the transfer of their texels (k,
     channels, columns).
     """
     loader = caches.of(shading)
     lattice = caches.prepared.lattice
     chunks = voxels // lattice.chunk
     bits = lattice.bits
+    # An offset in a chunk holds the bits of z, then those of y, then those of x.
     z, y, x = (voxels % lattice.chunk).T
     offsets = (z << 2 * bits) + (y << bits) + x
     found, groups = np.unique(chunks, axis=0, return_inverse=True)
+    # Visit one chunk at a time, and hold it in the page pool only meanwhile.
     for number, (k, j, i) in enumerate(found.tolist()):
         rows = np.flatnonzero(groups.ravel() == number)
         loader.ensure([(k, j, i)])

@@ -1,5 +1,5 @@
-"""A page that draws a scene by itself, as static files: the page, the volume, and light of a range
-of isovalues; or all of it as one file.
+"""A page that draws a scene itself, as static files: HTML, volume, and light of a range of
+isovalues; or all of it as one file.
 """
 
 import json
@@ -26,24 +26,24 @@ from server.settings import Settings
 from server.views import view_of
 
 FIRST_PAGE_MODULE = "published/published.js"
-"""The page's first module."""
+"""The first module of the page."""
 
 PAGE = "index.html"
-"""The page's file in a folder."""
+"""The HTML file in a folder."""
 
 ASPECTS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0)
-"""Widths over heights of stages that the first camera is fitted to: it sees the surface whole in
-wider ones too.
+"""Aspect ratios (width over height) for which the first camera is fitted: it also sees the
+whole surface in wider windows.
 """
 
 FIT_SIDE = 1000
-"""Pixels of the shorter side of the pictures that it is fitted to."""
+"""Pixels of the shorter side of the pictures for which the camera is fitted."""
 
 POSTER_SIDE = 512
-"""Pixels along each side of the picture that is seen until the card draws."""
+"""Pixels along each side of the picture that is shown until the card draws."""
 
 START_PARAMETERS = {"distance", "target", "fov", "yaw", "pitch", "roll", "exposure"}
-"""Parameters of a view that the page starts with as they are given."""
+"""Parameters of a view with which the page starts as they are given."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,9 @@ class Span:
 def page_of(
     document: Mapping[str, Any], poster: bytes, enclosed: Mapping[str, bytes] | None = None
 ) -> bytes:
-    """The page with its script, its shaders, what it draws by, and a ``poster``, a picture in WebP
-    that is seen until it draws. It asks for no other file where all are ``enclosed``.
+    """Return the HTML of the page with its script, its shaders, its ``document`` and a
+    ``poster``, a WebP picture that is shown until it draws. It loads no other file if all are
+    ``enclosed``.
     """
     parts = {
         "page.js": compressed(joined_modules(FIRST_PAGE_MODULE).encode()),
@@ -72,15 +73,16 @@ def page_of(
 
 
 def elements(files: Mapping[str, bytes]) -> Iterator[str]:
-    """Files as elements of a page, in letters."""
+    """Yield files as elements of a page, encoded in base64."""
     for name, content in files.items():
         letters = b64encode(content).decode()
         yield f'<script type="text/plain" data-file="{name}">{letters}</script>\n'
 
 
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
-    """The codes of the volume's voxels, slab by slab, those alike that no isosurface of the
-    ``span`` is drawn by.
+    """Return the codes of the volume's voxels, slab by slab.
+
+    Voxels that no isosurface in the ``span`` needs get equal values, so that they compress well.
     """
     codes = renderer.prepared.voxel_codes
     volume = renderer.prepared.scene.volume
@@ -92,22 +94,23 @@ def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
 
 
 def slab_name(first: int, last: int) -> str:
-    """The file of some layers of voxels."""
+    """Return the file name of a range of layers."""
     return f"volume/{first}-{last}.bin"
 
 
 def light_files(
     renderer: Renderer, span: Span, coding: Coding, target: float, first: View
 ) -> dict[str, bytes]:
-    """The transfer of all texels of isosurfaces in the ``span``, in few bits; that of the ``first``
-    view is in the first files.
+    """Return the transfer of all texels that isosurfaces in the ``span`` read, coded in few bits.
 
-    It is filtered where it is noisier than a ``target`` error. Raises StoreError and Cancelled.
+    Texels of the ``first`` view come in the first files. Transfer is filtered if its noise exceeds
+    the ``target`` error. Raises StoreError and Cancelled.
     """
     prepared = renderer.prepared
     volume = renderer.prepared.scene.volume
     ends = volume.normalise_span(span.low, span.high)
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
+    # Order chunks by their visibility in the first view, so that the page is lit soon.
     seen = [each.at for each in seen_chunks(renderer, first, target, renderer.tiles)]
     places = {at: place for place, at in enumerate(seen)}
     chunks = sorted((index for index, _ in texels), key=lambda at: places.get(at, len(seen)))
@@ -123,7 +126,7 @@ def light_files(
 def first_view(
     renderer: Renderer, params: FrameParams, start: Mapping[str, Any], settings: Settings
 ) -> View:
-    """The view that a page ``start``s with, in a square picture."""
+    """Return the view with which a page starts, as a square picture."""
     camera = {name: start[name] for name in ("azimuth", "elevation", "distance")}
     camera["target"] = tuple(start["target"])
     size = {"width": POSTER_SIDE, "height": POSTER_SIDE, "antialias": "on"}
@@ -131,8 +134,8 @@ def first_view(
 
 
 def poster_of(renderer: Renderer, params: FrameParams, view: View, target: float) -> bytes:
-    """A picture of the page's first ``view`` in WebP, with nothing behind the surface, by the light
-    that the page has at a ``target`` error. Raises StoreError and Cancelled.
+    """Return a WebP picture of the first ``view`` with a transparent background, by the light
+    that the page has. Raises StoreError and Cancelled.
     """
     frame = renderer.render(view, target, enough=MAX_SAMPLES)
     exposure = params.exposure or renderer.prepared.scene.default_exposure
@@ -140,7 +143,7 @@ def poster_of(renderer: Renderer, params: FrameParams, view: View, target: float
 
 
 def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
-    """What the page draws by besides light: the scene, and what its card needs."""
+    """Return all that the page needs besides light: the scene, and the data of its card."""
     card = card_scene(renderer, view, ())
     slabs = [
         CardSlab(first=a, last=b, href=slab_name(a, b))
@@ -154,11 +157,11 @@ def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span)
 
 
 def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
-    """The scene as its document has it on a server, for what the page can draw: one albedo, and one
+    """Return the document of the scene, reduced to what the page can draw: one albedo and one
     shading.
 
-    Its ``start`` has the knobs that the page starts with: a camera that sees the surface whole, and
-    what was given.
+    ``start`` holds the parameters that the page starts with: a camera that sees the whole surface,
+    and given parameters.
     """
     schema: SceneSchema = scene_schema(renderer.prepared.scene)
     schema.ranges["isovalue"] = Range(min=span.low, max=span.high)
@@ -168,6 +171,7 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
     schema.albedos = None
     schema.cuts = False
     schema.stops = [stop for stop in schema.stops if span.low <= stop <= span.high]
+    # A camera that is placed is not fitted.
     placed = params.model_fields_set
     azimuth, elevation = (
         getattr(params, name) if name in placed else None for name in ("azimuth", "elevation")
@@ -185,8 +189,8 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
 
 
 def histogram_between(histogram: Histogram, span: Span) -> Histogram:
-    """A histogram with the bins alone that lie in a ``span``: voxels of the page beyond are
-    alike.
+    """Return a histogram whose bins outside of ``span`` are empty, as the page's voxels are
+    equal there.
     """
     edges = histogram.edges
     counts = [
@@ -199,11 +203,12 @@ def histogram_between(histogram: Histogram, span: Span) -> Histogram:
 def fits_of(
     renderer: Renderer, params: FrameParams, view: View, first: CameraSchema
 ) -> list[dict[str, Any]]:
-    """The distance and the target of the ``first`` camera in stages of ASPECTS, narrow ones
+    """Return distance and target of the ``first`` camera for each of ASPECTS, narrow windows
     first.
     """
     fits = []
     for aspect in ASPECTS:
+        # The shorter side has FIT_SIDE pixels.
         width, height = round(FIT_SIDE * max(aspect, 1.0)), round(FIT_SIDE / min(aspect, 1.0))
         camera = camera_schema(
             renderer,
@@ -218,15 +223,18 @@ def fits_of(
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, the page last. Files of a page before go. Raises OSError."""
+    """Write files into a folder, the page last, and delete files of a former page. Raises
+    OSError.
+    """
     for name in sorted(files, key=lambda each: each == PAGE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])
+    # Delete files that the new page does not name.
     for old in (path for room in ("light", "volume") for path in (folder / room).glob("*.bin")):
         if old.relative_to(folder).as_posix() not in files:
             old.unlink()
 
 
 def json_file(document: Mapping[str, Any]) -> bytes:
-    """A document as a file."""
+    """Encode a document as JSON."""
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()

@@ -1,5 +1,5 @@
-"""Files of pages as browsers get them: modules joined to one script, style sheets to one, shaders
-to one, and each compressed once.
+"""Files of pages as browsers get them: modules joined into one script, style sheets into one,
+shaders into one; each compressed once.
 """
 
 import gzip
@@ -15,19 +15,19 @@ from pathlib import Path
 
 WEB_FOLDER = Path(__file__).resolve().parents[2] / "web"
 FIRST_MODULE = "main.js"
-"""The first module of the page that a server has."""
+"""The first module of the server's page."""
 
 SHADERS = "card/shaders.json"
-"""The file that has the text of all shaders, by their names."""
+"""The file with the source of all shaders, by name."""
 
 SUFFIXES = {".js", ".css", ".glsl", ".svg", ".html"}
-"""Files of the folder that browsers may ask for."""
+"""Suffixes of files that browsers may ask for."""
 
 LEVEL = 9
-"""Level of gzip: each file is compressed once."""
+"""Level of gzip: each file is compressed only once."""
 
 MODULE_IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
-"""What a module imports, as the page's modules write it."""
+"""Imports and re-exports of a module, as the page's modules write them."""
 
 IMPORT = re.compile(r'^import (\{[^}]*\}) from "(\.[^"]+)";\n', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?(?:class|const|function)\b\*? ?(\w+))", re.MULTILINE)
@@ -38,8 +38,8 @@ SCRIPT = re.compile(r'(?<=<script type="module" src=")web/[^"]+')
 
 @dataclass(frozen=True)
 class PageFile:
-    """The ``content`` of a file, and its media type. A ``lasting`` one has its content's digest in
-    its name.
+    """The ``content`` of a file, and its media type. The name of a ``lasting`` file contains
+    the digest of its content.
     """
 
     content: bytes
@@ -48,48 +48,48 @@ class PageFile:
 
     @cached_property
     def packed(self) -> bytes:
-        """The content in gzip's form."""
+        """Return the content compressed by gzip."""
         return compressed(self.content)
 
     @cached_property
     def digest(self) -> str:
-        """Equal where the content is."""
+        """Return a digest of the content."""
         return digest_of(self.content)
 
 
 def compressed(content: bytes) -> bytes:
-    """A file in gzip's form, which pages unpack themselves: plain servers hand it out as it is."""
+    """Compress a file by gzip, without its time, so that equal content gives equal bytes."""
     return gzip.compress(content, LEVEL, mtime=0)
 
 
 def digest_of(content: bytes) -> str:
-    """Equal where the content is."""
+    """Return a digest of some content, 16 hexadecimal digits."""
     return hashlib.blake2b(content, digest_size=8).hexdigest()
 
 
 def viewer_files() -> dict[str, PageFile]:
-    """The files of the page that a server has: ``index.html``, and by their addresses all that it
-    asks for. A file that has changed since is read again.
+    """Return the files of the server's page by their addresses, ``index.html`` included.
+    Changed files are read again.
     """
     return prepared(tuple((name, stamp_of(WEB_FOLDER / name)) for name in names_of(WEB_FOLDER)))
 
 
 @lru_cache(maxsize=1)
 def names_of(folder: Path) -> tuple[str, ...]:
-    """The files of a folder that browsers may ask for, by their places in it."""
+    """Return the files of a folder that browsers may ask for, by relative path."""
     found = (path for path in folder.rglob("*") if path.suffix in SUFFIXES)
     return tuple(sorted(path.relative_to(folder).as_posix() for path in found))
 
 
 def stamp_of(path: Path) -> tuple[int, int]:
-    """What is another one once a file has changed."""
+    """Return a value that changes if the file does: its time and size."""
     facts = path.stat()
     return facts.st_mtime_ns, facts.st_size
 
 
 @lru_cache(maxsize=1)
 def prepared(stamps: tuple[tuple[str, tuple[int, int]], ...]) -> dict[str, PageFile]:
-    """The files of ``viewer_files``, whose ``stamps`` these are."""
+    """Return the files of ``viewer_files``; ``stamps`` are the key of the cache."""
     files = {f"web/{name}": file_of(name, (WEB_FOLDER / name).read_bytes()) for name, _ in stamps}
     files[f"web/{SHADERS}"] = file_of(SHADERS, json.dumps(shaders()).encode())
     page = (WEB_FOLDER / "index.html").read_text(encoding="utf-8")
@@ -110,7 +110,7 @@ def prepared(stamps: tuple[tuple[str, tuple[int, int]], ...]) -> dict[str, PageF
 
 
 def file_of(name: str, content: bytes, lasting: bool = False) -> PageFile:
-    """A file with the media type that its name stands for."""
+    """Return a file with the media type of its name."""
     kind = mimetypes.guess_type(name)[0] or "text/plain"
     if kind.startswith("text/"):
         kind += "; charset=utf-8"
@@ -118,34 +118,35 @@ def file_of(name: str, content: bytes, lasting: bool = False) -> PageFile:
 
 
 def shaders() -> dict[str, str]:
-    """The text of all shaders of the card, by their names."""
+    """Return the source of all shaders of the card, by name."""
     folder = WEB_FOLDER / "card" / "shaders"
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir())}
 
 
 def joined_styles(names: Iterable[str]) -> str:
-    """Style sheets, one after the other."""
+    """Return style sheets, one after the other."""
     return "\n".join((WEB_FOLDER / name).read_text(encoding="utf-8") for name in names)
 
 
 def joined_modules(first: str) -> str:
-    """A module and all that it imports, as one script of the kind ``module`` that lies at the root
-    of the page's folder.
+    """Return a module and all that it imports as one script of type ``module``, to be placed at the
+    root of the page's folder.
 
-    Each module becomes a function that is called once, after those that it imports, and returns
-    what it exports. Comments on what is exported are left out.
+    Each module becomes a function that is called once, after those that it imports, and returns its
+    exports. Comments above exports are left out.
     """
     parts = [wrapped(name) for name in module_order(first)]
     return "".join(parts)
 
 
 def module_order(first: str) -> list[str]:
-    """A module and all that it imports, each after what it imports itself."""
+    """Return a module and all that it imports, each after its own imports."""
     order: list[str] = []
 
     def visit(name: str) -> None:
         if name in order:
             return
+        # Depth first: imports come before the module.
         for each in imports(name):
             visit(each)
         order.append(name)
@@ -155,19 +156,19 @@ def module_order(first: str) -> list[str]:
 
 
 def imports(name: str) -> list[str]:
-    """The modules that a module of the page imports."""
+    """Return the modules that a module of the page imports."""
     text = (WEB_FOLDER / name).read_text(encoding="utf-8")
     folder = posixpath.dirname(name)
     return [joined_path(folder, each) for each in MODULE_IMPORT.findall(text)]
 
 
 def joined_path(folder: str, path: str) -> str:
-    """The place of what a module in a ``folder`` names by a ``path``."""
+    """Resolve a relative ``path`` in a module of a ``folder``."""
     return posixpath.normpath(posixpath.join(folder, path))
 
 
 def wrapped(name: str) -> str:
-    """A module as a constant of what it exports, which reads those of other modules."""
+    """Return a module as a constant that holds its exports, and reads those of other modules."""
     text = (WEB_FOLDER / name).read_text(encoding="utf-8")
     folder = posixpath.dirname(name)
 
@@ -175,6 +176,7 @@ def wrapped(name: str) -> str:
         taken = found[1].replace(" as ", ": ")
         return f"const {taken} = {constant_of(joined_path(folder, found[2]))};\n"
 
+    # Imports become destructured constants; exports become members of the returned object.
     text = IMPORT.sub(constant, BLOCK_COMMENT.sub("", text))
     text = text.replace("import.meta.url", f'new URL("{name}", import.meta.url).href')
     names = ", ".join(EXPORT.findall(text))
@@ -183,5 +185,5 @@ def wrapped(name: str) -> str:
 
 
 def constant_of(name: str) -> str:
-    """The constant that has what a module exports."""
+    """Return the name of the constant that holds a module's exports."""
     return "_" + re.sub(r"\W", "_", name.removesuffix(".js"))

@@ -1,1 +1,1 @@
-"""``isogi inspect``: what isogi knows about a volume or a scene, and how stiff the volume is."""
+"""``isogi inspect``: facts about a volume or a scene, and the stiffness of the volume."""

@@ -1,4 +1,4 @@
-"""Inspection of a scene: every voxel is read, for many isovalues at once; with advice."""
+"""Inspection of a scene: every voxel is read, for many isovalues together; with advice."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -17,7 +17,7 @@ from server.schemas import SceneSchema
 
 
 class ErrorSchema(BaseModel):
-    """A relative error: most likely, and the range that it is likely in."""
+    """A relative error: the most likely value, and the likely range."""
 
     low: float
     likely: float
@@ -25,13 +25,14 @@ class ErrorSchema(BaseModel):
 
 
 class SurfaceSchema(BaseModel):
-    """The surface of one isovalue: how many cells it passes, and what share of them is stiff, and
-    how.
+    """The surface of one isovalue: the number of cells that it passes, and the shares of these that
+    are stiff.
 
     ``steep``: the field leaps from one plateau to another; ``plateau``: it hardly changes;
-    ``noisy``: normals stray; ``holes``: beside a voxel that is no number. ``box`` names the faces
-    of the box that the surface meets, each with the share of the cells that do. ``error`` is the
-    expected error of light that is interpolated between texels, null where there is no surface.
+    ``noisy``: normals vary strongly within a cell; ``holes``: a voxel next to it is not a number.
+    ``box`` lists the faces of the box that the surface meets, each with the share of cells that do.
+    ``error`` is the expected error of light that is interpolated between texels, null without a
+    surface.
     """
 
     isovalue: float
@@ -45,9 +46,7 @@ class SurfaceSchema(BaseModel):
 
 
 class Remark(BaseModel):
-    """Something that a person should know of a volume: what it means, what isogi does about it,
-    what they can do.
-    """
+    """A remark about a volume: its meaning, the treatment by isogi, and advice."""
 
     about: str
     means: str
@@ -56,13 +55,13 @@ class Remark(BaseModel):
 
 
 class StiffnessSchema(BaseModel):
-    """How stiff a volume is: its surfaces by ascending isovalue, and which of them is the scene's
-    ``own``.
+    """The stiffness of a volume: its surfaces by ascending isovalue; ``own`` is the place of the
+    scene's.
 
-    ``void`` is the share of the texels that can be shown that can hold no light, ``steps`` how many
-    values the file's type distinguishes between the least and the greatest, outliers left out.
-    ``mark`` is a value that looks like a mark of missing data, null where none does. ``remarks``
-    are about the scene's own surface.
+    ``void`` is the share of the visible texels that can hold no light, ``steps`` the number of
+    values that the file's type distinguishes between the least and the greatest, without outliers.
+    ``mark`` is a value that looks like a mark of missing data, null if there is none. ``remarks``
+    are about the scene's surface.
     """
 
     surfaces: list[SurfaceSchema]
@@ -74,13 +73,13 @@ class StiffnessSchema(BaseModel):
 
 
 class InspectionSchema(SceneSchema):
-    """A scene's document, and how stiff its volume is."""
+    """A scene's document, and the stiffness of its volume."""
 
     stiffness: StiffnessSchema
 
 
 def percent(share: float) -> str:
-    """A share: no digits that it does not have, and never 0 for what is there."""
+    """Return a share as text, with few digits, and never as 0 if it is more."""
     if 0.0 < share < 0.001:
         return "<0.1 %"
     if share < 0.0995 and share > 0.0:
@@ -89,34 +88,35 @@ def percent(share: float) -> str:
 
 
 def span(error: ErrorSchema) -> str:
-    """An expected error, and its range."""
+    """Return an expected error with its range as text."""
     return f"{percent(error.likely)} ({percent(error.low)} – {percent(error.high)})"
 
 
 REMARKABLE_SHARE = 0.05
-"""Share of a surface that is worth a remark."""
+"""Share of a surface from which on a remark is made."""
 
 MEETS = 0.0005
-"""Share of a surface's cells at a face of the box that is worth one: noise alone puts a few
-there.
+"""Share of a surface's cells at a face of the box from which on a remark is made: noise alone
+puts a few cells there.
 """
 
 COARSE_STEPS = 2**10
-"""Steps of a type that make values coarse, where there are fewer of them."""
+"""Number of steps of a type below which values count as coarse."""
 
 BETTER = 0.5
-"""How much less of another surface is to be noisy for it to be named."""
+"""Ratio of noisy shares at which another surface is recommended."""
 
 
 def remarks(found: StiffnessSchema) -> list[Remark]:
-    """What there is to say, the most important first."""
+    """Return the remarks about a volume, the most important first."""
     own = found.surfaces[found.own]
+    # A scene without a surface gets that remark instead of those on surfaces.
     finders = SEEN if own.cells else (nothing,)
     return [remark for find in (*finders, *ALWAYS) for remark in find(found, own)]
 
 
 def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that the scene's isovalue has no surface."""
+    """Remark that the scene's isovalue has no surface."""
     others = [surface.isovalue for surface in found.surfaces if surface.cells]
     if others:
         can = [f"choose an isovalue from {others[0]:.6g} to {others[-1]:.6g}."]
@@ -128,7 +128,7 @@ def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """What error is to be expected."""
+    """Remark on the error that is to be expected."""
     if own.error is not None:
         means = (
             f"Expect an error of about {span(own.error)} of the light at "
@@ -138,60 +138,59 @@ def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
             none = ""
         else:
             none = " Nothing is stiff there."
-        can = ["measure it for a view of yours: isogi report."]
+        can = ["measure it for your views: isogi report."]
         yield Remark(about="error", means=f"{means}{none}", can=can)
 
 
 def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that the field leaps."""
+    """Remark that the field leaps."""
     if own.steep >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.steep)} of the surface lies on steps: within two voxels the value "
-            "leaps from one plateau to"
-            " another, and the texels around it have isosurfaces of their own that nobody sees."
+            "leaps from one plateau to another, and the texels around it lie on isosurfaces that "
+            "are not visible."
         )
         does = (
-            "lights the texels at the edge of a plateau half-way of the step, where the surface is."
+            "lights the texels at the edge of a plateau halfway up the step, where the surface is."
         )
         yield Remark(about="steep", means=means, does=does, can=list(CURES))
 
 
 def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that the field hardly changes."""
+    """Remark that the field hardly changes."""
     if own.plateau >= REMARKABLE_SHARE:
         means = (
-            f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's "
-            "corners have the isovalue"
-            " itself, or one has no gradient. The surface follows the voxels there, and "
-            "rounding says where it lies."
+            f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's corners "
+            "have the isovalue itself, or one has no gradient. The surface follows the voxels "
+            "there, and its place depends on rounding."
         )
         does = (
-            "counts a voxel at the isovalue as outside, and leaves out void texels, such as "
-            "have no gradient."
+            "counts a voxel at the isovalue as outside, and leaves out void texels, such as those "
+            "without a gradient."
         )
         can = ["choose an isovalue between two values that voxels have, and not one of them."]
         yield Remark(about="plateau", means=means, does=does, can=can)
 
 
 def noisy(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that the surface is noisy: normals stray."""
+    """Remark that the surface is noisy."""
     if own.noisy >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.noisy)} of the surface is noisy, or has detail as fine as two "
-            "voxels: normals stray by 26°"
-            " or more within a cell, and texels side by side lie on surfaces that have little "
-            "in common."
+            "voxels: normals vary by 26° or more within a cell, and neighbouring texels lie on "
+            "surfaces that have little in common."
         )
         does = (
-            "takes normals from the gradient smoothed over 4 × 4 × 4 voxels; the surface "
-            "stays as it is."
+            "takes normals from the gradient smoothed over 4 × 4 × 4 voxels; the surface is "
+            "unchanged."
         )
-        cures = () if own.steep >= REMARKABLE_SHARE else CURES  # they are given once
+        # The remark on steps has the same cures.
+        cures = () if own.steep >= REMARKABLE_SHARE else CURES
         yield Remark(about="noisy", means=means, does=does, can=[*cures, *calmer(found, own)])
 
 
 def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
-    """Another isovalue, the nearest with a surface of which far less is noisy."""
+    """Advise another isovalue: the nearest whose surface is far less noisy."""
     others = [each for each in found.surfaces if each.cells and each.noisy <= BETTER * own.noisy]
     if others:
         best = min(others, key=lambda each: abs(each.isovalue - own.isovalue))
@@ -202,9 +201,9 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
 
 
 def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that voxels next to the surface are no numbers."""
+    """Remark that voxels next to the surface are not numbers."""
     if own.holes > 0.0:
-        means = f"{percent(own.holes)} of the surface lies next to voxels that are no numbers."
+        means = f"{percent(own.holes)} of the surface lies next to voxels that are not numbers."
         does = (
             "shows no surface in the eight cells around such a voxel: there is a gap, and "
             "light passes."
@@ -213,12 +212,12 @@ def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
             about="holes",
             means=means,
             does=does,
-            can=["fill them in before, where gaps are not meant."],
+            can=["fill them in beforehand, if gaps are not intended."],
         )
 
 
 def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that the surface meets the box."""
+    """Remark that the surface meets the box."""
     met = [
         f"{face} ({percent(share)} of its cells)"
         for face, share in own.box.items()
@@ -232,42 +231,41 @@ def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
         yield Remark(
             about="box",
             means=means,
-            can=["pad the volume with voxels outside, where that is not meant."],
+            can=["pad the volume with voxels outside, if that is not intended."],
         )
 
 
 def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that some texels can hold no light."""
+    """Remark that some texels can hold no light."""
     if found.void > 0.0:
         means = (
-            f"{percent(found.void)} of the texels that can be shown have no gradient, no side "
-            "of their own in a"
-            " thin wall, or no room in a crease."
+            f"{percent(found.void)} of the visible texels have no gradient, no definite side of "
+            "a thin wall, or no room in a crease."
         )
-        does = "never bakes them, and interpolates between the texels around that hold light."
+        does = "never bakes them, and interpolates between neighbouring texels that hold light."
         yield Remark(about="void", means=means, does=does)
 
 
 def coarse(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that values are rounded so coarsely that slopes may be terraces."""
+    """Remark that values are rounded so coarsely that slopes become terraces."""
     if 0.0 < found.steps < COARSE_STEPS:
         means = (
             f"Values come in only {found.steps:,.0f} steps: slopes gentler than one a "
             "voxel are terraces."
         )
         yield Remark(
-            about="coarse", means=means, can=["keep more digits, where the values come from."]
+            about="coarse", means=means, can=["keep more digits in the source of the values."]
         )
 
 
 def mark(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """The remark that a value looks like a mark of missing data."""
+    """Remark that a value looks like a mark of missing data."""
     if found.mark is not None:
         means = (
-            f"Many voxels have the value {found.mark:.10g}, which is far from all others: "
-            "it looks like a mark."
+            f"Many voxels have the value {found.mark:.10g}, far from all others: it may mark "
+            "missing data."
         )
-        can = [f"say so in the scene, missing = {found.mark:.10g}: these voxels are then holes."]
+        can = [f"set missing = {found.mark:.10g} in the scene: these voxels are then holes."]
         yield Remark(about="missing", means=means, can=can)
 
 
@@ -278,35 +276,34 @@ CURES = (
         "of the error."
     ),
 )
-"""What helped on seven stiff surfaces, errors 5 to 15 %: a Gaussian of one voxel left 0.05 to 0.6
-of them.
+"""Advice for stiff surfaces. On seven of them, with errors of 5 to 15 %, a Gaussian of one
+voxel reduced errors to 0.05 to 0.6 of these.
 """
 
 Finder = Callable[[StiffnessSchema, SurfaceSchema], Iterator[Remark]]
 
 SEEN: tuple[Finder, ...] = (error, steep, plateau, noisy, holes, box)
-"""Each finds what is to be said of a surface that can be seen."""
+"""Functions that yield remarks on a visible surface."""
 
 ALWAYS: tuple[Finder, ...] = (void, coarse, mark)
-"""Each finds what is to be said of a volume."""
+"""Functions that yield remarks on a volume."""
 
 
 MARK_SHARE = 0.001
-"""Share of the voxels that have the value, at least: a single voxel is an outlier and not a
-mark.
-"""
+"""Share of voxels with a value from which on it may be a mark: a single voxel is an outlier."""
 
 
 def mark_of_nothing(volume: Volume) -> float | None:
-    """The end of the value range that looks like a mark of missing data, in the volume's own units;
-    None where none.
+    """Return the end of the value range that looks like a mark of missing data, in the volume's
+    units; None if neither does.
 
-    Many voxels have it, and it lies farther from all other values than these lie apart. Two values
-    make a mask.
+    Many voxels have such a value, and it lies farther from all other values than these lie apart. A
+    volume of two values is a mask, and has no mark.
     """
     ends = [(np.nanmin(slab), np.nanmax(slab)) for slab in numbers(volume)]
     least = min(low for low, _ in ends)
     most = max(high for _, high in ends)
+    # A negative scale reverses the order of values.
     ends_of_range = volume.value_range[:: 1 if volume.scale > 0 else -1]
     for value, end, other in zip(ends_of_range, (least, most), (most, least), strict=True):
         if is_far(volume, end, other):
@@ -315,19 +312,20 @@ def mark_of_nothing(volume: Volume) -> float | None:
 
 
 def numbers(volume: Volume) -> Iterator[np.ndarray]:
-    """The volume's slabs that hold any number."""
+    """Yield the volume's slabs that hold any number."""
     return (slab for slab in volume.slabs() if not np.isnan(slab).all())
 
 
 def is_far(volume: Volume, end: Any, other: Any) -> bool:
-    """Whether one ``end`` of the range of a volume's voxels is that of many, and far from all
-    others.
+    """Return True if many voxels have the value ``end``, one end of the range, and it is far
+    from all others.
     """
     if (
         sum(np.count_nonzero(slab == end) for slab in volume.slabs())
         < MARK_SHARE * volume.voxels.size
     ):
         return False
+    # Find the value closest to this end.
     if end < other:
         beside = min(np.min(slab, where=slab > end, initial=other) for slab in volume.slabs())
     else:
@@ -338,16 +336,18 @@ def is_far(volume: Volume, end: Any, other: Any) -> bool:
 
 
 ISOVALUES = 32
-"""Isovalues that are examined, over the range that views may ask for, besides the scene's own."""
+"""Isovalues that are examined, over the range that views may ask for, in addition to the
+scene's.
+"""
 
 EXAMINED_ISOVALUES = 4
-"""Integers are asked for whole isovalues: these are examined, where the range holds so many for
-each of them.
+"""Integer volumes are examined at integer isovalues, if the range has as many for each of
+ISOVALUES.
 """
 
 
 def inspection_schema(scene: Scene) -> InspectionSchema:
-    """The document of a scene; every voxel is read."""
+    """Return the document of a scene and the stiffness of its volume; every voxel is read."""
     found = stiffness_schema(scene)
     return InspectionSchema(
         **dict(scene_schema(scene)), stiffness=found.model_copy(update={"remarks": remarks(found)})
@@ -355,11 +355,12 @@ def inspection_schema(scene: Scene) -> InspectionSchema:
 
 
 def stiffness_schema(scene: Scene) -> StiffnessSchema:
-    """How stiff the scene's volume is."""
+    """Return the stiffness of the scene's volume."""
     asked = isovalues_of(scene)
     levels = np.array([scene.volume.normalise_isovalue(each) for each in asked], np.float32)
     with closing(Tiles()) as tiles:
         found = measure_stiffness(PreparedScene(scene).field, levels, tiles.run)
+    # Normalised isovalues may coincide; several surfaces then share a place.
     places = np.searchsorted(found.levels, levels)
     return StiffnessSchema(
         surfaces=[
@@ -373,11 +374,12 @@ def stiffness_schema(scene: Scene) -> StiffnessSchema:
 
 
 def isovalues_of(scene: Scene) -> list[float]:
-    """ISOVALUES of those that views may ask for, evenly spread, and the scene's own: ascending,
-    each once.
+    """Return ISOVALUES evenly spaced isovalues that views may ask for, and the scene's, in
+    ascending order without repeats.
     """
     low, high = scene.isovalues
     spread = np.linspace(0.0, 1.0, ISOVALUES + 2)[1:-1]
+    # Combine the ends, as their difference may overflow.
     values = low * (1.0 - spread) + high * spread
     if (
         not scene.volume.dtype.startswith(("float", "bool"))
@@ -388,7 +390,7 @@ def isovalues_of(scene: Scene) -> list[float]:
 
 
 def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) -> SurfaceSchema:
-    """The surface of one isovalue, which ``found`` holds at a ``place``."""
+    """Return the document of the surface of one isovalue, at a ``place`` in ``found``."""
     cells = int(found.cells[place])
     counts = (found.steep, found.plateau, found.noisy, found.holed)
     steep, plateau, noisy, holes = (float(found.share(each)[place]) for each in counts)
@@ -406,10 +408,10 @@ def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) 
 
 
 def error_schema(expected: Expectation) -> ErrorSchema:
-    """An expected error, as a document."""
+    """Return an expected error as a document."""
     return ErrorSchema(low=expected.low, likely=expected.likely, high=expected.high)
 
 
 def faces_of(size: tuple[int, int, int]) -> list[str]:
-    """Names of the box's faces, by the voxels that lie on them."""
+    """Return the names of the box's faces, by the voxels on them."""
     return [f"{axis} = {end}" for axis, n in zip("xyz", size, strict=True) for end in (0, n - 1)]

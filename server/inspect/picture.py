@@ -1,5 +1,5 @@
-"""The picture of an inspection, drawn with matplotlib, which is an extra: a plain install has all
-but this module.
+"""The picture of an inspection, drawn with matplotlib, an optional dependency that only this
+module imports.
 """
 
 import re
@@ -15,17 +15,17 @@ from matplotlib.ticker import PercentFormatter
 from server.inspect.inspection import InspectionSchema, SurfaceSchema
 
 FIGURE_INCHES = (7.2, 5.2)
-"""Inches."""
+"""Width and height of the figure, in inches."""
 
 DPI = 150
 
 MAX_SHARE_SHOWN = 1.2
-"""How far the axis of shares goes: beyond all of a surface there is room for the legend."""
+"""Upper end of the axis of shares: above 1 there is room for the legend."""
 
 INK = "#010101"
 SOFT_STAND_IN = "#020202"
 LINE_STAND_IN = "#030303"
-"""Colours that stand for a name of the scheme while matplotlib draws."""
+"""Colours that stand for names of the colour scheme while matplotlib draws."""
 
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2), (3, 3), (9, 3))
 """Dashes of the curves, in points, so that they can be told apart without colours."""
@@ -45,10 +45,10 @@ STYLE: Any = {
 }
 
 SCHEME = (Path(__file__).parent / "scheme.css").read_text(encoding="utf-8")
-"""What gives the names their colours: the rules of an element that is the root of its document."""
+"""The style sheet with the colours of the scheme."""
 
 SCHEME_COLOURS = dict(reversed(re.findall(r"--([\w-]+): (#\w{6})", SCHEME)))
-"""The reports' colours on paper, by their names: a name's first one is that of the light scheme."""
+"""Colours of the light scheme, by name: the first definition of each name."""
 
 INKS = {
     INK: SCHEME_COLOURS["ink"],
@@ -57,7 +57,7 @@ INKS = {
 }
 
 SHARE_CURVES = ("steep", "plateau", "noisy", "holes")
-"""Shares that are drawn; the last one only where there are any."""
+"""Shares that are drawn; the last one only if any surface has holes."""
 
 
 def save_picture(path: Path, facts: InspectionSchema) -> None:
@@ -80,7 +80,7 @@ def save_picture(path: Path, facts: InspectionSchema) -> None:
 
 
 def key_of(facts: InspectionSchema) -> str:
-    """What the marks of the picture mean."""
+    """Return the legend of the picture's marks."""
     return (
         "Share of the surface's cells, by isovalue; grey: voxels (logarithmic); line: the "
         f"scene's {own_of(facts):.6g}"
@@ -88,12 +88,12 @@ def key_of(facts: InspectionSchema) -> str:
 
 
 def own_of(facts: InspectionSchema) -> float:
-    """The scene's own isovalue."""
+    """Return the scene's isovalue."""
     return facts.stiffness.surfaces[facts.stiffness.own].isovalue
 
 
 def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
-    """The volume's values, behind all else; logarithmic."""
+    """Draw the histogram of the volume, with logarithmic counts, behind all else."""
     counts = np.log1p(facts.histogram.counts)
     edges = np.array(facts.histogram.edges)
     axes.fill_between(
@@ -105,7 +105,7 @@ def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
 
 
 def draw_shares(axes: Axes, facts: InspectionSchema) -> None:
-    """What share of each surface is steep, on a plateau, noisy, beside holes."""
+    """Draw the shares of each surface that are steep, on a plateau, noisy, next to holes."""
     surfaces = facts.stiffness.surfaces
     shown = SHARE_CURVES if any(surface.holes for surface in surfaces) else SHARE_CURVES[:-1]
     for i, name in enumerate(shown):
@@ -118,7 +118,7 @@ def draw_shares(axes: Axes, facts: InspectionSchema) -> None:
 
 
 def draw_error(axes: Axes, facts: InspectionSchema) -> None:
-    """The error that is expected, and the range that it is likely in."""
+    """Draw the expected error, and its range."""
     seen = [surface for surface in facts.stiffness.surfaces if surface.error is not None]
     errors = [
         (each.error.low, each.error.likely, each.error.high)
@@ -137,12 +137,12 @@ def draw_error(axes: Axes, facts: InspectionSchema) -> None:
 
 
 def isovalues(surfaces: list[SurfaceSchema]) -> list[float]:
-    """Where surfaces stand in the picture."""
+    """Return the abscissae of surfaces in the picture."""
     return [surface.isovalue for surface in surfaces]
 
 
 def mark_of(i: int) -> dict[str, Any]:
-    """How curve ``i`` is drawn."""
+    """Return the line style of curve ``i``."""
     return {
         "color": SCHEME_COLOURS[f"curve-{i + 1}"],
         "linewidth": 1.5,
@@ -152,7 +152,7 @@ def mark_of(i: int) -> dict[str, Any]:
 
 
 def frame(axes: Axes, facts: InspectionSchema) -> None:
-    """Grid, ticks and the line of the scene's isovalue."""
+    """Draw grid, ticks, and a line at the scene's isovalue."""
     axes.axvline(
         own_of(facts), ymax=1.0 / MAX_SHARE_SHOWN, color=SCHEME_COLOURS["accent"], linewidth=1.0
     )

@@ -1,4 +1,4 @@
-"""``isogi inspect`` as text and rows of numbers, for a person."""
+"""``isogi inspect`` as text: a summary, and the full tables."""
 
 import importlib.util
 import math
@@ -33,16 +33,18 @@ from server.schemas import (
 WHAT = 46
 LINE_COLUMNS = 100
 LEAD_COLUMNS = 14
-"""Columns of a line, and of the name at its beginning."""
+"""Columns of the name of an omission, of a line, and of the name at its beginning."""
 
 
 def wrapped(lead: str, text: str) -> list[str]:
-    """Lines of at most LINE_COLUMNS, the first after its ``lead`` and the others under the text."""
+    """Wrap a text to lines of LINE_COLUMNS, the first after its ``lead`` and the others
+    indented below the text.
+    """
     return textwrap.wrap(text, LINE_COLUMNS, initial_indent=lead, subsequent_indent=" " * len(lead))
 
 
 def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of each fact."""
+    """Yield name and text of each fact about a scene."""
     volume = facts.volume
     low_high = facts.ranges["isovalue"]
     yield "scene", facts.name
@@ -66,7 +68,7 @@ def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
 
 
 def reflects(facts: SceneSchema) -> tuple[str, str]:
-    """What the surface reflects: its albedo, or its colours by data."""
+    """Return name and text of the surface's reflection: its albedo, or its colours by data."""
     if facts.colours is not None:
         scale = facts.colours
         if scale.labels:
@@ -80,10 +82,12 @@ def reflects(facts: SceneSchema) -> tuple[str, str]:
 
 
 def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of where the volume lies, unless its world is its voxels' indices times
-    spacing.
+    """Yield name and text of the volume's place in the world, unless the world is voxel index
+    times spacing.
     """
     low, high = ((", ".join(f"{number:.6g}" for number in corner)) for corner in volume.bounds)
+    # Leave the place out if it says nothing: the first voxel at the origin, without unit or patient
+    # axes.
     if volume.axes:
         pointing = f"voxel axes point to {', '.join(volume.axes)}; "
     else:
@@ -106,7 +110,7 @@ def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
 
 
 def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of each fact of a plan."""
+    """Yield name and text of each fact about a plan."""
     yield "plan", f"{plan.representation}, {plan.bounces} bounces, at most {plan.samples} samples"
     for layer in plan.layers:
         if layer.nodes:
@@ -125,7 +129,7 @@ def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
         )
     yield (
         "texel",
-        f"{plan.bytes_per_texel} bytes, beside {plan.full_bytes_per_texel} for any scene in S1",
+        f"{plan.bytes_per_texel} bytes, instead of {plan.full_bytes_per_texel} for any scene in S1",
     )
     yield (
         "texels",
@@ -141,21 +145,21 @@ def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
 
 
 def kept_as(layer: LayerSchema) -> str:
-    """How a layer's numbers are kept, for a person."""
+    """Return the precision in which a layer is kept, as text."""
     if layer.coarse is None:
         return f"{layer.precision} floats"
     return f"half floats, and bytes from band {layer.coarse} on"
 
 
 def omission(left_out: Omission) -> Iterator[str]:
-    """What is left out and what that saves, on one line; the reason on the next."""
+    """Yield an omission with its saving on one line, and its reason on the next."""
     saved = ", ".join(map(amount, left_out.saves))
     yield f"  {left_out.what:<{WHAT}} {saved}".rstrip()
     yield f"      {left_out.why}"
 
 
 def amount(saved: SavingSchema) -> str:
-    """What was saved, with three digits, or as whole numbers."""
+    """Return a saving with three digits, or as an integer."""
     if saved.amount >= 100 or saved.amount % 1 == 0:
         number = f"{saved.amount:,.0f}"
     else:
@@ -164,14 +168,14 @@ def amount(saved: SavingSchema) -> str:
 
 
 def by(numbers: tuple[float, ...]) -> str:
-    """Numbers with × between them."""
+    """Join numbers by ×."""
     return " × ".join(f"{number:g}" for number in numbers)
 
 
 HISTOGRAM_BINS = 24
 BAR_COLUMNS = 48
 MAX_TABLE_ROWS = 10
-"""Isovalues in the table, besides the scene's own and the stiffest."""
+"""Isovalues in the table, in addition to the scene's and to the one with the largest error."""
 
 MORE_TO_ASK = (
     "--plan shows the plan, the histogram, every remark, and more isovalues; prewarm "
@@ -185,7 +189,7 @@ TABLE_HEAD = (
 
 
 def full_text(scene: Scene, facts: InspectionSchema) -> str:
-    """Facts, plan, what it leaves out, histogram of a scene, and how stiff its volume is."""
+    """Return all facts: scene, plan, omissions, histogram, and stiffness of the volume."""
     rows = [f"{name:<14}{text}" for name, text in (*summary(facts), *plan_rows(facts.plan))]
     omissions = ["left out", *(line for each in facts.plan.left_out for line in omission(each))]
     bars = ["histogram (bars are logarithmic)", *histogram(scene)]
@@ -193,7 +197,7 @@ def full_text(scene: Scene, facts: InspectionSchema) -> str:
 
 
 def histogram(scene: Scene) -> Iterator[str]:
-    """One line per bin: its lower edge, a bar, its count."""
+    """Yield one line per bin: its lower edge, a bar of logarithmic length, its count."""
     counts, edges = scene.volume.histogram(HISTOGRAM_BINS)
     longest = math.log1p(counts.max())
     for count, edge in zip(counts, edges, strict=False):
@@ -204,9 +208,7 @@ def histogram(scene: Scene) -> Iterator[str]:
 
 
 def stiffness(facts: InspectionSchema) -> Iterator[str]:
-    """How stiff the volume is: a row for some of the isovalues, and what that means for the scene's
-    own.
-    """
+    """Yield a table of stiffness by isovalue, and remarks about the scene's isovalue."""
     found = facts.stiffness
     yield "stiffness (shares of the cells that a surface passes; > is the scene's isovalue)"
     yield TABLE_HEAD
@@ -217,9 +219,7 @@ def stiffness(facts: InspectionSchema) -> Iterator[str]:
 
 
 def lines_of(remark: Remark) -> Iterator[str]:
-    """A remark: what it means, what isogi does, and what a person can do, each on lines of its
-    own.
-    """
+    """Yield the lines of a remark: its meaning, the treatment by isogi, and advice."""
     yield from wrapped(f"  {remark.about:<{LEAD_COLUMNS - 2}}", remark.means)
     if remark.does:
         yield from wrapped(f"{'isogi':>{LEAD_COLUMNS - 1}} ", remark.does)
@@ -228,9 +228,10 @@ def lines_of(remark: Remark) -> Iterator[str]:
 
 
 def shown_places(found: StiffnessSchema) -> list[int]:
-    """Places of MAX_TABLE_ROWS surfaces, evenly taken, of the scene, and of the largest expected
-    error.
+    """Return the places of MAX_TABLE_ROWS evenly spaced surfaces, of the scene's, and of the
+    one with the largest expected error.
     """
+    # Spread MAX_TABLE_ROWS places from the first to the last surface.
     step = (len(found.surfaces) - 1) / (MAX_TABLE_ROWS - 1)
     errors = [0.0 if surface.error is None else surface.error.likely for surface in found.surfaces]
     return sorted(
@@ -239,7 +240,7 @@ def shown_places(found: StiffnessSchema) -> list[int]:
 
 
 def surface_row(surface: SurfaceSchema, own: bool) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     name = f"{'>' if own else ' '} {surface.isovalue:>11.6g} {surface.cells:>13,}"
     if surface.error is None:
         return f"{name}   nothing is seen"
@@ -251,12 +252,12 @@ def surface_row(surface: SurfaceSchema, own: bool) -> str:
 def inspect(
     target: str, picture: Path | None = None, as_json: bool = False, plan: bool = False
 ) -> str:
-    """The inspection of ``target``, a volume or a scene; draws the ``picture`` where one is asked
-    for.
+    """Return the inspection of ``target``, a volume or a scene, as text; draw the ``picture`` if a
+    path is given.
 
-    It is in brief, unless the ``plan`` and all facts are asked for, or their document ``as_json``.
-    Raises SceneError, VolumeError, LightError, and ParameterError or LibraryError where no picture
-    can be drawn.
+    The text is brief, or complete with ``plan``, or the JSON document with ``as_json``. Raises
+    SceneError, VolumeError, LightError, and ParameterError or LibraryError if no picture can be
+    drawn.
     """
     if picture is not None:
         check_picture(picture)
@@ -274,8 +275,8 @@ def inspect(
 
 
 def check_picture(path: Path) -> None:
-    """LibraryError where matplotlib is missing, ParameterError where ``path`` is no place for a PNG
-    file.
+    """Raise LibraryError if matplotlib is missing, and ParameterError if ``path`` cannot be a
+    PNG file.
     """
     if importlib.util.find_spec("matplotlib") is None:
         raise LibraryError(
@@ -289,7 +290,7 @@ def check_picture(path: Path) -> None:
 
 
 TEXELS_PER_CELL = 2
-"""Texels of a cell that a surface passes, about, where voxels have one texel: neighbouring cells
+"""Texels per cell that a surface passes, about, at one texel per voxel: neighbouring cells
 share most.
 """
 
@@ -300,11 +301,11 @@ VOXEL_BYTES = 4
 """Bytes of a voxel in memory."""
 
 URGENT = ("nothing", "missing")
-"""Remarks that stand in the ten lines; the others are in the full text."""
+"""Remarks that appear in the summary; the others appear only in the full text."""
 
 
 def brief(scene: Scene, facts: InspectionSchema) -> str:
-    """The facts that matter, each on a line, or on a few where it is long."""
+    """Return the important facts, each on one line or a few."""
     rows = (*understood(facts), *proposed(scene, facts), *expected(scene, facts))
     return "\n".join(
         line for name, text in rows for line in wrapped(f"{name:<{LEAD_COLUMNS}}", text)
@@ -312,7 +313,7 @@ def brief(scene: Scene, facts: InspectionSchema) -> str:
 
 
 def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of what the file holds."""
+    """Yield name and text of the content of the file."""
     volume = facts.volume
     if facts.name != volume.name:
         yield "scene", facts.name
@@ -329,14 +330,15 @@ def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
     )
     yield from axes(volume)
     if volume.holes:
-        holes = f"{volume.holes:,} voxels are no numbers: holes"
+        holes = f"{volume.holes:,} voxels are not numbers: holes"
     else:
         holes = "no holes"
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {holes}"
 
 
 def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of the isovalue, and of how the surface is shown."""
+    """Yield name and text of the isovalue, its origin, and the appearance of the surface."""
+    # A preset was found in the values, unless the scene gives the isovalue, as demos do.
     given = "isovalue" in scene.source.document or str(
         scene.source.document.get("volume")
     ).startswith("demo:")
@@ -362,7 +364,7 @@ def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
 
 
 def expected(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]:
-    """Name and text of the surface, how stiff it is, and what it costs."""
+    """Yield name and text of the surface, its stiffness, and its cost."""
     found = facts.stiffness
     own = found.surfaces[found.own]
     yield "surface", surface(own)
@@ -375,7 +377,7 @@ def expected(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
 
 
 def surface(own: SurfaceSchema) -> str:
-    """How large the scene's surface is, and where the box cuts it open."""
+    """Return the size of the scene's surface, and the faces of the box that cut it open."""
     faces = [face for face, share in own.box.items() if share >= MEETS]
     if faces:
         met = f", cut open by the box at {', '.join(faces)}"
@@ -385,7 +387,7 @@ def surface(own: SurfaceSchema) -> str:
 
 
 def stiffness_line(own: SurfaceSchema, error: ErrorSchema) -> str:
-    """What share of the surface is stiff, and which ``error`` of light to expect for that."""
+    """Return the stiff shares of the surface, and the ``error`` of light to expect from them."""
     shares = {
         "on steps": own.steep,
         "on plateaus": own.plateau,
@@ -399,7 +401,7 @@ def stiffness_line(own: SurfaceSchema, error: ErrorSchema) -> str:
 
 
 def few(names: list[str]) -> str:
-    """The first of many names, and how many others there are."""
+    """Return the first of several names, and the number of the others."""
     if len(names) > MAX_NAMED_LABELS:
         more = f" and {len(names) - MAX_NAMED_LABELS} more"
     else:
@@ -408,9 +410,12 @@ def few(names: list[str]) -> str:
 
 
 def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
-    """What light takes in the store, of this surface and of all, and what voxels take in memory."""
+    """Return the bytes of light in the store, for this surface and for all, and of voxels in
+    memory.
+    """
     each = facts.plan.bytes_per_texel
     texels = facts.plan.texels
+    # The number of texels near a surface grows with the square of the lattice density.
     one = min(TEXELS_PER_CELL * own.cells * scene.settings.lattice**2, texels.shown) * each
     whole = (
         f"about {megabytes(one)} of light for this surface, "
@@ -420,7 +425,7 @@ def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
 
 
 def megabytes(count: float) -> str:
-    """Bytes in megabytes, with two digits where there are few."""
+    """Return bytes in megabytes, with two digits below 10 MB."""
     if count >= 1e7:
         return f"{count / 1e6:,.0f} MB"
     return f"{count / 1e6:.2g} MB"

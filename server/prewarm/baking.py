@@ -37,8 +37,9 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from server.render.bakes import BackgroundBake, Patience
+from server.render.bakes import BackgroundBake
 from server.render.engine import RenderEngine
+from server.render.patience import Patience
 from server.settings import cores
 from worker.bake_requests import Viewer, next_until
 from worker.errors import WorkersError
@@ -293,9 +294,9 @@ class Baking:
         now = time.monotonic()
         context.check()
         engine = context.engine
-        if engine.workforce.missing:
-            raise WorkersError(engine.workforce.missing)
-        self._patience.check(engine.baker.paths, engine.workforce.preparing, engine.unready())
+        if engine.workers.missing:
+            raise WorkersError(engine.workers.missing)
+        self._patience.check(engine.baker.paths, engine.workers.preparing, engine.unready())
         self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
 
     def _settle(self) -> None:

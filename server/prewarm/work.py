@@ -46,7 +46,7 @@ from server.prewarm.baking import (
 )
 from server.prewarm.order import GOLDEN, Levels, PrewarmOrder, Views, order_of, views_around
 from server.prewarm.record import Errors, Summary, failures_of
-from server.render.bakes import time_limit
+from server.render.patience import time_limit
 from server.schemas import TimeLeftSchema
 from server.settings import Settings
 from worker.errors import WorkersError
@@ -482,7 +482,7 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
     # Look which light is lacking; workers start meanwhile.
     found = rounds.look(SURVEY_SHARES, context.deadline)
     looked = time.monotonic() - since
-    while not context.engine.workforce.wait(REPORT_SECONDS):
+    while not context.engine.workers.wait(REPORT_SECONDS):
         context.check()
     summary, ahead = forecast_summary(rounds, found, looked, TRIAL_SECONDS)
     begun(summary)
@@ -682,7 +682,7 @@ def bake_range(
     rung = FIRST_LEVEL
     before = math.inf
     pictures = None
-    while not context.engine.workforce.wait(REPORT_SECONDS):
+    while not context.engine.workers.wait(REPORT_SECONDS):
         context.check()
     lacked = survey_range(context, levels, rung)
     while True:

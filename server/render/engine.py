@@ -1,4 +1,6 @@
-"""The render engine: loaded scenes, one set of workers, and frames of any scene."""
+"""The render engine: loads scenes, draws frames of them, and has workers bake the light that
+frames lack.
+"""
 
 import threading
 import time
@@ -30,24 +32,18 @@ from isogi_core.storage.store import Store, StoreLike
 from server.errors import UnknownSceneError
 from server.render.bakes import (
     BACKGROUND_VIEWER,
-    CHECK,
     BackgroundBake,
-    PictureChecks,
     SideBakes,
     bake_name,
-    lend_by_store,
     make_bake,
+    share_by_store,
 )
-from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
+from server.render.engine_workers import EngineWorkers, scheduler_of
+from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
+from server.render.picture_checks import CHECK, PictureChecks
+from server.render.scene_kernels import SceneKernels
 from server.render.scene_variant import SceneVariant
-from server.render.workforce import (
-    SceneKernels,
-    Workforce,
-    root_of,
-    scheduler_of,
-    shared,
-    whereabouts,
-)
+from server.render.stores import root_of, whereabouts
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
@@ -61,28 +57,31 @@ from worker.progress import (
 )
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
-"""Stages of a frame in which it is not drawn."""
+"""Stages of a frame that are not drawing."""
 
 
 def time_of_paths(
     left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]
 ) -> TimeLeft:
-    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its
-    stages' seconds.
+    """Estimate the time for the paths that are ``left`` on this number of ``threads``, and for
+    drawing the picture meanwhile.
 
-    Before the first path of a pixel one takes a share of a texel's, for all of which so much was
-    ``spent``.
+    ``spent`` is the cost of the texels' paths so far; ``drawing`` the seconds of each stage of the
+    last frame. If no path of a pixel has been timed yet, it is assumed to take the time of a
+    texel's path divided by HEAVIER, and the estimate is less certain.
     """
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(
-        work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD)
-    )
+    if left.pace is None:
+        return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
+    return TimeLeft.of(work, log_normal_ratios(UNREHEARSED_SPREAD))
 
 
 REMEMBERED = 4096
-"""Variants whose change is known after they made way: those made last."""
+"""Variants whose changes are remembered after they were dropped, so that they can be made
+again: the ones made last.
+"""
 
 READ_ONLY = (
     "The store at {store} can only be read: what is baked there is shown, and nothing "
@@ -97,8 +96,8 @@ PROJECTED_TEXEL_BYTES = 4 << 30
 
 
 class RenderEngine:
-    """Renders frames of its scenes and has a ``baker`` bake what they lack. Safe to use from many
-    threads.
+    """Renders frames of its ``scenes``, and has a ``baker`` bake the light that they lack. Safe
+    to use from many threads.
     """
 
     def __init__(
@@ -111,17 +110,19 @@ class RenderEngine:
         baker: Baker | None = None,
         projected: int = PROJECTED_TEXEL_BYTES,
     ) -> None:
-        """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster
-        to join.
+        """Create an engine; nothing is loaded before ``start``.
 
-        ``baker`` bakes the light, one for so many workers by default; the store may keep so many
-        bytes of ``projected`` texels.
+        ``store`` is a folder, a URL or an open store for the light, by default the default store.
+        Light is baked by ``workers`` processes, or by the workers of a ``scheduler``; tests may
+        give a ``baker``. ``memory`` are the bytes that all scenes may keep, ``projected`` the bytes
+        of projected texels in the store.
         """
         self.scenes = {scene.id: scene for scene in scenes}
         if isinstance(store, Store):
             self.store = store
         else:
             self.store = Store(whereabouts(StoreUrl.of(store or default_store())))
+        # Each scene may keep this much; LoadedScenes drops scenes if all together keep more.
         self._memory = shared(memory)
         self._loaded = LoadedScenes(self._load, memory)
         self._bakes: dict[str, str] = {}
@@ -129,13 +130,15 @@ class RenderEngine:
         self._changing = threading.RLock()
         self._tiles = Tiles()
         self.baker = baker or Baker(workers=None if scheduler else workers)
-        self.workforce = Workforce(self.baker, self.store.url, workers, scheduler)
-        if self.workforce.joins:
-            self._lend = lend_by_store(self.store)
+        self.workers = EngineWorkers(self.baker, self.store.url, workers, scheduler)
+        # Workers of this machine open shared memory; those of a cluster read copies in the store.
+        if self.workers.joins:
+            self._share = share_by_store(self.store)
         else:
-            self._lend = SharedScenes().share
-        self._beside = SideBakes(self.baker, self.store, projected)
+            self._share = SharedScenes().share
+        self._side_bakes = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
+        # Checks of pictures have separate threads, so that frames do not queue behind them.
         self._checking = Tiles()
         self._promises = Promises()
         self._estimator = TimeEstimator()
@@ -145,25 +148,25 @@ class RenderEngine:
         self._stopped = threading.Event()
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
-    def start(self, hire: bool = True) -> None:
-        """``open`` the engine, and have all that pictures with ``light`` call. Raises
+    def start(self, with_workers: bool = True) -> None:
+        """Call ``open`` and then ``light``. Raises StoreError."""
+        self.open(with_workers)
+        self.light(with_workers)
+
+    def open(self, with_workers: bool = True) -> None:
+        """Open the store and load the scenes, so that pictures without light can be drawn. Raises
         StoreError.
-        """
-        self.open(hire)
-        self.light(hire)
 
-    def open(self, hire: bool = True) -> None:
-        """Open stores and scenes: pictures without light can be drawn then. Raises StoreError.
-
-        Workers to ``hire`` come meanwhile, or after kernels are compiled; without them nothing is
-        baked.
+        If ``with_workers``, the workers start meanwhile, or in ``light`` if kernels are still to be
+        compiled. Without workers nothing is baked.
         """
-        self.workforce.late = self.kernels.progress is not None
-        if hire and not self.workforce.late:
-            self.hire()
+        self.workers.after_kernels = self.kernels.progress is not None
+        if with_workers and not self.workers.after_kernels:
+            self.start_workers()
         self.kernels.first()
         if self._stopped.is_set():
             return
+        # A store that is only read, or full, is found out now; its light is shown all the same.
         with suppress(StoreReadOnlyError, StoreFullError):
             self.store.check_writable()
         for scene in list(self.scenes.values()):
@@ -172,66 +175,66 @@ class RenderEngine:
             target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True
         ).start()
 
-    def light(self, hire: bool = True) -> None:
-        """Have kernels of light here, compiled while pictures without light are drawn; then workers
-        to ``hire``.
+    def light(self, with_workers: bool = True) -> None:
+        """Wait until the kernels of lit pictures and of bakes are compiled, and load the
+        former; then start the workers if ``with_workers``.
         """
         self.kernels.light()
-        if hire and not self._stopped.is_set():
-            self.hire()
+        if with_workers and not self._stopped.is_set():
+            self.start_workers()
 
     def stop(self) -> None:
-        """Have ``start``, if it is at work in another thread, return without an engine that can be
-        used.
+        """Have ``start`` return early if it runs in another thread; the engine cannot be used
+        then.
         """
         self._stopped.set()
 
-    def hire(self) -> None:
-        """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire(self.kernels.kinds)
+    def start_workers(self) -> None:
+        """Start the workers in a thread, unless that was done before."""
+        self.workers.start(self.kernels.kinds)
 
     def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
-        """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded
-        when it is first looked at.
+        """Add a scene, or a ``variant`` of one, to a started engine. It is loaded when a frame
+        of it is first drawn.
         """
         self.kernels.admit(scene)
         with self._changing:
             if variant is not None:
                 self._variants[scene.id] = variant
                 self._variants.move_to_end(scene.id)
+            # Forget the variants that were made longest ago. Assign a new dict, as other threads
+            # may iterate over the former one.
             while len(self._variants) > REMEMBERED:
                 self._variants.popitem(last=False)
             self.scenes = {**self.scenes, scene.id: scene}
 
     def variant(self, scene: str) -> SceneVariant:
-        """Which variant a scene is; one without changes where it is none."""
+        """Return the variant that a scene is; one without changes if it is none."""
         return self._variants.get(scene) or SceneVariant(scene)
 
     @property
     def own_scenes(self) -> list[Scene]:
-        """The scenes that are no variants."""
+        """Return the scenes that are not variants."""
         return [each for each in self.scenes.values() if each.id not in self._variants]
 
     def planned(self, scene: str) -> Scene:
-        """A scene with the plan of the light that its store has. Raises StoreError and
-        UnknownSceneError.
+        """Return a scene, loaded if need be, with the plan of the light that its store has.
+        Raises StoreError and UnknownSceneError.
         """
         return self._find(scene).scene
 
     def dismiss(self, scene: str) -> None:
-        """Show a scene no more, nor its variants: frames that are drawn come to their end, and
-        nothing more is baked.
+        """Remove a scene and its variants: nothing more of them is baked. Frames that are being
+        drawn are completed.
 
-        Their light stays in the store.
+        Their light remains in the store.
         """
-        for each in [
-            scene,
-            *(name for name in self.scenes if name != scene and self.variant(name).base == scene),
-        ]:
+        variants = [name for name in self.scenes if self.variant(name).base == scene]
+        for each in dict.fromkeys([scene, *variants]):
             self._dismiss(each)
 
     def _dismiss(self, scene: str) -> None:
-        """Show one scene no more."""
+        """Remove one scene, its bakes and its place in memory."""
         with self._changing:
             self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
             known = [
@@ -239,7 +242,7 @@ class RenderEngine:
             ]
         for bake in known:
             self.baker.forget(bake)
-        self._beside.forget(scene)
+        self._side_bakes.forget(scene)
         self._loaded.drop(scene)
 
     def frame(
@@ -252,17 +255,18 @@ class RenderEngine:
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
     ) -> Frame:
-        """The frame of a view with the light baked so far, after at most ``wait`` seconds of baking
-        more.
+        """Return the frame of a view. If it is not final, have light baked and pictures checked for
+        at most ``wait`` seconds.
 
-        ``max_error`` is the relative error at which light is final, the scene's target by default;
-        ``watch`` takes the time of all stages. Raises ViewError, StoreError, and Cancelled once
-        ``cancelled`` is set.
+        ``max_error`` is the relative error at which the frame is final, by default the scene's
+        target. ``watch`` measures the time of all stages. Raises ViewError, StoreError, and
+        Cancelled once ``cancelled`` is set.
         """
         watch = watch or Stopwatch()
         deadline = time.monotonic() + wait
         target = max_error or self._find(scene).scene.target_error
         frame = self.survey(scene, view, target, cancelled, watch)
+        # Improve the frame and draw it again, until nothing more is coming or the time is up.
         while frame.checkable or self._coming(scene, frame, target, watch):
             if (left := deadline - time.monotonic()) <= 0.0:
                 break
@@ -283,26 +287,27 @@ class RenderEngine:
         watch: Stopwatch | None = None,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; none that it lacks is requested: see
-        ``Renderer.render``.
+        """Return the frame of a view with the light that is baked so far, without requesting more.
+        See ``Renderer.render`` for ``enough``, a number of samples.
 
-        Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
+        Raises as ``frame`` does, and UnknownSceneError if the scene was dismissed.
         """
         try:
             return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
         finally:
+            # Frames grow their scene: make room afterwards, when the frame holds what it needs.
             self._loaded.settle()
 
     def unlit_frame(
         self, scene: str, view: View, target: float, cancelled: threading.Event
     ) -> Frame | None:
-        """The frame of a new view with none of its light, before it is drawn; see
-        ``frame.unlit_view``.
+        """Return the white, provisional frame of a new view that has no light yet, sooner than
+        it could be drawn; None for other views. See ``renderer.unlit_frame``.
         """
         return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
     def sees(self, scene: str, view: View) -> bool:
-        """Whether what the rays of a view met is kept, so that its picture casts none."""
+        """Return True if the G-buffer of a view is kept, so that its picture needs no rays."""
         loaded = self._loaded.held(scene)
         return loaded is not None and loaded.renderer.sees(view)
 
@@ -315,8 +320,10 @@ class RenderEngine:
         prices: Prices = AWAITED,
         over: threading.Event | None = None,
     ) -> bool:
-        """Check a picture, one step further; whether there was one to take. Raises as ``frame``
-        does, and Cancelled once time is ``over``, too.
+        """Take one step of the check of a picture; return False if there was none to take.
+        ``prices`` weigh the costs of possible steps.
+
+        Raises as ``frame`` does, and Cancelled also if ``over`` is set.
         """
         tiles = self._checking
         for event in filter(None, (cancelled, over)):
@@ -324,80 +331,86 @@ class RenderEngine:
         return self._find(scene).check(view, target, tiles, prices)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to
-        be baked.
+        """Request the light that a ``frame`` lacks for a ``viewer``; return the chunks that will be
+        baked.
 
-        The picture of one that lacks none is checked, and walls that lag are lit beside texels:
-        CHECK stands for both.
+        If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
+        are lit while texels are baked. CHECK stands for either in the returned set.
         """
-        beside = frozenset({CHECK} if frame.refinable else ())
-        if beside:
+        checking = frozenset({CHECK} if frame.refinable else ())
+        if checking:
             self._checks.request(scene, frame.view, target, viewer)
         else:
             self._checks.leave(viewer)
+        # A picture that is checked needs no texels now, and a store that is only read takes none.
         if frame.checkable or self.store.only_read():
-            return beside
+            return checking
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
-        return beside | self.baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
+        return checking | self.baker.request(
+            bake, stage.demands, stage.target, viewer, stage.enough
+        )
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
-        """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
+        """Return the bake that a ``frame`` needs light of next, and the stage of it: see
+        ``Frame.stages``.
 
-        Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks
-        none, however far it is from its target.
+        If a frame with finer texels is coming in its place, that one's needs count. The stage is
+        empty for a path-traced frame, which needs no texels.
         """
         frame = frame.quality.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
-        return self.bake_at(
-            scene, spec_name(frame.view.shading), stage, frame.quality.fineness
-        ), stage
+        spec = spec_name(frame.view.shading)
+        return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
-        """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by
-        ``fineness`` steps.
+        """Return the name of the bake by a ``spec`` that a ``stage`` belongs to, with texels
+        finer by ``fineness`` steps; add the bake if it is new.
         """
+        # Light of one side of a surface has a separate bake, and so have finer and projected
+        # texels. All other light belongs to the bake of the scene.
         if stage.caches is not None and scene in self.scenes:
-            return self._beside.side(scene, spec, stage, self._lend)
+            return self._side_bakes.side(scene, spec, stage, self._share)
         if scene not in self.scenes or (stage.shown is None and not fineness):
             return bake_name(scene, spec)
         loaded = self._find(scene).level(fineness)
         arrived = partial(self._arrived, scene, fineness)
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
-        return self._beside.name(scene, stage.shown, fineness, make)
+        return self._side_bakes.name(scene, stage.shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
-        """The bake that a ``frame`` lacks light of, and the chunks of it."""
-        return (found := self.lacking(scene, frame))[0], [
-            demand.index for demand in found[1].demands
-        ]
+        """Return the bake that a ``frame`` needs light of next, and the indices of the chunks."""
+        bake, stage = self.lacking(scene, frame)
+        return bake, [demand.index for demand in stage.demands]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
-        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants
-        stays wanted.
+        """Return the number of chunks that a ``frame`` lacks and that are still to be baked;
+        renew the interest of the ``viewer`` in them.
         """
         return self.baker.open(*self._chunks(scene, frame), viewer)
 
     def leave(self, viewer: Viewer) -> None:
-        """Have nothing more baked, and no picture checked, for a ``viewer`` that has gone."""
+        """Drop the requests and the picture check of a ``viewer`` that has gone."""
         self._checks.leave(viewer)
         self.baker.leave(viewer)
 
     def listen(self, listener: Listener) -> None:
-        """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see
-        ``bake_of``.
+        """Call ``listener`` with the bake, the chunk and a flag for more whenever a chunk has new
+        light or its task failed; see ``bake_of``.
 
-        Projected and finer texels are reported as the scene's own, and the check of a picture as
-        CHECK.
+        Projected and finer texels are reported under the bake of the scene, and the check of a
+        picture as the chunk CHECK.
         """
         self._listeners.append(listener)
-        self.baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
+        self.baker.listen(
+            lambda bake, index, more: listener(self._side_bakes.scene(bake), index, more)
+        )
 
     def time_left(
         self, scene: str, frame: Frame, max_error: float | None = None
     ) -> TimeLeft | None:
-        """Seconds until the view of a ``frame`` is final; None where that is unknown, nothing more
-        is done for it, or no worker is at it.
+        """Estimate the seconds until the view of a ``frame`` is final. None if that is unknown,
+        if nothing more is done for the view, or if there are no workers.
         """
         picture = (scene, frame.view, max_error)
         if frame.final:
@@ -406,25 +419,32 @@ class RenderEngine:
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
         target = max_error or loaded.scene.target_error
-        (bake, chunks) = self._chunks(scene, frame)
+        # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
+        # light are traced in this process.
+        bake, chunks = self._chunks(scene, frame)
         if not (chunks or frame.refinable):
             return None
+        # Texels of this stage and of all later ones.
         subject = (scene, surface_key(frame.view), target)
         later = (frame.quality.finer or frame).stages[1:]
         baking = self.baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
+        # Paths from pixels, and drawing the picture meanwhile.
         left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
         if lacking := frame.quality.lacking:
             spent = self.baker.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+        # Report a time that does not jump.
         if baking.high > 0.0:
             return self._promises.kept(picture, self._learnt(picture, baking))
         return None
 
     def _learnt(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """An estimate of what is ``left`` of a ``picture``, corrected by how those of other
-        pictures came true: which steps are still to come is not known beforehand.
+        """Correct the estimate of the time ``left`` for a ``picture`` by how estimates for other
+        pictures came true.
+
+        The steps that a picture will take are not known beforehand.
         """
         with self._estimating:
             learnt = self._estimator.estimate(picture, left.likely, time.monotonic())
@@ -433,8 +453,8 @@ class RenderEngine:
         return left
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
-        """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the
-        store is only read.
+        """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing
+        is demanded if the store is only read.
         """
         if self.store.only_read():
             wanted = replace(stage, demands=())
@@ -443,66 +463,63 @@ class RenderEngine:
         return BackgroundBake(self.baker, bake, wanted, viewer)
 
     def renderer(self, scene: str, fineness: int = 0) -> Renderer:
-        """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where
-        it was dismissed.
+        """Return the renderer of a scene with texels finer by ``fineness`` steps, loaded if
+        need be. Raises UnknownSceneError if the scene was dismissed.
         """
         return self._find(scene).level(fineness).renderer
 
     def bake_of(self, scene: str, view: View) -> str:
-        """The name of the bake that a view of a scene reads."""
+        """Return the name of the bake that a view of a scene reads."""
         return bake_name(scene, spec_name(view.shading))
 
     def trouble(self) -> str:
-        """Why light will not be baked: the store is only read, there are no workers, or a chunk was
-        given up.
-
-        Empty when all is well.
+        """Return the reason why light will not be baked: the store is only read, there are no
+        workers, or a chunk was given up. Empty if all is well.
         """
         if self.store.read_only:
             return READ_ONLY.format(store=self.store.url)
-        return self.workforce.missing or self.baker.trouble()
+        return self.workers.missing or self.baker.trouble()
 
     def unready(self) -> list[str]:
-        """Reasons why frames would not become final; none when all is well, or nothing is baked on
-        purpose.
+        """Return the reasons why frames would not become final: none if all is well, or if the
+        store is only read on purpose.
         """
         if self.store.read_only:
             return []
-        why = self.trouble() or self.baker.paused() or self.workforce.trouble
+        why = self.trouble() or self.baker.paused() or self.workers.trouble
         return [why] if why else []
 
     def notes(self) -> list[str]:
-        """What a person should know though all goes as it should: what is compiled, or that the
+        """Return sentences for a person that are no trouble: kernels are being compiled, or the
         store is only read.
         """
-        return [
-            note
-            for note in (self.kernels.compiling, self.trouble() if self.store.read_only else "")
-            if note
-        ]
+        only_read = self.trouble() if self.store.read_only else ""
+        return [note for note in (self.kernels.compiling, only_read) if note]
 
     def close(self) -> None:
-        """Stop the workers; what they were at is baked again when it is next wanted."""
+        """Stop checks, baking and workers, and drop all scenes. Chunks that were being baked
+        are baked again when they are next wanted.
+        """
         self._stopped.set()
         self._checks.close()
         self.baker.stop()
-        self.workforce.close()
+        self.workers.close()
         self._loaded.close()
         self._tiles.close()
         self._checking.close()
 
     def _checked(self, scene: str, view: View, more: bool) -> None:
-        """Say that a picture was checked one step further; what walls keep for its isovalue may be
-        too much.
+        """Tell listeners that a picture was checked one step further. If the check is over,
+        trim the store, as light of walls is kept for each isovalue.
         """
         named = self.scenes.get(scene)
         if not more and named is not None and named.lighting.room.any:
-            self._beside.lit(scene, view.isovalue)
+            self._side_bakes.lit(scene, view.isovalue)
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)
 
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
-        """Request the light that a frame lacks; whether any of it is going to be baked."""
+        """Request the light that a frame lacks; return True if any of it will be baked."""
         with watch.stage("demand"):
             return bool(
                 self.lacking(scene, frame)[1].demands
@@ -510,39 +527,43 @@ class RenderEngine:
             )
 
     def _find(self, scene: str) -> LoadedScene:
-        """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError,
-        UnknownSceneError.
+        """Return a scene, loaded if need be; a variant that was dropped is made again. Raises
+        StoreError and UnknownSceneError.
         """
         named = self.scenes.get(scene) or self.again(scene)
         if named is not None:
             loaded = self._loaded.at(named)
             if scene not in self.scenes:
                 self._loaded.drop(scene)
-            if (
-                self.variant(scene).base in self.scenes
-            ):  # a variant that made way meanwhile is drawn to its end
+            # A variant that was dismissed meanwhile is drawn to its end, if its scene is there.
+            if self.variant(scene).base in self.scenes:
                 return loaded
         raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
 
     def _load(self, scene: Scene) -> LoadedScene:
-        """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
-        kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
-        beside = next(filter(None, map(self._loaded.held, kin)), None)
+        """Load a scene and add its bakes to the baker. Raises StoreError."""
+        # Share maps with a loaded scene of the same volume.
+        same_volume = [name for name, each in self.scenes.items() if each.volume is scene.volume]
+        sibling = next(filter(None, map(self._loaded.held, same_volume)), None)
+        # Until a variant has light, that of the scene which it was cut from stands in, or that of a
+        # similar variant.
         variant = self.variant(scene.id)
-        lenders = [name for name in self.scenes if self.variant(name).may_lend(variant)]
+        stand_ins = [name for name in self.scenes if self.variant(name).may_stand_in_for(variant)]
         if variant.cut is not None:
             whole = self._loaded.held(variant.whole.id)
         else:
-            whole = self._loaded.latest(lenders)
+            whole = self._loaded.latest(stand_ins)
         loaded = load_scene_parts(
             scene,
             self.store,
             self._tiles,
             self._memory,
-            lend=self._lend,
-            beside=beside,
+            share=self._share,
+            sibling=sibling,
             whole=whole,
         )
+        # Replace the bakes of this scene that have changed, and keep the others with their queues.
+        # ``scenes`` is replaced, not changed, as other threads may iterate over it.
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
         arrived = partial(self._arrived, scene.id, 0)
         bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]
@@ -560,18 +581,18 @@ class RenderEngine:
     def _arrived(
         self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None
     ) -> None:
-        """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
-        if (loaded := self._loaded.held(scene)) is not None and (
-            level := loaded.held(fineness)
-        ) is not None:
+        """Have a loaded scene read a chunk of its texels again: it has new light."""
+        loaded = self._loaded.held(scene)
+        level = None if loaded is None else loaded.held(fineness)
+        if level is not None:
             level.renderer.caches.refresh(spec, index, shown)
 
 
-def engine_for(scene: Scene, settings: Settings, hire: bool = True) -> RenderEngine:
-    """An engine of a ``scene`` under a command's settings; it joins a cluster only where it is to
-    ``hire`` workers.
+def engine_for(scene: Scene, settings: Settings, with_workers: bool = True) -> RenderEngine:
+    """Make an engine for a ``scene`` by a command's ``settings``. It joins the scheduler of the
+    settings only if ``with_workers``.
     """
-    scheduler = scheduler_of(settings) if hire else None
+    scheduler = scheduler_of(settings) if with_workers else None
     memory = settings.memory_mb << 20
     projected = settings.projected_mb << 20
     return RenderEngine(

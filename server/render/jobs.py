@@ -1,8 +1,8 @@
-"""Jobs: work that goes on when its request has been answered. They live in memory, as long as the
-server does.
+"""Jobs: work that goes on after its request is answered. Jobs live in memory, as long as the
+server.
 
-Files that exports have made are kept meanwhile, within a quota. Prewarms besides have records
-beside the light, by which a server that starts takes them up.
+Files that exports make are kept in a folder, within a quota. Prewarms also leave records in the
+store, from which a server that restarts resumes them.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from worker.progress import Promise, TimeLeft
 log = logging.getLogger("isogi.server")
 
 ENDED_JOB_TIME = timedelta(hours=1)
-"""Time for which a job that has ended is known."""
+"""Time for which a job is known after its end."""
 
 MOST_KEPT = 1000
-"""Jobs that have ended and are known, at most; the oldest are forgotten first."""
+"""Jobs that are known after their end, at most; the oldest are forgotten first."""
 
 JOB_STOPPED = "The server stopped: ask again, light that was baked is kept."
 
 
 class Status(StrEnum):
-    """How far a job is, in the words of OGC API Processes."""
+    """The status of a job, in the words of OGC API Processes."""
 
     ACCEPTED = "accepted"
     RUNNING = "running"
@@ -52,7 +52,9 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Result:
-    """What a job has made: the address ``href`` of a ``type``, in a few words the ``title``."""
+    """A result of a job: the address ``href`` of a document of this media ``type``, and a short
+    ``title``.
+    """
 
     href: str
     type: str
@@ -60,17 +62,17 @@ class Result:
 
 
 def now() -> datetime:
-    """The present time."""
+    """Return the present time, in UTC."""
     return datetime.now(UTC)
 
 
 @dataclass(eq=False)
 class Job:
-    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of. It belongs
-    to its ``owner``.
+    """A job of a ``process``, such as "frame"; the ``title`` names its subject. It belongs to its
+    ``owner``.
 
-    ``progress`` is in percent and never falls. Work says how far it is by ``report``; a
-    ``document`` that it leaves is the job's own result.
+    ``progress`` is in percent and never falls. Work reports its progress by ``report``; a
+    ``document`` that it sets is served as the job's result.
     """
 
     process: str
@@ -90,20 +92,22 @@ class Job:
 
     @property
     def time_left(self) -> TimeLeft | None:
-        """The time that the rest takes, as it is reported now; None if that is unknown."""
+        """Return the time that is left, as it is reported now; None if that is unknown."""
         if self.promise is None:
             return None
         return self.promise.now
 
     @property
     def expires(self) -> datetime | None:
-        """When it is forgotten; None before its end."""
+        """Return the time at which the job is forgotten; None before its end."""
         if self.finished is None:
             return None
         return self.finished + ENDED_JOB_TIME
 
     def report(self, share: float, message: str, left: TimeLeft | None = None) -> None:
-        """Say that so large a share is done, and the time that the rest takes."""
+        """Set the ``share`` that is done, 0 to 1, a ``message``, and an estimate of the time
+        that is ``left``.
+        """
         self.progress = max(self.progress, int(100 * share))
         self.message = message
         if left is None:
@@ -119,7 +123,7 @@ class Job:
         self.started = now()
 
     def end(self, status: Status, message: str, results: Iterable[Result] = ()) -> None:
-        """No more is done for it. The first end counts."""
+        """Mark the job as ended. Later calls change nothing."""
         if self.finished is not None:
             return
         self.report(1.0 if status is Status.SUCCESSFUL else 0.0, message)
@@ -129,16 +133,16 @@ class Job:
 
 
 Work = Callable[[Job], Coroutine[Any, Any, Iterable[Result]]]
-"""What a job does, and its results. It is cancelled when the job is dismissed, and what it raises
-is why it failed.
+"""The work of a job, which returns its results. It is cancelled if the job is dismissed; an
+error that it raises fails the job.
 """
 
 
 class Jobs:
-    """At most so many jobs at once; each may be dismissed. For one event loop alone."""
+    """The jobs of a server, a limited number at a time. For one event loop."""
 
     def __init__(self, most: int) -> None:
-        """Have none yet."""
+        """Allow ``most`` jobs that have not ended."""
         self._limit = AdmissionLimit(most, "jobs are at work", work=True)
         self.closed = False
         self._jobs: dict[str, Job] = {}
@@ -152,17 +156,18 @@ class Jobs:
         key: str | None = None,
         client: tuple[str, str] = ("", ""),
     ) -> Job:
-        """A new job, whose work begins once the caller waits for something. Raises BusyError where
-        there are enough.
+        """Start a job and return it; its work begins when the caller next awaits. Raises BusyError
+        if there are too many jobs.
 
-        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer
-        then, whoever its owner is. The ``client`` that asks for it, its owner's name first, may
-        take the place of another client's job, which is dismissed.
+        The job's id is ``key``, if given; a job with that id that has not ended is returned
+        instead, whoever owns it. ``client`` is the owner's name and its address; the new job may
+        take the place of another client's, which is dismissed: see ``AdmissionLimit``.
         """
         if (running := self.running(key)) is not None:
             return running
         place = self._limit.enter(client)
         owner = client[0]
+        # Make room among ended jobs, and replace an ended job with the same id.
         self._forget()
         if key is None:
             job = Job(process, title, owner=owner)
@@ -175,18 +180,18 @@ class Jobs:
         return job
 
     def running(self, key: str | None) -> Job | None:
-        """The job with this id, where it has not ended."""
+        """Return the job with this id if it has not ended, else None."""
         if key is not None and key in self._tasks:
             return self._jobs[key]
         return None
 
     def all(self) -> list[Job]:
-        """All that are known, the newest first."""
+        """Return all known jobs, the newest first."""
         self._forget()
         return list(reversed(self._jobs.values()))
 
     def find(self, key: str) -> Job:
-        """The job with this id; UnknownJobError where there is none."""
+        """Return the job with this id. Raises UnknownJobError if there is none."""
         self._forget()
         if key not in self._jobs:
             raise UnknownJobError(
@@ -197,8 +202,8 @@ class Jobs:
         return self._jobs[key]
 
     async def dismiss(self, key: str) -> Job:
-        """End a job, and return once it has; one that has ended is forgotten. Raises
-        UnknownJobError.
+        """End a job, and return when its work has ended; a job that had ended is forgotten.
+        Raises UnknownJobError.
         """
         job = self.find(key)
         if job.finished is not None:
@@ -209,22 +214,23 @@ class Jobs:
         return job
 
     def counts(self) -> dict[Status, int]:
-        """How many there are of each status."""
+        """Return the number of jobs of each status."""
         return dict.fromkeys(Status, 0) | Counter(job.status for job in list(self._jobs.values()))
 
     async def close(self) -> None:
-        """End all of them."""
+        """Dismiss all jobs, and return when their work has ended."""
         self.closed = True
         for key in list(self._tasks):
             self._jobs[key].end(Status.DISMISSED, JOB_STOPPED)
         await asyncio.gather(*map(ended, self._tasks.values()))
 
     def _ended(self, job: Job, place: Place) -> None:
+        """Free the place of a job whose task has ended."""
         self._limit.leave(place)
         del self._tasks[job.id]
 
     def _forget(self) -> None:
-        """Forget what ended long ago, and the oldest of too much that has ended."""
+        """Forget jobs that ended long ago, and the oldest if too many have ended."""
         over = [job for job in self._jobs.values() if job.expires is not None]
         surplus = len(over) - MOST_KEPT
         present = now()
@@ -234,13 +240,14 @@ class Jobs:
 
 
 async def run_job(job: Job, work: Work, place: Place) -> None:
-    """Do the work of a job to one end or the other; it is dismissed where another client needs its
-    ``place``.
+    """Run the work of a job, and end the job with its results or its error. The job is
+    dismissed if another client takes its ``place``.
     """
     job.begin()
     try:
         job.end(Status.SUCCESSFUL, "This is done.", await place.keep(work(job)))
     except BusyError as error:
+        # The place was lost to another client, or the work itself was refused.
         job.end(Status.DISMISSED if place.lost else Status.FAILED, str(error))
     except IsogiError as error:
         job.end(Status.FAILED, str(error))
@@ -250,7 +257,7 @@ async def run_job(job: Job, work: Work, place: Place) -> None:
 
 
 async def ended(task: asyncio.Task[None]) -> None:
-    """Cancel a task; returns when it has ended."""
+    """Cancel a task, and return when it has ended."""
     task.cancel()
     await asyncio.wait({task})
 
@@ -268,31 +275,37 @@ MEGABYTE = 1 << 20
 
 
 class ExportFolder:
-    """A temporary folder of at most ``quota`` bytes, with a folder for each job. ``turn`` is held
-    to make a file.
+    """A temporary folder of at most ``quota`` bytes for the files that exports make, with a
+    subfolder for each job.
+
+    Hold ``turn`` to make a file: one is made at a time.
     """
 
     def __init__(self, quota: int) -> None:
-        """Make no folder yet; without a quota there are no exports."""
+        """Create no folder yet. A quota of 0 allows no exports."""
         self.quota = quota
         self.turn = asyncio.Lock()
         self._folder: Path | None = None
 
     def check(self, needed: int) -> None:
-        """Raise FullError where a file of about so many bytes never fits."""
+        """Raise FullError if a file of ``needed`` bytes exceeds the quota."""
         if needed > self.quota:
             sizes = {"needed": -(-needed // MEGABYTE), "quota": self.quota // MEGABYTE}
             raise FullError(EXPORT_TOO_LARGE.format(**sizes))
 
     def place(self, job: str, name: str) -> Path:
-        """Where the file of a job is to be made, under the name that it is fetched by."""
+        """Return the path at which the file of a job is to be made; it is downloaded by this
+        ``name``.
+        """
         if self._folder is None:
             self._folder = Path(tempfile.mkdtemp(prefix="isogi-exports-"))
         (self._folder / job).mkdir(exist_ok=True)
         return self._folder / job / name
 
     def find(self, job: str) -> Path:
-        """The file of a job. Raises UnknownResultError where there is none."""
+        """Return the file of a job. Raises UnknownResultError if there is none, or it is not
+        complete.
+        """
         files = self._folder.glob(f"{job}/*") if self._folder else iter(())
         found = next((path for path in files if path.suffix != PARTIAL_SUFFIX), None)
         if found is None:
@@ -300,11 +313,13 @@ class ExportFolder:
         return found
 
     def make_room(self, known: Container[str], needed: int) -> None:
-        """Delete the files of jobs that are not ``known`` any more, and the oldest until so many
-        bytes are free.
+        """Delete files until ``needed`` bytes are free: all files of jobs that are not
+        ``known`` any more, then the oldest.
         """
         if self._folder is None:
             return
+        # Files of forgotten jobs come first (False sorts before True), then older ones before
+        # newer.
         aged = sorted(
             self._folder.iterdir(), key=lambda path: (path.name in known, path.stat().st_mtime)
         )
@@ -316,7 +331,7 @@ class ExportFolder:
                 shutil.rmtree(path)
 
     def close(self) -> None:
-        """Delete all of it."""
+        """Delete the folder and all files in it."""
         if self._folder is not None:
             with suppress(OSError):
                 shutil.rmtree(self._folder)

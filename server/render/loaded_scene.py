@@ -1,5 +1,5 @@
-"""Loaded scenes: the renderer of each over the store, what it prefetches for a slider, and which
-stay in memory.
+"""Loaded scenes: the renderer of each, the maps that it prefetches for a moving slider, and the
+scenes that are kept in memory.
 """
 
 import gc
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,31 +35,63 @@ from isogi_core.plan.volumes.masks import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
-from server.render.bakes import Lend, lend_nothing
-from server.render.workforce import Memory
+from server.render.bakes import ShareAssets, share_nothing
 from worker.tasks import Assets, Whole
 
 log = logging.getLogger("isogi.render")
 
 SCENE_BYTES = 1 << 20
-"""Bytes that a scene of a few voxels took besides what it keeps: tables, pools and threads."""
+"""Bytes that a loaded scene takes in addition to what it keeps: tables, pools and threads;
+measured with a volume of a few voxels.
+"""
+
+FINER = 5
+"""Factor by which a scene with finer texels has less memory: few views ask for it, and views
+that find no room are shown without.
+"""
+
+
+class Memory(NamedTuple):
+    """Bytes that a scene may keep of decoded ``light``, of ``views`` (G-buffers and texels of
+    pixels) and of active-cell ``maps``.
+    """
+
+    light: int
+    views: int
+    maps: int
+
+    @property
+    def finer(self) -> "Memory":
+        """Return the memory of the same scene with finer texels. Steps of 1/5 add up to at most
+        a quarter more.
+        """
+        return Memory(self.light // FINER, self.views // FINER, self.maps)
+
+
+def shared(total: int) -> Memory:
+    """Split ``total`` bytes: half for light, and a quarter each for views and maps."""
+    quarter = total // 4
+    return Memory(total - 2 * quarter, quarter, quarter)
+
 
 VALUES_AHEAD = 2
-"""Values to come that are prepared."""
+"""Isovalues that are prepared ahead of a moving slider."""
 
 Prepare = Callable[[float, threading.Event], object]
 
 
 class Prefetch:
-    """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
+    """Prepares maps for the isovalues that a moving slider will reach next. Safe to use from
+    many threads.
+    """
 
     def __init__(
         self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]
     ) -> None:
-        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a group: see
-        ``next_values``.
+        """Set the function that prepares: ``prepare(isovalue, cancelled)`` serves all isovalues of
+        a group between two ``levels``, see ``next_values``.
 
-        ``span`` are the lowest and the highest isovalue that may be asked for.
+        ``span`` is the lowest and the highest isovalue that views may ask for.
         """
         self._prepare = prepare
         self._levels = levels
@@ -71,26 +104,29 @@ class Prefetch:
         self._preparing: float | None = None
         self._closed = False
         self._cancelled = threading.Event()
-        self._cancelled.set()  # as it is whenever nothing is at work
+        # The event is set whenever nothing is being prepared.
+        self._cancelled.set()
 
     @contextmanager
     def frame(self, isovalue: Isovalue) -> Iterator[None]:
-        """Around the work on a frame: preparations stop when it begins, and go on when none is
-        worked on.
+        """Interrupt preparations while a frame of this ``isovalue`` is drawn, and resume them once
+        no frame is being drawn.
 
-        What serves this very frame is made to its end.
+        A preparation of the same group goes on, as this frame needs it.
         """
         level = float(isovalue)
         with self._lock:
             self._open += 1
             if not self._serves(level):
                 self._cancelled.set()
+        # Frames come first: preparations use the same threads.
         try:
             yield
         finally:
             with self._lock:
                 self._open -= 1
                 self._note(level)
+                # Resume with what the slider will reach next.
                 if (
                     self._coming
                     and not self._open
@@ -100,7 +136,7 @@ class Prefetch:
                     self._begin_work()
 
     def close(self) -> None:
-        """Stop, and wait until it has."""
+        """Stop, and return when the thread has ended."""
         with self._lock:
             self._closed = True
             self._cancelled.set()
@@ -109,8 +145,8 @@ class Prefetch:
             thread.join()
 
     def _begin_work(self) -> None:
-        """Start a thread that ends with its work: many scenes may be loaded, and few sliders move.
-        The caller holds the lock.
+        """Start a thread that ends with its work, as many scenes may be loaded and few sliders
+        move. The caller holds the lock.
         """
         self._cancelled = threading.Event()
         work = (self._cancelled, self._thread)
@@ -118,7 +154,7 @@ class Prefetch:
         self._thread.start()
 
     def _note(self, isovalue: float) -> None:
-        """Where the slider goes, if it moved."""
+        """List the isovalues to come if the slider has moved."""
         if self._last is not None and isovalue != self._last:
             lowest, highest = self._span
             self._coming = [
@@ -127,13 +163,13 @@ class Prefetch:
         self._last = isovalue
 
     def _serves(self, isovalue: float) -> bool:
-        """Whether what is being prepared is for the same group."""
+        """Return True if the present preparation is for the group of this isovalue."""
         now = self._preparing
         return now is not None and group_of(now, self._levels) == group_of(isovalue, self._levels)
 
     def _work(self, cancelled: threading.Event, former: threading.Thread | None) -> None:
-        """Prepare what is coming until a frame is asked for, once the ``former`` thread has
-        ended.
+        """Prepare the isovalues to come, after the ``former`` thread has ended, until a frame
+        is asked for.
         """
         if former is not None:
             former.join()
@@ -142,13 +178,14 @@ class Prefetch:
                 self._prepare(isovalue, cancelled)
             except Cancelled:
                 return
+            # Another move may have changed the list meanwhile.
             with self._lock:
                 if self._coming[:1] == [isovalue]:
                     del self._coming[0]
 
     def _begin(self, cancelled: threading.Event) -> float | None:
-        """What to prepare next; none, and the work ends, where nothing is coming or a frame is
-        worked on.
+        """Return the isovalue to prepare next; None, which ends the work, if none is coming or
+        a frame is being drawn.
         """
         with self._lock:
             if self._open or not self._coming:
@@ -161,47 +198,49 @@ class Prefetch:
 
 
 def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
-    """The values that follow ``now`` at the pace and in the direction of the last move, each in
-    another group.
+    """Extrapolate a slider that moved from ``before`` to ``now``: return the next isovalues at the
+    same pace, each in another group.
 
-    ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the
-    first and the last.
+    ``levels`` (m,) are the ascending lower ends of the groups, from -inf, and inf at last; there is
+    no group beyond them.
     """
     pace = now - before
     coming = [now]
     for _ in range(VALUES_AHEAD):
         group = group_of(coming[-1], levels)
         value = coming[-1] + pace
+        # A slow slider stays in its group for a while: go to the nearest value of the next group.
         if group_of(value, levels) == group:
-            value = float(
-                levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf)
-            )
+            if pace > 0.0:
+                value = float(levels[group + 1])
+            else:
+                value = float(np.nextafter(levels[group], -math.inf))
         coming.append(value)
     return [value for value in coming[1:] if math.isfinite(value)]
 
 
 def group_of(isovalue: float, levels: np.ndarray) -> int:
-    """The number of the group that an isovalue is in: that of the level which it is at, or
-    above.
+    """Return the number of the group that an isovalue is in: that of the highest level at or
+    below it.
     """
     return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1
 
 
 @dataclass(eq=False)
 class LoadedScene:
-    """One scene, ready to be rendered; ``assets`` are what workers open in place of its files, as
-    ``lend`` gives them for a prepared scene.
+    """A scene that is ready to be rendered.
 
-    Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels
-    ask for finer ones are those of ``finer``, which is loaded then, beside the ``memory`` and on
-    the ``tiles`` of this one. It may be cut from a ``whole``.
+    ``assets``, made by ``share``, are opened by workers in place of the scene's files. Its texels
+    are finer than the scene file says by ``fineness`` steps; views whose control pixels ask for
+    finer ones are drawn by ``finer``, which shares the ``tiles`` of this scene and has a smaller
+    memory of its own. The scene may be cut from a ``whole``.
     """
 
     scene: Scene
     renderer: Renderer
     prefetch: Prefetch
     memory: Memory
-    lend: Lend
+    share: ShareAssets
     assets: Assets | None = None
     fineness: int = 0
     whole: Whole | None = None
@@ -210,27 +249,28 @@ class LoadedScene:
 
     @property
     def finer(self) -> "LoadedScene":
-        """The scene with finer texels, loaded when first asked for. Raises StoreError."""
+        """Return the scene with finer texels, loaded when first asked for. Raises StoreError."""
         with self._lock:
             if self._finer is None:
+                # Voxels and maps are shared; texels, light and views have memory of their own.
                 prepared = self.renderer.prepared.beside(finer(self.scene))
                 memory = self.memory.finer
                 caches = Caches(prepared, self.renderer.caches.store, memory.light)
                 self._finer = loaded(
-                    caches, self.renderer.tiles, memory, self.lend, self.fineness + 1
+                    caches, self.renderer.tiles, memory, self.share, self.fineness + 1
                 )
             return self._finer
 
     def level(self, fineness: int) -> "LoadedScene":
-        """The scene with texels ``fineness`` steps finer than the scene file says. Raises
-        StoreError.
+        """Return the scene with texels ``fineness`` steps finer than the scene file says,
+        loaded if need be. Raises StoreError.
         """
         if fineness == self.fineness:
             return self
         return self.finer.level(fineness)
 
     def held(self, fineness: int) -> "LoadedScene | None":
-        """The scene with texels ``fineness`` steps finer, where it is loaded."""
+        """Return the scene with texels ``fineness`` steps finer if it is loaded, else None."""
         if fineness == self.fineness:
             return self
         return self._finer and self._finer.held(fineness)
@@ -243,13 +283,14 @@ class LoadedScene:
         watch: Stopwatch,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as
-        Renderer does.
+        """Return the frame of a view with the light baked so far; prefetching is interrupted
+        meanwhile. Raises as Renderer does.
 
-        Finer texels are shown once all of them have their first samples, and until then those of
-        this scene.
+        Finer texels are shown once the whole picture has them; until then the frame is drawn by the
+        texels of this scene, and says that a finer one is coming.
         """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
+            # A frame that asks for all samples measures these texels, not finer ones.
             if enough < MAX_SAMPLES:
                 coming = self._render_finer(view, target, cancelled, watch)
             else:
@@ -265,8 +306,8 @@ class LoadedScene:
     def _render_finer(
         self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
     ) -> Frame | None:
-        """The frame by finer texels, where a view's picture asks for them and the memory can hold
-        them.
+        """Return the frame by finer texels; None if the view's picture does not ask for them,
+        or if the memory cannot hold them.
         """
         if not self.renderer.checks.asks_finer(view, target):
             return None
@@ -278,8 +319,8 @@ class LoadedScene:
             return None
 
     def check(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Check the picture of a view, one step further; whether there was one to take. Raises as
-        Renderer does.
+        """Take one step of the check of a view's picture; return False if there was none to
+        take. Raises as Renderer does.
         """
         if self.renderer.checks.asks_finer(view, target):
             return self.finer.check(view, target, tiles, prices)
@@ -289,7 +330,7 @@ class LoadedScene:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of light, views and maps that it keeps, and what it takes besides."""
+        """Return the bytes that it takes, finer texels included."""
         return SCENE_BYTES + self.renderer.nbytes + (self._finer.nbytes if self._finer else 0)
 
     def close(self) -> None:
@@ -304,42 +345,40 @@ def load_scene_parts(
     store: Store,
     tiles: Tiles,
     memory: Memory,
-    lend: Lend = lend_nothing,
-    beside: LoadedScene | None = None,
+    share: ShareAssets = share_nothing,
+    sibling: LoadedScene | None = None,
     whole: LoadedScene | None = None,
 ) -> LoadedScene:
-    """Prepare a scene and open its layers in a ``store``; workers open what ``lend`` gives.
-    Raises StoreError.
+    """Prepare a scene and open its layers in a ``store``; workers open the assets that ``share``
+    returns. Raises StoreError.
 
-    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of
-    the voxels. The light of a ``whole`` stands in for that of one that is cut, or of another time.
+    ``sibling`` is a loaded scene of the same volume, whose maps it shares. The light of a ``whole``
+    scene stands in for missing light of one that is cut from it, or of another time step.
     """
-    if beside:
-        prepared = beside.renderer.prepared.beside(scene)
+    if sibling:
+        prepared = sibling.renderer.prepared.beside(scene)
     else:
         prepared = PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)
     stand_in = cut_from = None
+    # The stand-in serves the voxels that a cut leaves; all of them if the moment differs, for then
+    # nothing is cut.
     if whole is not None:
+        cut = None
         if scene.volume.moment == whole.scene.volume.moment:
             cut = scene.source.document.get("cut")
-        else:
-            cut = None
-        x, y, z = scene.volume.size
         if cut:
             left = voxels_left(whole.scene.volume, str(cut))
-        else:
-            left = (range(x), range(y), range(z))
-        stand_in = StandIn(whole.renderer.caches, left)
-        if cut:
             cut_from = Whole(whole.scene.source, whole.assets)
         else:
-            cut_from = None
+            x, y, z = scene.volume.size
+            left = (range(x), range(y), range(z))
+        stand_in = StandIn(whole.renderer.caches, left)
     return loaded(
         caches,
         tiles,
         memory,
-        lend,
+        share,
         stand_in=stand_in,
         whole=cut_from,
     )
@@ -349,17 +388,17 @@ def loaded(
     caches: Caches,
     tiles: Tiles,
     memory: Memory,
-    lend: Lend,
+    share: ShareAssets,
     fineness: int = 0,
     stand_in: StandIn | None = None,
     whole: Whole | None = None,
 ) -> LoadedScene:
-    """The scene of some ``caches``: its layers open, and worked out what its first frame needs.
-    Raises StoreError.
+    """Open the layers of the scene of some ``caches``, and compute all that its first frame
+    needs. Raises StoreError.
     """
     prepared = caches.prepared
     scene = caches.prepared.scene
-    # worked out now, not in the first frame
+    # Compute these now, not in the first frame.
     (
         prepared.field,
         prepared.maps,
@@ -367,38 +406,39 @@ def loaded(
         scene.default_exposure,
         caches.chunk_store("gi"),
     )
+    # If the store has larger layers already, these are used: show their plan.
     planned = replace(
         scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
     )
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
-    assets = lend(prepared)
-    return LoadedScene(planned, renderer, prefetch, memory, lend, assets, fineness, whole)
+    assets = share(prepared)
+    return LoadedScene(planned, renderer, prefetch, memory, share, assets, fineness, whole)
 
 
 def prepare(
     maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event
 ) -> None:
-    """Make the map of an ``isovalue``, in the voxels' units as those of ``maps`` are. Raises
+    """Build the map of active cells for an ``isovalue`` in the units of the voxels. Raises
     Cancelled.
     """
     maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
 
 
 IDLE_SCENE_SECONDS = 900.0
-"""Seconds after which a scene is dropped that nobody has looked at."""
+"""Seconds without a frame after which a scene is dropped."""
 
 TIDY_SECONDS = 30.0
-"""Seconds between two looks for scenes that nobody looks at any more, and for garbage: 0.07 s under
+"""Seconds between two runs that drop idle scenes and collect garbage; a run takes 0.07 s under
 64 clients.
 """
 
 
 class LoadedScenes:
-    """Scenes that keep so much memory together; those looked at last stay. Safe to use from many
-    threads.
+    """The scenes in memory, up to a number of bytes together; the ones used last are kept. Safe to
+    use from many threads.
 
-    One that is dropped while it is drawn is drawn to its end.
+    A scene that is dropped while a frame of it is drawn is drawn to the end.
     """
 
     def __init__(
@@ -407,7 +447,9 @@ class LoadedScenes:
         most: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """None yet; ``load`` makes one, and all together keep ``most`` bytes, or one alone."""
+        """Load scenes by ``load`` when they are asked for. All together keep ``most`` bytes;
+        one alone may keep more.
+        """
         self._load = load
         self._clock = clock
         self._kept: LruCache[str] = LruCache(most)
@@ -415,18 +457,18 @@ class LoadedScenes:
         self._lock = threading.Lock()
 
     def at(self, scene: Scene) -> LoadedScene:
-        """A scene, loaded now where it is not. Raises StoreError."""
+        """Return a scene, loaded if it is not yet. Raises StoreError."""
         loaded: LoadedScene = self._kept.get(scene.id, lambda: self._load(scene))
         with self._lock:
             self._looked[scene.id] = self._clock()
         return loaded
 
     def held(self, scene: str) -> LoadedScene | None:
-        """A scene where it is loaded."""
+        """Return a scene if it is loaded, else None."""
         return self._kept.held(scene)
 
     def latest(self, scenes: Iterable[str]) -> LoadedScene | None:
-        """The one of some ``scenes`` that was looked at last, where any is loaded."""
+        """Return the one of some ``scenes`` that was used last, if any is loaded."""
         with self._lock:
             looked = [scene for scene in scenes if scene in self._looked]
             last = max(looked, key=self._looked.__getitem__, default=None)
@@ -434,19 +476,21 @@ class LoadedScenes:
 
     @property
     def looked(self) -> float:
-        """When somebody looked at any of them last; 0 where nobody ever has."""
+        """Return the time of the last use of any scene; 0 if none was used."""
         with self._lock:
             return max(self._looked.values(), default=0.0)
 
     def settle(self) -> None:
-        """Drop those looked at longest ago until the rest fits: they grow as they are looked at."""
+        """Drop the scenes used longest ago until the rest fits: scenes grow as frames of them
+        are drawn.
+        """
         if len(self._looked) > 1:
             self._kept.settle()
             self._note()
 
     def drop_idle(self) -> None:
-        """Drop those that nobody has looked at for long, and give their memory back to the
-        system.
+        """Drop scenes that have not been used for IDLE_SCENE_SECONDS, and give their memory
+        back to the system.
         """
         idle = [
             scene
@@ -455,34 +499,36 @@ class LoadedScenes:
         ]
         for scene in idle:
             self.drop(scene)
+        # Freed memory stays with the allocator otherwise.
         if idle:
             give_memory_back()
 
     def tidy(self, stopped: threading.Event) -> None:
-        """Drop those that are idle, and, after frames, what errors hold in circles, until
-        ``stopped``.
+        """Drop idle scenes, and collect garbage if frames were drawn, every TIDY_SECONDS until
+        ``stopped`` is set.
         """
         looked = 0.0
         while not stopped.wait(TIDY_SECONDS):
             self.drop_idle()
+            # Errors hold large arrays in reference cycles, which only the garbage collector frees.
             if looked != (looked := self.looked):
                 gc.collect()
                 give_memory_back()
 
     def drop(self, scene: str) -> None:
-        """Drop a scene, if it is loaded."""
+        """Drop a scene if it is loaded."""
         if (loaded := self._kept.held(scene)) is not None:
             self._kept.drop(scene)
             loaded.close()
         self._note()
 
     def close(self) -> None:
-        """Drop all."""
+        """Drop all scenes."""
         for scene in list(self._looked):
             self.drop(scene)
 
     def _note(self) -> None:
-        """Forget when those were looked at that are not loaded any more."""
+        """Forget the times of use of scenes that are not loaded any more."""
         with self._lock:
             self._looked = {
                 scene: at

@@ -1,4 +1,4 @@
-"""What a server counts while it runs, for Prometheus."""
+"""Metrics of a running server, for Prometheus."""
 
 import logging
 import os
@@ -26,22 +26,22 @@ from server.render.jobs import Jobs
 COUNTED_METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "WEBSOCKET")
 ENDLESS = "text/event-stream"
 TIME_BIN_ENDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-"""Upper ends of the bins of times."""
+"""Upper ends of histogram bins of times, in seconds."""
 
 RATES = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-"""Upper ends of the bins of pictures a second."""
+"""Upper ends of histogram bins of pictures per second."""
 
 MOVED = 0.5
-"""Seconds that a stream's view must have moved for its pictures to be counted."""
+"""Seconds for which a stream's view must have moved for its rate to be counted: shorter ones
+are too uncertain.
+"""
 
 
 class Metrics:
-    """One server's counters, in a registry of their own."""
+    """The metrics of one server, in a registry of its own."""
 
     def __init__(self) -> None:
-        """Have counted nothing yet; what the process takes (memory, files, processor) is among
-        them.
-        """
+        """Create all metrics at zero, and those of the process: memory, files, processor time."""
         self.registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
@@ -50,14 +50,12 @@ class Metrics:
         )
         self.seconds = Histogram(
             "isogi_request_seconds",
-            "Time to the end of the answer.",
+            "Seconds to the end of the answer.",
             ["route"],
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
-        self.open = Gauge(
-            "isogi_requests_in_progress", "Requests that are worked on.", registry=registry
-        )
+        self.open = Gauge("isogi_requests_in_progress", "Requests in progress.", registry=registry)
         self.frames = Counter(
             "isogi_frames",
             (
@@ -69,20 +67,20 @@ class Metrics:
         )
         self.stages = Histogram(
             "isogi_frame_stage_seconds",
-            "Time of a frame's stages.",
+            "Seconds of a frame's stages.",
             ["stage"],
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
         self.ages = Histogram(
             "isogi_stream_picture_age_seconds",
-            "Time from when a stream's view came until the first picture of it is sent.",
+            "Seconds from the arrival of a stream's view to the sending of its first picture.",
             buckets=TIME_BIN_ENDS,
             registry=registry,
         )
         self.rates = Histogram(
             "isogi_stream_pictures_per_second",
-            "Drafts a second of each stream that ended, while its view moved.",
+            "Drafts per second of each stream that has ended, while its view moved.",
             buckets=RATES,
             registry=registry,
         )
@@ -91,24 +89,25 @@ class Metrics:
         )
         self.refused = Counter(
             "isogi_refusals",
-            "Requests, and views of streams, that were refused, and why.",
+            "Requests, and views of streams, that were refused, by reason.",
             ["why"],
             registry=registry,
         )
         self.closed = Counter(
             "isogi_connections_closed",
-            "Connections that the server gave up, and why.",
+            "Connections that the server closed, by reason.",
             ["why"],
             registry=registry,
         )
 
     def count(self, method: str, route: str, status: int, seconds: float, headers: Headers) -> None:
-        """Count one request, and by its answer's ``headers`` the frame in it; what is endless has
-        no time.
+        """Count one request, and the frame in its answer, if the ``headers`` say that there is
+        one.
         """
         self.requests.labels(
             method if method in COUNTED_METHODS else "other", route, f"{status:d}"
         ).inc()
+        # Streams last as long as their client: their time means nothing.
         if status != HTTPStatus.SWITCHING_PROTOCOLS and not headers.get(
             "content-type", ""
         ).startswith(ENDLESS):
@@ -118,21 +117,23 @@ class Metrics:
             self.count_picture("request", headers["isogi-provisional"] == "?1", stages)
 
     def count_picture(self, way: str, provisional: bool, stages: Mapping[str, float]) -> None:
-        """Count one picture: how it is sent, whether it is provisional, and the seconds of its
-        stages.
+        """Count one picture by the ``way`` it was sent, its state, and the seconds of its
+        ``stages``.
         """
         self.frames.labels("provisional" if provisional else "final", way).inc()
         for stage, seconds in stages.items():
             self.stages.labels(stage).observe(seconds)
 
     def count_motion(self, drafts: int, seconds: float) -> None:
-        """Count a stream that ends, by its ``drafts`` in so many ``seconds`` of moving."""
+        """Count a stream that ends by its rate: ``drafts`` sent in this number of ``seconds``
+        of motion.
+        """
         if seconds >= MOVED:
             self.rates.observe(drafts / seconds)
 
     @contextmanager
     def counting_errors(self) -> Iterator[None]:
-        """Count the errors that isogi logs meanwhile: damaged chunks, tasks that failed, lost
+        """For the block, count the errors that isogi logs: damaged chunks, failed tasks, lost
         workers.
         """
         logger = logging.getLogger("isogi")
@@ -144,19 +145,21 @@ class Metrics:
             logger.removeHandler(counter)
 
     def text(self) -> bytes:
-        """All of it in Prometheus' text format."""
+        """Return all metrics in the text format of Prometheus."""
         return generate_latest(self.registry)
 
 
 class ErrorCounter(logging.Handler):
-    """Counts the errors in log records, by their class."""
+    """A log handler that counts the errors in records of level warning and above, by their
+    class.
+    """
 
     def __init__(self, counter: Counter) -> None:
         super().__init__(logging.WARNING)
         self._counter = counter
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Count the errors that a record names, or comes with."""
+        """Count the errors among a record's arguments, and the one that it was logged with."""
         if isinstance(record.args, tuple):
             logged = record.args
         else:
@@ -168,40 +171,46 @@ class ErrorCounter(logging.Handler):
 
 
 class BakingCollector(Collector):
-    """The state of an engine's baking, whenever it is collected."""
+    """Collects the state of an engine's baking when metrics are read."""
 
     def __init__(self, engine: "RenderEngine") -> None:
         self._engine = engine
 
     def describe(self) -> Iterable[Metric]:
-        """Nothing ahead: the engine may not have started."""
+        """Describe nothing in advance: the engine may not have started."""
         return ()
 
     def collect(self) -> Iterable[Metric]:
-        """The queue, what was baked, and the workers."""
+        """Yield the metrics of the queue, of tasks and of workers."""
         tally = self._engine.baker.tally()
         yield GaugeMetricFamily(
             "isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting
         )
         yield GaugeMetricFamily(
-            "isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age
+            "isogi_queue_age_seconds", "Seconds for which the oldest chunk has waited.", tally.age
         )
         yield GaugeMetricFamily(
-            "isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight
+            "isogi_tasks_in_flight", "Tasks that workers are running.", tally.in_flight
         )
         yield GaugeMetricFamily(
-            "isogi_chunks_given_up", "Chunks that failed too often.", tally.given_up
+            "isogi_chunks_given_up",
+            "Chunks that were given up after repeated failures.",
+            tally.given_up,
         )
-        yield GaugeMetricFamily("isogi_workers", "Baking processes that there are.", tally.workers)
+        yield GaugeMetricFamily("isogi_workers", "Processes that bake.", tally.workers)
         busy = min(tally.in_flight / max(tally.workers, 1), 1.0)
         yield GaugeMetricFamily(
-            "isogi_workers_utilization", "Share of them that have a task.", busy
+            "isogi_workers_utilization", "Share of the workers that have a task.", busy
         )
         yield CounterMetricFamily(
-            "isogi_tasks_done", "Tasks that workers did, of one or more chunks each.", tally.done
+            "isogi_tasks_done",
+            "Tasks that workers completed, of one or more chunks each.",
+            tally.done,
         )
         yield CounterMetricFamily(
-            "isogi_chunks_baked", "Chunks that tasks added light to, each time.", tally.chunks
+            "isogi_chunks_baked",
+            "Chunks that tasks added light to, counted each time.",
+            tally.chunks,
         )
         yield CounterMetricFamily("isogi_tasks_failed", "Chunks whose task failed.", tally.failed)
         yield CounterMetricFamily(
@@ -214,26 +223,30 @@ class BakingCollector(Collector):
         )
         yield CounterMetricFamily("isogi_paths", "Paths that were baked.", tally.paths)
         yield CounterMetricFamily(
-            "isogi_texels_kept", "Texels whose light a cut left as it was.", tally.kept
+            "isogi_texels_kept", "Texels whose light was kept when the volume was cut.", tally.kept
         )
         yield CounterMetricFamily(
-            "isogi_worker_deaths", "Baking processes that were lost.", tally.deaths
+            "isogi_worker_deaths", "Baking processes that died.", tally.deaths
         )
 
 
 class StoreCollector(Collector):
-    """Calls of this process to a store, whenever it is collected."""
+    """Collects the calls of this process to a store when metrics are read."""
 
     def __init__(self, calls: Calls) -> None:
         self._calls = calls
 
     def collect(self) -> Iterable[Metric]:
-        """Their number, time and failures, by kind."""
+        """Yield the number, time and failures of calls, by kind."""
         calls = self._calls
         for name, about, counts in (
             ("isogi_store_calls", "Calls to the store, by kind.", calls.count),
-            ("isogi_store_failures", "Such calls that failed.", calls.failed),
-            ("isogi_store_seconds", "Time that such calls took.", calls.seconds),
+            ("isogi_store_failures", "Calls to the store that failed, by kind.", calls.failed),
+            (
+                "isogi_store_seconds",
+                "Seconds that calls to the store took, by kind.",
+                calls.seconds,
+            ),
         ):
             family = CounterMetricFamily(name, about, labels=["call"])
             for kind, number in list(counts.items()):
@@ -242,8 +255,8 @@ class StoreCollector(Collector):
 
 
 class ServerCollector(Collector):
-    """Threads of the process, and bytes of uploads' ``quota`` of which so many are ``free``,
-    whenever it is collected.
+    """Collects the threads of this process, and the ``quota`` and ``free`` bytes of uploads,
+    when metrics are read.
     """
 
     def __init__(self, quota: Callable[[], int], free: Callable[[], int]) -> None:
@@ -251,45 +264,45 @@ class ServerCollector(Collector):
         self._free = free
 
     def describe(self) -> Iterable[Metric]:
-        """Nothing ahead: uploads may not be open."""
+        """Describe nothing in advance: uploads may not be open."""
         return ()
 
     def collect(self) -> Iterable[Metric]:
-        """Both."""
+        """Yield the number of threads, and the bytes of uploads."""
         yield GaugeMetricFamily("isogi_threads", "Threads of the server's process.", threads())
         yield GaugeMetricFamily(
             "isogi_uploads_quota_bytes", "Bytes that uploads may take.", self._quota()
         )
         yield GaugeMetricFamily(
-            "isogi_uploads_free_bytes", "Bytes of these that are free.", self._free()
+            "isogi_uploads_free_bytes", "Bytes of the quota of uploads that are free.", self._free()
         )
 
 
 def threads() -> int:
-    """Threads of this process: those of libraries, too, where the system tells them."""
+    """Return the number of threads of this process, with those of native libraries if the
+    system reports them.
+    """
     with suppress(OSError):
         return len(os.listdir("/proc/self/task"))
     return threading.active_count()
 
 
 class JobsCollector(Collector):
-    """How many jobs there are of each status, whenever it is collected."""
+    """Collects the number of jobs of each status when metrics are read."""
 
     def __init__(self, jobs: "Jobs") -> None:
         self._jobs = jobs
 
     def collect(self) -> Iterable[Metric]:
-        """The jobs that are known."""
-        family = GaugeMetricFamily(
-            "isogi_jobs", "Jobs that are known, by their status.", labels=["status"]
-        )
+        """Yield the number of known jobs of each status."""
+        family = GaugeMetricFamily("isogi_jobs", "Known jobs, by status.", labels=["status"])
         for status, number in self._jobs.counts().items():
             family.add_metric([status.value], number)
         yield family
 
 
 def stages_of(server_timing: str) -> Iterator[tuple[str, float]]:
-    """Stages in a Server-Timing header, and the seconds of each."""
+    """Yield the name and seconds of each stage in a Server-Timing header."""
     for part in filter(None, server_timing.split(", ")):
         stage, _, milliseconds = part.partition(";dur=")
         yield stage, float(milliseconds) / 1000.0

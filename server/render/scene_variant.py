@@ -1,4 +1,6 @@
-"""The key of a variant: what a request changes of a scene, read and checked."""
+"""The change that a request makes to a scene, read from its parameters, and the id of the
+variant that it asks for.
+"""
 
 import hashlib
 from collections.abc import Callable
@@ -26,11 +28,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Change:
-    """What a request changes of a scene, as its parameters spell it; None of what stays.
+    """The changes of a scene that a request asks for, as its parameters spell them; None for each
+    part that is unchanged.
 
-    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, how far it
-    is to ``smooth``, what pinned ``surfaces`` let pass, the labels to ``hide``, and the
-    ``material`` with its numbers.
+    ``environment`` is a name or an id, ``cut`` the text of planes, ``time`` a step of the series,
+    ``smooth`` a width in voxels, ``surfaces`` the shares of rays that pass pinned surfaces,
+    ``hide`` the labels that are not shown, ``material`` a name with numbers.
     """
 
     environment: str | None = None
@@ -44,11 +47,11 @@ class Change:
 
 @dataclass(frozen=True)
 class SceneVariant:
-    """The variant of the scene with the id ``base``; None of what stays as it is there.
+    """A variant of the scene with the id ``base``; None for each part that is as in the scene.
 
     ``clears`` are the shares of rays that pass pinned surfaces, ``hidden`` the labels that are not
-    shown, ``material`` is a text that ``read_material_text`` reads, ``smooth`` is in voxels, and
-    ``cut`` the text of planes.
+    shown, ``smooth`` a width in voxels and ``cut`` the text of planes. ``material`` is a text for
+    ``read_material_text``, in a form that is equal for equal materials.
     """
 
     base: str
@@ -62,16 +65,19 @@ class SceneVariant:
 
     @classmethod
     def of(cls, scene: Scene, change: Change) -> "SceneVariant":
-        """The variant of a ``scene`` that a ``change`` makes, without what the scene has by itself.
+        """Return the variant of a ``scene`` that a ``change`` asks for, without changes that leave
+        the scene as it is.
 
-        Raises ParameterError.
+        Raises ParameterError if a parameter cannot be read.
         """
+        # Read the parameters; errors name the parameter.
         pinned = len(scene.surfaces.pinned)
         clears = _read_parameter(
             "surfaces", lambda text: read_clears(text, pinned), change.surfaces
         )
         made = _read_parameter("material", read_material_text, change.material)
         hidden = _read_parameter("hide", read_hidden, change.hide)
+        # A change to the value that the scene has is no change: it shares the scene's light.
         if made is None or made_of(scene, made):
             material = None
         else:
@@ -88,20 +94,20 @@ class SceneVariant:
 
     @property
     def settings(self) -> MaterialSettings | None:
-        """The settings of its material."""
+        """Return the settings of its material; None if that is the scene's."""
         if self.material is None:
             return None
         return read_material_text(self.material)
 
     @property
     def any(self) -> bool:
-        """Whether anything changes: it is the scene itself if not."""
+        """Return True if anything differs from the scene."""
         return self != SceneVariant(self.base)
 
     @property
     def id(self) -> str:
-        """The id of its scene; equal changes have the same. Ids of scenes that are no variants have
-        no @.
+        """Return the id of the variant as a scene; equal changes have equal ids. The id of a
+        scene that is no variant has no @.
         """
         clears = self.clears and ",".join(
             HIDDEN_SURFACE if each is None else f"{each!r}" for each in self.clears
@@ -110,6 +116,7 @@ class SceneVariant:
             hidden = None
         else:
             hidden = ",".join(map(str, self.hidden))
+        # A mark before each part keeps ids of different changes apart.
         parts = (
             ("", self.environment),
             ("~", clears),
@@ -119,6 +126,7 @@ class SceneVariant:
             ("*", self.smooth),
         )
         lit = "".join(f"{mark}{part}" for mark, part in parts if part is not None)
+        # A cut is any number of planes: its digest keeps the id short.
         if self.cut is not None:
             lit += (
                 "@"
@@ -130,31 +138,36 @@ class SceneVariant:
 
     @property
     def whole(self) -> "SceneVariant":
-        """The variant that is not cut open."""
+        """Return the same variant without its cut."""
         return replace(self, cut=None)
 
     @property
     def voxels(self) -> tuple[str, Hidden | None, int | None, float | None]:
-        """What the voxels depend on, but for a cut."""
+        """Return all that the voxels depend on, except for a cut."""
         return self.base, self.hidden, self.time, self.smooth
 
     @property
     def has_voxels(self) -> bool:
-        """Whether it has voxels that its scene has not, but for its step in time."""
+        """Return True if its voxels are computed from those of its scene: cut, hidden or
+        smoothed. Time steps are not counted.
+        """
         return self.cut is not None or self.hidden is not None or self.smooth is not None
 
-    def may_lend(self, other: "SceneVariant") -> bool:
-        """Whether its light may stand in for that of the ``other``.
+    def may_stand_in_for(self, other: "SceneVariant") -> bool:
+        """Return True if its light may stand in for light of the ``other`` variant that is not
+        baked yet.
 
-        They differ in their step in time, in which labels are hidden and in how far they are
-        smoothed alone, and neither is cut open.
+        Both must be equal except for time step, hidden labels and smoothing, and neither may be
+        cut.
         """
         alike = replace(self, hidden=other.hidden, time=other.time, smooth=other.smooth) == other
         return alike and self != other and self.cut is None
 
 
 def _read_parameter(name: str, read: Callable[[str], T], text: str | None) -> T | None:
-    """What a parameter's ``text`` says, as it is ``read``; ParameterError where that cannot be."""
+    """Return the value that ``read`` finds in a parameter's ``text``; None without a text.
+    Raises ParameterError if it cannot be read.
+    """
     try:
         return None if text is None else read(text)
     except SceneError as error:

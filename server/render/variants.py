@@ -1,10 +1,10 @@
-"""Variants: an engine's scenes in other light, at other times, of other materials, with other
-surfaces, without some labels, or cut open, each made when asked for.
+"""Variants of an engine's scenes, made on request: other light, time, material or surfaces, hidden
+labels, or a cut.
 
-A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer
-does not depend on the environment, so variants in other light read and bake the same layers where
-their plans are of one kind. What is cut open is another volume, which those in other light share;
-so is another step of a series in time, and a segmentation that hides other labels.
+A variant is a scene like any other, with a plan and the layers that it needs. Transfer does not
+depend on the environment: variants in other light read and bake the same layers if their plans are
+of one kind. A cut makes another volume, as do another step of a series in time and other hidden
+labels of a segmentation; variants that differ in light alone share it.
 """
 
 import math
@@ -38,16 +38,16 @@ from server.render.scheduling import Rank, Renders
 from server.values import shown
 
 MAX_VARIANTS = 64
-"""Variants that an engine has at a time: those asked for last."""
+"""Variants of an engine at a time: the ones asked for last."""
 
 MOST_CUTS = 4
-"""Variants at a time that are cut open or hide labels, where their voxels are more than there is
-room for.
+"""Variants that are cut, smoothed or hide labels, at a time, if their voxels need more memory
+than there is.
 """
 
 MOST_STEPS = 2
-"""Steps of those at other times than their scene's, where their voxels are more than there is room
-for.
+"""Time steps other than their scene's, of all variants at a time, if their voxels need more
+memory than there is.
 """
 
 VARIANTS_TAKEN = (
@@ -59,7 +59,7 @@ MATERIAL_COMPILING = (
 )
 
 Place = Callable[[str], str | None]
-"""What gives an environment as scene files name it, by its name or id; None where there is none."""
+"""Returns the environment with a name or id, as scene files name it; None if there is none."""
 
 
 class Variants:
@@ -74,13 +74,13 @@ class Variants:
         room: int | None = None,
         patience: float = math.inf,
     ) -> None:
-        """None yet; ``place`` finds where an environment is.
+        """Make none yet; ``place`` finds environments.
 
-        When there are more than ``most``, the engine dismisses what was asked for longest ago.
-        Voxels of cuts, and of steps, may take ``room`` bytes: by default what volumes in memory may
-        take, MOST_CUTS times. Beyond that there are ``most_cuts`` that have voxels of their own.
-        What made way is made again when the engine needs it. One is made at a time, in turns of the
-        clients that ask, each of which waits for ``patience`` seconds at most.
+        ``most`` variants are kept; the engine dismisses those asked for longest ago, and makes them
+        again if it needs them. Voxels of cuts, and of time steps, may take ``room`` bytes, by
+        default MOST_CUTS times the memory that one volume may take; above that ``most_cuts``
+        variants with voxels of their own are kept. Variants are made one at a time, clients taking
+        turns, each for ``patience`` seconds at most.
         """
         self._engine = engine
         self._place = place
@@ -99,11 +99,12 @@ class Variants:
         self._compiling: threading.Thread | None = None
 
     async def of(self, scene: Scene, change: Change, client: Hashable = None) -> Scene:
-        """The scene that a ``change`` makes of one; itself where nothing changes.
+        """Return the scene that a ``change`` makes of ``scene``, made now if there is none yet; the
+        scene itself if nothing changes.
 
-        It is made off the event loop where there is none yet, when it is the turn of the
-        ``client``. Raises ParameterError where there is no such environment, BusyError where too
-        many others are made before, and as ``make`` does.
+        It is made off the event loop when it is the turn of the ``client``. Raises ParameterError
+        if there is no such environment, BusyError if the variants of others take too long, and the
+        errors of ``make``.
         """
         variant = SceneVariant.of(scene, change)
         if not variant.any:
@@ -115,12 +116,12 @@ class Variants:
         return await self._turns.run(lambda: self.make(scene, variant, place), turn)
 
     def close(self) -> None:
-        """Make no more."""
+        """Make no more variants."""
         self._turns.close()
 
     def _placed(self, variant: SceneVariant) -> str | None:
-        """Where a variant's environment is; None where it is its scene's. ParameterError where
-        there is none.
+        """Return a variant's environment as scene files name it; None if it is its scene's.
+        Raises ParameterError if there is no such environment.
         """
         if variant.environment is None:
             return None
@@ -133,7 +134,9 @@ class Variants:
         return place
 
     def known(self, name: str) -> Scene | None:
-        """The variant of this id, where there is one already; never waits long."""
+        """Return the variant with this id if it is made; note that it was asked for. Never
+        waits long.
+        """
         known = self._engine.scenes.get(name)
         if known is not None:
             with self._lock:
@@ -142,10 +145,8 @@ class Variants:
         return known
 
     def again(self, name: str) -> Scene | None:
-        """The variant of this id, made again where it made way for others; None where it is none,
-        or its scene is gone.
-
-        Raises as ``make`` does.
+        """Make the variant with this id again, after it was dismissed. None if the id is no
+        variant's, or if its scene is gone. Raises as ``make`` does.
         """
         variant = self._engine.variant(name)
         scene = self._engine.scenes.get(variant.base)
@@ -154,10 +155,11 @@ class Variants:
         return self.make(scene, variant, self._placed(variant))
 
     def make(self, scene: Scene, variant: SceneVariant, place: str | None) -> Scene:
-        """The ``variant`` of a scene, in the environment at a ``place``, as scene files name it.
+        """Make the ``variant`` of a scene, in the environment ``place`` as scene files name it, and
+        admit it to the engine.
 
-        Raises ParameterError where the scene's own choices do not fit that light, its file is
-        damaged, or the volume cannot be shown so, and BusyError while kernels of another material
+        Raises ParameterError if the variant contradicts settings of the scene, if a file is
+        damaged, or if the volume cannot be changed so; and BusyError while kernels for its material
         are compiled.
         """
         name = variant.id
@@ -165,6 +167,8 @@ class Variants:
         with self._making:
             if (known := self.known(name)) is not None:
                 return known
+            # Apply changes of the voxels before those of the light, and the cut last, as it takes
+            # the voxels as they then are.
             if variant.time is None:
                 made = scene
             else:
@@ -184,15 +188,17 @@ class Variants:
             if made.surfaces.material != scene.surfaces.material:
                 self._check_compiled(scene, made)
             self._engine.admit(made, variant)
+        # Admit first, then dismiss: the variant counts as the one asked for last.
         self.known(name)
         for each in (each for each in self._outdated() if each in self._engine.scenes):
             self._engine.dismiss(each)
         return made
 
     def _check_compiled(self, scene: Scene, made: Scene) -> None:
-        """Raise BusyError while kernels are compiled that a scene ``made`` of another calls; that
-        begins where some never were. Those that pictures of the other ``scene`` call are the
-        engine's own work.
+        """Raise BusyError while kernels are compiled that pictures of the scene ``made`` call;
+        start to compile them if need be.
+
+        Kernels that pictures of the former ``scene`` call too are compiled by the engine.
         """
         others = set(other_kernels([made])) - set(other_kernels([scene]))
         kernels = (*frame_kernels([made]), *others)
@@ -206,14 +212,18 @@ class Variants:
         raise BusyError(MATERIAL_COMPILING, "compiling")
 
     def _outdated(self) -> list[str]:
-        """The variants that are too many: they count as not asked for."""
+        """Return the variants that are to be dismissed because there are too many, and forget
+        that they were asked for.
+        """
         with self._lock:
             asked = {each: self._engine.variant(each) for each in self._asked}
+            # If voxels of cuts need too much memory, keep the newest cuts.
             cuts = [each for each in asked if asked[each].has_voxels]
             if self._crowded(cuts):
                 old = cuts[: max(len(cuts) - self._most_cuts, 0)]
             else:
                 old = []
+            # If voxels of all need too much memory, keep the variants of the newest time steps.
             steps = {
                 (each.base, each.time): None
                 for each in reversed(asked.values())
@@ -225,6 +235,7 @@ class Variants:
             ]
             if self._crowded(self._asked):
                 old += [each for each in at_these if each not in old]
+            # Of the others, keep as many as there may be.
             rest = [each for each in self._asked if each not in old]
             old += rest[: max(len(rest) - self._most, 0)]
             for each in old:
@@ -232,8 +243,8 @@ class Variants:
         return old
 
     def _crowded(self, names: Iterable[str]) -> bool:
-        """Whether the voxels of these variants are more than there is room for; their scenes' own
-        do not count.
+        """Return True if the voxels of these variants need more memory than there is; voxels of
+        the scenes themselves do not count.
         """
         scenes = self._engine.scenes
         volumes = [scenes[each].volume for each in names if each in scenes]
@@ -244,14 +255,19 @@ class Variants:
         return sum(sizes.values()) > self._room
 
     def _like(self, variant: SceneVariant) -> Scene | None:
-        """A variant that has the voxels of one already, but for a cut."""
-        kin = ((each, self._engine.variant(each.id)) for each in list(self._engine.scenes.values()))
-        return next(
-            (each for each, its in kin if its.cut is None and its.voxels == variant.voxels), None
-        )
+        """Return a scene that has the voxels of a variant, before its cut; None if there is
+        none.
+        """
+        for scene in list(self._engine.scenes.values()):
+            other = self._engine.variant(scene.id)
+            if other.cut is None and other.voxels == variant.voxels:
+                return scene
+        return None
 
     def _at(self, scene: Scene, variant: SceneVariant, time: int) -> Scene:
-        """The scene at another time, with the voxels of a variant that has them already."""
+        """Return the scene at another time step, with the voxels of a scene that has them
+        already, if there is one.
+        """
         like = self._like(replace(variant, hidden=None, smooth=None))
         try:
             return at_time(scene, time, variant.id, like.volume if like else None)
@@ -259,7 +275,9 @@ class Variants:
             raise ParameterError(str(error), "time") from None
 
     def _smoothed(self, scene: Scene, variant: SceneVariant, sigma: float) -> Scene:
-        """The scene smoothed otherwise, with the voxels of a variant that has them already."""
+        """Return the scene smoothed by ``sigma`` voxels, with the voxels of a scene that has
+        them already, if there is one.
+        """
         like = self._like(replace(variant, hidden=None))
         try:
             return smoothed_by(scene, sigma, variant.id, like.volume if like else None)
@@ -267,8 +285,8 @@ class Variants:
             raise ParameterError(str(error), "smooth") from None
 
     def _hiding(self, scene: Scene, variant: SceneVariant, hidden: Hidden) -> Scene:
-        """The scene with other labels hidden, with the voxels of a variant that has them
-        already.
+        """Return the scene with other labels hidden, with the voxels of a scene that has them
+        already, if there is one.
         """
         try:
             return with_hidden(scene, hidden, variant.id, self._like(variant))
@@ -277,6 +295,7 @@ class Variants:
 
     @staticmethod
     def _made_of(scene: Scene, name: str, settings: MaterialSettings) -> Scene:
+        """Return the scene with other ``settings`` of its material."""
         try:
             return with_material(scene, settings, name)
         except SceneError as error:
@@ -284,6 +303,7 @@ class Variants:
 
     @staticmethod
     def _lit(scene: Scene, name: str, environment: str) -> Scene:
+        """Return the scene in another ``environment``."""
         try:
             return under(scene, environment, name)
         except (SceneError, LightError) as error:
@@ -292,16 +312,13 @@ class Variants:
             ) from None
 
     def _cut(self, scene: Scene, name: str, cut: str) -> Scene:
+        """Return the scene with a ``cut``, with the voxels of a scene that has them already, if
+        there is one.
+        """
         try:
             digest = cut_digest(scene.volume, cut)
-            volume = next(
-                (
-                    each.volume
-                    for each in self._engine.scenes.values()
-                    if each.volume.digest == digest
-                ),
-                None,
-            )
-            return cut_open(scene, cut, name, volume)
+            same = (each for each in self._engine.scenes.values() if each.volume.digest == digest)
+            like = next(same, None)
+            return cut_open(scene, cut, name, like.volume if like else None)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "cut") from None

@@ -1,1 +1,3 @@
-"""Uploads: volumes that clients send, read by a process of their own and kept in a folder."""
+"""Uploads: volumes and light probes that clients send, read by a separate process and kept in a
+folder.
+"""

@@ -1,4 +1,4 @@
-"""The folder of uploads, volumes and light probes, and the one form in which each kind is kept."""
+"""The folder of uploads, volumes and light probes, and the canonical form of each kind of file."""
 
 import errno
 import fcntl
@@ -32,28 +32,29 @@ ENVIRONMENT_KIND = "environment"
 """Kinds of files that may be uploaded."""
 
 SUFFIXES = {VOLUME_KIND: ".nrrd", ENVIRONMENT_KIND: ".hdr"}
-"""Endings of the names of canonical files, by their kinds."""
+"""File name suffixes of canonical files, by kind."""
 
 MAX_HEADER_BYTES = 1 << 17
-"""Bytes that no header is longer than."""
+"""Bytes of a header at most."""
 
 VOXEL_BYTES = 4
-"""Bytes of a voxel in the server's memory, where all are float32."""
+"""Bytes of a voxel in the server's memory: voxels are float32."""
 
 SCENE_BYTES = 256 << 10
-"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody
-looks at it: 10 to 30 kB were measured."""
+"""Bytes that the scene of a volume takes in memory in addition to its voxels while nobody views
+it: 10 to 30 kB were measured.
+"""
 
 PIXEL_BYTES = 64
-"""Bytes of a pixel in the server's memory: its radiance, and tables to sample it by."""
+"""Bytes of a probe's pixel in the server's memory: radiance, and tables for sampling."""
 
 
 @dataclass(frozen=True)
 class Upload:
-    """An upload of a ``kind`` in its canonical file: its ``id``, its ``name`` for a person, and
-    ``bytes``.
+    """An upload of a ``kind``, kept in a canonical file: its ``id``, a ``name`` for people, and
+    ``bytes`` on disk.
 
-    ``size`` is a volume's voxels along x, y, z, or a probe's columns and rows.
+    ``size`` is the number of voxels along x, y, z, or of a probe's columns and rows.
     """
 
     kind: str
@@ -64,20 +65,19 @@ class Upload:
 
     @property
     def held(self) -> int:
-        """Bytes that the quota counts: of a volume those on disk or in memory, whichever are more,
-        and of its scene; of a probe both."""
+        """Return the bytes that count towards the quota: for a volume the larger of disk and
+        memory, and its scene; for a probe both.
+        """
         if self.kind == ENVIRONMENT_KIND:
             return self.bytes + PIXEL_BYTES * math.prod(self.size)
         return SCENE_BYTES + max(self.bytes, VOXEL_BYTES * math.prod(self.size))
 
 
 MAX_PROBE_SHAPE = (512, 1024)
-"""Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without
-change of energy.
-"""
+"""Rows and columns to which a finer probe is averaged by solid angle, which keeps its energy."""
 
 ROWS_PER_BLOCK = 256
-"""Rows of a finer one that are averaged at once."""
+"""Rows of a finer probe that are averaged at a time."""
 
 MOST_PIXELS = 1 << 25
 """Pixels that a probe may have: 8192 × 4096."""
@@ -89,10 +89,9 @@ PROBE_HEADER_PATTERN = re.compile(
 
 
 def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
-    """Write a Radiance picture, as it came, as a canonical file; gives its id, a digest of all but
-    the name.
+    """Write a Radiance picture as a canonical file; return its id, a digest of all but the name.
 
-    Raises LightError where it is no lat-long picture of light: not twice as wide as high, black, or
+    Raises LightError if it is no lat-long picture of light: not twice as wide as high, black, or
     damaged.
     """
     image = parse_hdr(data, name or "the file", MOST_PIXELS)
@@ -106,8 +105,10 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
         raise LightError("The picture is black: give one with light in it.")
     if height > MAX_PROBE_SHAPE[0]:
         image = made_small(image)
+    # Encode the radiance anew, so that the file holds nothing else that came with it.
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
+    # Equal light has an equal id, whatever its name: it is kept and baked once.
     number = hashlib.blake2b(
         f"probe {width} {height}".encode() + pixels, digest_size=16
     ).hexdigest()
@@ -117,8 +118,8 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
 
 
 def made_small(image: np.ndarray) -> np.ndarray:
-    """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers
-    are in memory.
+    """Average an image to MAX_PROBE_SHAPE pixels: first to its width, some rows at a time, so
+    that few float64 pixels are in memory.
     """
     height, width = MAX_PROBE_SHAPE
     blocks = (image[row : row + ROWS_PER_BLOCK] for row in range(0, len(image), ROWS_PER_BLOCK))
@@ -127,8 +128,8 @@ def made_small(image: np.ndarray) -> np.ndarray:
 
 
 def read_environment(path: Path) -> Upload | None:
-    """What a file whose name is its id says of itself; None where it is not as
-    ``write_environment`` left it.
+    """Read the header of a canonical probe whose file name is its id; None if the file is not
+    as ``write_environment`` wrote it.
     """
     with path.open("rb") as file:
         head = PROBE_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
@@ -138,6 +139,7 @@ def read_environment(path: Path) -> Upload | None:
     kept = Upload(
         ENVIRONMENT_KIND, path.stem, unquote(name), (int(width), int(height)), path.stat().st_size
     )
+    # The size of the file must be that of header and pixels: else it was cut off.
     if kept.bytes == head.end() + 4 * int(width) * int(height):
         return kept
     return None
@@ -151,10 +153,10 @@ NRRD_TYPES = {
     },
     **{"f4": "float", "f8": "double"},
 }
-"""NRRD's names of types by NumPy's."""
+"""Names of types in NRRD files, by NumPy's codes."""
 
 NRRD_SPACES = {PATIENT_AXES: "right-anterior-superior"}
-"""NRRD's names of spaces by their letters."""
+"""Names of spaces in NRRD files, by the letters of their axes."""
 
 VOLUME_HEADER = """\
 NRRD0004
@@ -177,13 +179,15 @@ VOLUME_HEADER_PATTERN = re.compile(
     re.ASCII,
 )
 LABEL_NAME = 64
-"""Characters of a label's name that are kept, at most."""
+"""Characters of a label's name that are kept."""
 
 
 def write(file: IO[bytes], grid: Grid, name: str) -> str:
-    """Write a grid on right angles as a canonical file; gives its id, a digest of all but the name.
+    """Write a grid on right angles as a canonical file; return its id, a digest of all but the
+    name.
 
-    The name of what has none is made of the id. Types that NRRD lacks become the next that it has.
+    An empty name is replaced by one made of the id. Types that NRRD lacks become the next larger
+    one.
     """
     kind = {"b1": "u1", "f2": "f4"}.get(grid.dtype.str[1:], grid.dtype.str[1:])
     kind = kind if kind in NRRD_TYPES else "f8"
@@ -195,6 +199,7 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     facts["labels"] = "".join(
         segment(number, label) for number, label in enumerate(shown_labels(grid))
     )
+    # The digest comes before the data in the file: go through the layers twice, and keep no copy.
     digest = hashlib.blake2b(VOLUME_HEADER.format(**facts, name="").encode(), digest_size=16)
     for layer in layer_values(grid, f"<{kind}"):
         digest.update(layer)
@@ -208,8 +213,8 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
 
 
 def shown_labels(grid: Grid) -> tuple[LabelName, ...]:
-    """The labels that a grid names, as many as can be shown; of a segmentation without names a
-    nameless one.
+    """Return the labels that a grid names, as many as can be shown; one nameless label for a
+    segmentation without names.
     """
     if grid.labels is None:
         return ()
@@ -217,7 +222,7 @@ def shown_labels(grid: Grid) -> tuple[LabelName, ...]:
 
 
 def segment(number: int, label: LabelName) -> str:
-    """The lines of a header that name a label, as 3D Slicer does."""
+    """Return the header lines that name a label, as 3D Slicer writes them."""
     red, green, blue = (byte / 255.0 for byte in bytes.fromhex(label.colour[1:] or "000000"))
     name = "".join(letter for letter in label.name if letter.isprintable() and letter != "\\")[
         :LABEL_NAME
@@ -231,17 +236,20 @@ def segment(number: int, label: LabelName) -> str:
 
 
 def layer_values(grid: Grid, kind: str) -> Iterator[memoryview]:
-    """The values of a grid, layer by layer, as a type: no copy of the whole takes memory."""
+    """Yield the values of a grid layer by layer, converted to ``kind``, so that no copy of the
+    whole takes memory.
+    """
     return (np.ascontiguousarray(layer, kind).data for slab in grid.slabs() for layer in slab)
 
 
 def placing_lines(grid: Grid) -> str:
-    """The lines of a header that say where a grid on right angles lies: spacing alone where that is
-    all.
+    """Return the header lines that place a grid on right angles in space: the spacing alone if
+    that is all.
     """
     orientation = Orientation.of(grid)
     if not orientation.placed and not orientation.letters and not orientation.unit:
         return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
+    # Rows are the world vectors between neighbouring voxels.
     steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
     if orientation.letters in NRRD_SPACES:
         space = f"space: {NRRD_SPACES[orientation.letters]}"
@@ -258,13 +266,13 @@ def placing_lines(grid: Grid) -> str:
 
 
 def vector(row: Sequence[float]) -> str:
-    """A vector as NRRD writes it."""
+    """Return a vector as NRRD writes it."""
     return f"({','.join(repr(float(value)) for value in row)})"
 
 
 def read_volume(path: Path) -> Upload | None:
-    """What a file whose name is its id says of itself; None where it is not as ``write`` left
-    it.
+    """Read the header of a canonical volume whose file name is its id; None if the file is not
+    as ``write`` wrote it.
     """
     with path.open("rb") as file:
         head = VOLUME_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
@@ -273,30 +281,31 @@ def read_volume(path: Path) -> Upload | None:
     kind, *sizes, name = (part.decode() for part in head.groups())
     x, y, z = map(int, sizes)
     kept = Upload(VOLUME_KIND, path.stem, unquote(name), (x, y, z), path.stat().st_size)
+    # The size of the file must be that of header and voxels: else it was cut off.
     widths = {name: int(code[1]) for code, name in NRRD_TYPES.items()}
     whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
     return kept if kept.bytes == whole else None
 
 
 READERS = {VOLUME_KIND: read_volume, ENVIRONMENT_KIND: read_environment}
-"""What reads canonical files, by their kinds."""
+"""Functions that read the headers of canonical files, by kind."""
 
 
 log = logging.getLogger("isogi.uploads")
 
 UPLOAD_ID = re.compile(r"[0-9a-f]{20}([0-9a-f]{12})?")
-"""What ids look like."""
+"""Pattern of ids: digests of 80 or 128 bits."""
 
 UNFINISHED_SUFFIX = ".part"
 OWNERS_FILE = "owners.json"
-"""The file of who has sent a volume by name."""
+"""The file that lists the owners of uploads."""
 
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def read_owners(path: Path) -> dict[str, list[str]]:
-    """The names of those whom volumes belong to, by the volumes' ids. Raises UploadFolderError
-    where it is damaged.
+    """Return the names of the owners of each upload, by its id. Raises UploadFolderError if the
+    file is damaged.
     """
     try:
         if path.exists():
@@ -306,12 +315,12 @@ def read_owners(path: Path) -> dict[str, list[str]]:
         return {str(number): [str(name) for name in names] for number, names in owners.items()}
     except (ValueError, AttributeError, TypeError, RecursionError):
         raise UploadFolderError(
-            f"{path}, which says whose volumes are, is damaged: mend it, or delete it."
+            f"The list of owners {path} is damaged: repair it, or delete it."
         ) from None
 
 
 def default_folder() -> Path:
-    """Where uploads are kept by default: ``$XDG_DATA_HOME/isogi/volumes``, or below
+    """Return the default folder of uploads: ``$XDG_DATA_HOME/isogi/volumes``, or below
     ``~/.local/share``.
     """
     return (
@@ -322,14 +331,14 @@ def default_folder() -> Path:
 
 
 class UploadFolder:
-    """The uploads in a folder of one server, in a table by their ids. Raises UploadFolderError, and
-    FullError.
+    """The uploads in a folder that one server uses at a time. Its methods raise UploadFolderError,
+    and FullError if the disk is full.
 
-    The table is replaced and never changed: iterations over the former one go on.
+    The table ``uploads``, by id, is replaced and never changed, so that others may iterate over it.
     """
 
     def __init__(self, path: Path) -> None:
-        """Name the folder; nothing is opened yet."""
+        """Set the folder; nothing is opened yet."""
         self.path = path
         self.uploads: dict[str, Upload] = {}
         self._owners: dict[str, list[str]] = {}
@@ -337,26 +346,27 @@ class UploadFolder:
 
     @property
     def held(self) -> int:
-        """Bytes that count towards the quota."""
+        """Return the bytes that count towards the quota."""
         return sum(kept.held for kept in self.uploads.values())
 
     @property
     def volumes(self) -> list[Upload]:
-        """The volumes."""
+        """Return the volumes."""
         return self._all(VOLUME_KIND)
 
     @property
     def environments(self) -> list[Upload]:
-        """The light probes."""
+        """Return the light probes."""
         return self._all(ENVIRONMENT_KIND)
 
     def open(self) -> None:
-        """Take the folder, for its owner alone; throw away what was half-written, and find what is
-        whole.
+        """Lock the folder, for its user alone; delete files that were written in part, and read
+        the others' headers.
         """
         with name_folder_in_errors(self.path):
             self.path.mkdir(0o700, parents=True, exist_ok=True)
             self.path.chmod(0o700)
+            # Without the lock, another server's drafts would be deleted.
             self._lock = self._take()
             for path in self.path.glob(f"*{UNFINISHED_SUFFIX}"):
                 path.unlink()
@@ -369,18 +379,18 @@ class UploadFolder:
             self.uploads = {kept.id: kept for kept in found if kept}
 
     def close(self) -> None:
-        """Leave the folder to others."""
+        """Release the folder's lock."""
         if self._lock is not None:
             self._lock.close()
 
     def place(self, number: str) -> Path:
-        """The file of an upload in the folder."""
+        """Return the path of an upload's file."""
         return self.path / f"{number}{SUFFIXES[self.uploads[number].kind]}"
 
     @contextmanager
     def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
-        """Two files: for what a client sends, which has no name, and for its canonical form. Gone
-        afterwards.
+        """Yield two files, deleted at the end of the block: one without a name for the body of
+        a request, and one for its canonical form.
         """
         with name_folder_in_errors(self.path):
             body = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
@@ -394,8 +404,8 @@ class UploadFolder:
             Path(draft.name).unlink(missing_ok=True)
 
     def put(self, draft: IO[bytes], number: str, kind: str = VOLUME_KIND) -> Upload:
-        """Keep a canonical draft of a ``kind`` under its id: once this returns no power cut takes
-        it away.
+        """Keep a canonical draft under its id; once this returns, it survives a loss of power.
+        Return the upload.
         """
         place = self.path / f"{number}{SUFFIXES[kind]}"
         with name_folder_in_errors(self.path):
@@ -403,6 +413,7 @@ class UploadFolder:
             os.fsync(draft.fileno())
             os.replace(draft.name, place)
             self._settle()
+        # Read the file back: a disk that loses data is found now.
         kept = self._read(kind, place)
         if kept is None:
             raise UploadFolderError(
@@ -412,28 +423,28 @@ class UploadFolder:
         return kept
 
     def owners_of(self, number: str) -> list[str]:
-        """The names of those whom an upload belongs to; none where nobody is named."""
+        """Return the names of an upload's owners; an empty list if none is named."""
         return self._owners.get(number, [])
 
     def give(self, number: str, owner: str) -> None:
-        """Have an upload belong to one more, unless that is nobody."""
+        """Add an owner to an upload, unless the name is empty."""
         if owner and number in self.uploads and owner not in self.owners_of(number):
             self._own({**self._owners, number: [*self.owners_of(number), owner]})
 
     def take_back(self, number: str, owner: str) -> None:
-        """Have an upload belong to one less."""
+        """Remove an owner from an upload."""
         self._own(
             {**self._owners, number: [each for each in self.owners_of(number) if each != owner]}
         )
 
     def _own(self, owners: dict[str, list[str]]) -> None:
-        """Keep who owns what."""
+        """Write and keep the table of owners."""
         with name_folder_in_errors(self.path):
             write_whole(self.path / OWNERS_FILE, json.dumps(owners).encode())
         self._owners = owners
 
     def remove(self, number: str) -> None:
-        """Delete an upload."""
+        """Delete an upload, its owners first."""
         if number in self._owners:
             self._own({key: owners for key, owners in self._owners.items() if key != number})
         with name_folder_in_errors(self.path):
@@ -442,7 +453,9 @@ class UploadFolder:
             self._settle()
 
     def _take(self) -> IO[bytes]:
-        """The folder's lock, which other servers respect and which ends with the process."""
+        """Take the folder's lock, which ends with the process. Raises UploadFolderError if
+        another server has it.
+        """
         lock = (self.path / "lock").open("wb")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -456,7 +469,7 @@ class UploadFolder:
             raise UploadFolderError(sentence) from None
 
     def _settle(self) -> None:
-        """Have the folder's names on the disk."""
+        """Write the names in the folder to the disk, so that a rename survives a loss of power."""
         folder = os.open(self.path, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -464,21 +477,23 @@ class UploadFolder:
             os.close(folder)
 
     def _all(self, kind: str) -> list[Upload]:
+        """Return the uploads of a ``kind``."""
         return [kept for kept in self.uploads.values() if kept.kind == kind]
 
     def _read(self, kind: str, path: Path) -> Upload | None:
+        """Read the header of a file; log a warning and return None if isogi has not written it."""
         if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink():
             kept = READERS[kind](path)
         else:
             kept = None
         if kept is None:
-            log.warning("%s is no %s that isogi has kept: it is left alone", path, kind)
+            log.warning("%s is not a %s that isogi has written: it is ignored", path, kind)
         return kept
 
 
 @contextmanager
 def name_folder_in_errors(folder: Path) -> Iterator[None]:
-    """What the system says of a ``folder`` as an error that names it."""
+    """For the block, turn OSError into FullError or UploadFolderError that names the ``folder``."""
     try:
         yield
     except OSError as error:

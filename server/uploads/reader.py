@@ -1,12 +1,13 @@
-"""The reader of uploads: a process of its own, for one file that may be hostile.
+"""The reader of uploads: a separate process for one file, which may be hostile.
 
-``python -m server.uploads.reader NAME BODY OUT KIND VOXELS`` waits for a line on stdin, which comes
-once the file at the descriptor BODY is whole, a volume or an environment: the processor seconds
-that reading may take. It writes a canonical file to the descriptor OUT. One line of JSON on stdout
-holds its id, or a sentence why the file is refused. What the process may take is limited, and
-before it reads the file it gives up all that it does not need for that (see ``sandbox``): no path,
-URL or socket that the file names can be reached, and what a hole in a library lets in can harm
-nothing.
+``python -m server.uploads.reader NAME BODY OUT KIND VOXELS`` waits for a line on stdin: the seconds
+of processor time that reading may take. It comes once the file at the descriptor BODY is complete.
+The process writes a canonical file to the descriptor OUT, and one line of JSON to stdout, with the
+id or a sentence that says why the file is refused.
+
+Its memory and time are limited, and it gives up all rights that it does not need before it reads
+the file (see ``sandbox``). So no path, URL or socket that the file names can be reached, and an
+error in a library that the file exploits does no harm outside.
 """
 
 import contextlib
@@ -33,23 +34,23 @@ from server.uploads.folder import ENVIRONMENT_KIND, MAX_HEADER_BYTES, write, wri
 from server.uploads.sandbox import confine
 
 LIBRARY_BYTES = 128 << 20
-"""Bytes of memory for what libraries need, besides the voxels, once they are loaded."""
+"""Bytes of memory that loaded libraries need, in addition to voxels."""
 
 PER_VOXEL = 12
-"""Bytes of memory for each voxel that may be: as it is in the file, of 8 bytes, and what checks
-take.
+"""Bytes of memory for each voxel that is allowed: 8 bytes as in the file, and what checks take.
 
-With Python and its libraries that is 1 GB for the 64 million voxels that uploads may have by
-default.
+For the 64 million voxels that uploads may have by default this comes to 1 GB, with Python and its
+libraries.
 """
 
 LONGEST_SENTENCE = 500
 
 
 def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float) -> dict[str, str]:
-    """Read the file ``body``, of at most so many ``voxels`` and in so many processor ``seconds``,
-    into ``out``.
+    """Read the file at the descriptor ``body``, of at most ``voxels`` voxels and in ``seconds``
+    of processor time, and write it to ``out``. Return the answer to the server.
     """
+    # Load libraries first, then limit and confine the process, and only then read the file.
     rehearse(os.pread(body, HEAD_BYTES, 0))
     limit(voxels, seconds)
     confine()
@@ -62,10 +63,13 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
             grid = on_right_angles(found)
             name = named_after(found, name)
             check_size(grid, voxels)
+            # Check the size before voxels are loaded, and refuse now what the server could not
+            # show.
             grid = grid.loaded()
-            survey(grid, "above")  # what the server cannot show is refused here
+            survey(grid, "above")
             if grid.labels is not None:
-                Segmentation(grid, ()).labels  # noqa: B018 (looks whether they can be shown)
+                # Labels that cannot be shown raise VolumeError.
+                Segmentation(grid, ()).labels  # noqa: B018
             return {"id": write(canonical, grid, name)}
         except (VolumeError, LightError) as error:
             return {"refused": str(error)}
@@ -84,16 +88,16 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
 
 
 def named_after(grid: Grid, name: str) -> str:
-    """The name of a volume, which says so where it is the first step of a series in time."""
+    """Return the name of a volume; it says so if the volume is the first step of a series in
+    time.
+    """
     if grid.unchosen:
         return f"{name or 'volume'}, first of {grid.moment[1]} steps"
     return name
 
 
 def check_size(grid: Grid, voxels: int) -> None:
-    """Raise VolumeError where a grid has more voxels than may be, once its axes are at right
-    angles.
-    """
+    """Raise VolumeError if a grid, resampled to right angles, has more than ``voxels`` voxels."""
     if grid.size > voxels:
         raise VolumeError(
             f"The volume has {grid.size} voxels, and {voxels} are the most that may be: save a "
@@ -102,8 +106,8 @@ def check_size(grid: Grid, voxels: int) -> None:
 
 
 def rehearse(head: bytes) -> None:
-    """Have the libraries that a file needs which begins with ``head`` load what they load late:
-    soon they cannot.
+    """Load the libraries for a file that begins with ``head``, and let libraries load the parts
+    that they load on first use: no file can be opened later.
     """
     survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
@@ -113,9 +117,8 @@ def rehearse(head: bytes) -> None:
 
 
 def limit(voxels: int, seconds: float) -> None:
-    """Limit what this process may take from now on, beyond what its start took; it opens no more
-    files.
-    """
+    """Limit memory, time and file size of this process from now on; it can open no more files."""
+    # Beyond what the start of the process took: files that are open stay open.
     limits = {
         resource.RLIMIT_AS: mapped_bytes() + LIBRARY_BYTES + PER_VOXEL * voxels,
         resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),
@@ -133,9 +136,7 @@ def limit(voxels: int, seconds: float) -> None:
 
 
 def mapped_bytes() -> int:
-    """Bytes of this process's address space now; a gigabyte where the system does not report
-    them.
-    """
+    """Return the bytes of this process's address space; 1 GB if the system does not report them."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     except OSError:
@@ -143,7 +144,7 @@ def mapped_bytes() -> int:
 
 
 def line_of(answer: dict[str, Any]) -> str:
-    """An answer as one line that is not too long."""
+    """Return an answer as one line of JSON, with values cut to LONGEST_SENTENCE characters."""
     return json.dumps({key: str(value)[:LONGEST_SENTENCE] for key, value in answer.items()})
 
 

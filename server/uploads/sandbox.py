@@ -1,7 +1,8 @@
-"""The sandbox of the reader of uploads: what its process gives up before it reads, asked of the
-kernel itself.
+"""The sandbox of the reader of uploads: rights that its process gives up before it reads, by system
+calls.
 
-``python -m server.uploads.sandbox`` tries it, and prints as JSON what this system lacks.
+``python -m server.uploads.sandbox`` tries it, and prints as JSON the protections that this system
+lacks.
 """
 
 import ctypes
@@ -16,12 +17,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 NOBODY_ID = 65534
-"""The user and the group that the reader becomes where it was started as root."""
+"""User and group that the reader takes if it was started as root."""
 
 
 class Machine(NamedTuple):
-    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in
-    ALLOWED_CALLS.
+    """A processor architecture: its number in <linux/audit.h>, the number of seccomp(2), and
+    its column in ALLOWED_CALLS.
     """
 
     audit: int
@@ -71,38 +72,47 @@ ALLOWED_CALLS = {
     "write": (1, 64),
     "writev": (20, 66),
 }
-"""The system calls that the reader needs once all is open, with their numbers on each machine."""
+"""The system calls that the reader needs once all files are open, with their numbers on each
+architecture.
+"""
 
 NO_NEW_PRIVILEGES = 38
-"""PR_SET_NO_NEW_PRIVS of <linux/prctl.h>: without it only root may confine itself."""
+"""PR_SET_NO_NEW_PRIVS of <linux/prctl.h>: the kernel lets processes without root confine
+themselves only with it.
+"""
 
 SECCOMP_FILTER = 1
 ALL_THREADS = 1
-"""SECCOMP_SET_MODE_FILTER, and its flag for threads that run already."""
+"""SECCOMP_SET_MODE_FILTER, and its flag that includes threads that run already."""
 
 LOAD_WORD = 0x20
 JUMP_IF_EQUAL = 0x15
 RETURN_ANSWER = 0x06
-"""Steps of a filter: load a word of a call, jump where it equals a number, answer."""
+"""Codes of BPF instructions: load a word of the call's data, jump if it equals a number, return
+an answer.
+"""
 
 ALLOW_CALL = 0x7FFF0000
 REFUSE_CALL = 0x00050000 | errno.EPERM
 
 CREATE_RULESET = 444
 RESTRICT_SELF = 446
-"""Landlock's system calls, which have the same numbers on all machines."""
+"""System calls of Landlock, with the same numbers on all architectures."""
 
 LANDLOCK_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
-"""Rights to files that Landlock knows, by the first of its versions to know so many."""
+"""Numbers of file rights that Landlock handles, by the first version of its interface that has
+as many.
+"""
 
 
 def confine() -> list[str]:
-    """Give up files, sockets, processes and signals, but for descriptors that are open; names what
-    this system lacks.
+    """Give up files, sockets, processes and signals, except for open descriptors; return the names
+    of protections that this system lacks.
 
-    Where one protection is missing the others hold.
+    Protections are independent: if one is missing, the others hold.
     """
     lacking = []
+    # From the outside in: become nobody while calls are still allowed, and give up calls last.
     for name, protect in {
         "another user": become_nobody,
         "Landlock": give_up_paths,
@@ -116,7 +126,7 @@ def confine() -> list[str]:
 
 
 def become_nobody() -> None:
-    """Be another user from now on, where this is root. Raises OSError."""
+    """Become the user and group NOBODY_ID if this is root. Raises OSError."""
     if os.geteuid() == 0:
         os.setgroups([])
         os.setresgid(NOBODY_ID, NOBODY_ID, NOBODY_ID)
@@ -124,13 +134,15 @@ def become_nobody() -> None:
 
 
 def give_up_paths() -> None:
-    """Open, make, rename and remove nothing by its path from now on, by Landlock; nor bind, connect
-    or signal.
+    """Give up opening, creating, renaming and removing files by path, by Landlock; and, if it can,
+    binding, connecting and signalling.
 
-    Raises OSError where the kernel has none.
+    Raises OSError if the kernel has no Landlock.
     """
     version = call(CREATE_RULESET, None, 0, 1)
     files = max(count for since, count in LANDLOCK_RIGHTS.items() if since <= version)
+    # Handle all rights that this version knows, and allow none of them: files, network (version 4),
+    # sockets and signals (version 6).
     handled = (1 << files) - 1, 3 if version >= 4 else 0, 3 if version >= 6 else 0
     rules = call(CREATE_RULESET, struct.pack("QQQ", *handled), 24, 0)
     try:
@@ -141,9 +153,9 @@ def give_up_paths() -> None:
 
 
 def give_up_calls() -> None:
-    """Refuse all system calls but those in ALLOWED_CALLS from now on, by seccomp.
+    """Refuse all system calls but those in ALLOWED_CALLS, by seccomp.
 
-    Raises OSError where the kernel has none, and KeyError on another machine.
+    Raises OSError if the kernel has no seccomp, and KeyError on an unknown architecture.
     """
     machine = SECCOMP_MACHINES[platform.machine()]
     steps = filter_of(machine)
@@ -158,11 +170,12 @@ def give_up_calls() -> None:
 
 
 def filter_of(machine: Machine) -> bytes:
-    """The filter: refuse another machine's calls, allow those that are needed, and refuse the
-    rest.
+    """Return the BPF program: refuse calls of another architecture, allow those that are
+    needed, refuse the rest.
     """
     numbers = [row[machine.column] for row in ALLOWED_CALLS.values()]
     count = len(numbers)
+    # Jumps are relative to the next step. The last two steps refuse and allow.
     steps = [
         (LOAD_WORD, 0, 0, 4),
         (JUMP_IF_EQUAL, 0, count + 1, machine.audit),
@@ -176,12 +189,14 @@ def filter_of(machine: Machine) -> bytes:
 
 
 def refuse_privileges() -> None:
-    """Gain no rights by running a program from now on. Raises OSError."""
+    """Gain no rights from now on by executing programs. Raises OSError."""
     checked(ctypes.CDLL(None, use_errno=True).prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0))
 
 
 def call(number: int, *arguments: int | bytes | None) -> int:
-    """What a system call answers. Raises OSError."""
+    """Return the result of a system call. Raises OSError if it fails, or if the system is not
+    Linux.
+    """
     if sys.platform != "linux":
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     words = [ctypes.c_long(each) if isinstance(each, int) else each for each in arguments]
@@ -189,15 +204,15 @@ def call(number: int, *arguments: int | bytes | None) -> int:
 
 
 def checked(answer: int) -> int:
-    """The answer of a call. Raises OSError where it failed."""
+    """Return the result of a call. Raises OSError if it is negative."""
     if answer < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return answer
 
 
 def lacking() -> str:
-    """What the reader is confined without on this system, as a sentence; empty where it has all.
-    Blocks for a child.
+    """Return a sentence that names the protections that this system lacks; empty if it has all.
+    Blocks until a child process has tried them.
     """
     trial = [sys.executable, "-P", "-m", "server.uploads.sandbox"]
     given = {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYTHONDONTWRITEBYTECODE": "1"}

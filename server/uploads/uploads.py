@@ -1,7 +1,7 @@
-"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene,
-or to light.
+"""Uploads: the way from a request's body, through a confined reader, to a volume that is shown as a
+scene, or to an environment.
 
-Each has a reader, a process that starts while the body arrives; one at a time reads.
+Each upload has a reader, a process that starts while the body arrives. One reader reads at a time.
 """
 
 import asyncio
@@ -35,9 +35,9 @@ from server.errors import (
     UploadFolderError,
     UploadsOffError,
 )
-from server.render.bakes import attended
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
+from server.render.viewers import run_while_connected
 from server.settings import Settings
 from server.uploads.folder import (
     ENVIRONMENT_KIND,
@@ -53,15 +53,15 @@ from server.uploads.folder import (
 from server.uploads.sandbox import lacking
 
 PYTHON_ROOT = Path(__file__).resolve().parents[2]
-"""Where Python finds the reader."""
+"""The folder in which Python finds the module of the reader."""
 
 BYTES_PER_CPU_SECOND = 8 << 20
-"""Bytes of an upload for which the reader has a second more of the processor."""
+"""Bytes of an upload for which the reader may use one more second of processor time."""
 
 CLOCK_SECONDS_PER_CPU_SECOND = 10.0
 READER_SECONDS = 60.0
-"""Seconds on the clock for each of the processor, and besides, after which a reader is given up:
-others compute.
+"""Seconds of clock time for each second of processor time, and in addition, after which a
+reader is given up: other processes compute too.
 """
 
 READER_ENVIRONMENT = {
@@ -70,7 +70,7 @@ READER_ENVIRONMENT = {
     "PYTHONDONTWRITEBYTECODE": "1",
     "PYTHONUTF8": "1",
 }
-"""What a reader has of an environment: nothing of the server's."""
+"""The environment of a reader: nothing of the server's, such as tokens or keys, is in it."""
 
 LIMITS_EXCEEDED = (
     "The file takes more time or memory to read than it may: save it raw, or a smaller part."
@@ -78,8 +78,8 @@ LIMITS_EXCEEDED = (
 
 
 class Reader:
-    """A child that reads one upload, of a ``kind``, VOLUME_KIND or ENVIRONMENT_KIND: see
-    ``server.uploads.reader``.
+    """A child process that reads one upload, of the ``kind`` VOLUME_KIND or ENVIRONMENT_KIND:
+    see ``server.uploads.reader``.
     """
 
     def __init__(self, process: Process, upload: IO[bytes]) -> None:
@@ -91,11 +91,13 @@ class Reader:
     async def started(
         cls, upload: IO[bytes], into: IO[bytes], name: str, voxels: int, kind: str = VOLUME_KIND
     ) -> AsyncIterator["Reader"]:
-        """A reader of ``upload``, of at most so many ``voxels``, which writes a canonical file
-        ``into`` another.
+        """Start a reader of ``upload``, of at most ``voxels`` voxels, which writes a canonical file
+        ``into`` another; for the block.
 
-        It starts at once, and is gone at the end.
+        The process starts at once, so that it is ready when the body is complete, and is killed at
+        the end of the block.
         """
+        # The child gets descriptors, no paths: it has no access to the folder.
         files = upload.fileno(), into.fileno()
         process = await asyncio.create_subprocess_exec(
             *(
@@ -123,10 +125,10 @@ class Reader:
                 await process.wait()
 
     async def read(self, seconds: float) -> str:
-        """Have the upload read, now that it is whole; its id.
+        """Have the complete upload read, and return its id.
 
-        That may take so many processor ``seconds``, besides those for its size. Raises VolumeError,
-        with the child's own sentence or one about its end, and LateError.
+        Reading may take ``seconds`` of processor time, and more in proportion to the size. Raises
+        VolumeError if the child refuses the file or dies, and LateError if the machine is too busy.
         """
         patience = seconds + os.fstat(self._upload.fileno()).st_size / BYTES_PER_CPU_SECOND
         try:
@@ -138,11 +140,12 @@ class Reader:
             ) from None
 
     async def _answer(self, seconds: float) -> str:
-        """The id that the child answers; VolumeError where it refuses the file, or ends without an
-        answer.
+        """Tell the child its limit of processor ``seconds``, and return the id that it answers.
+        Raises VolumeError if it refuses the file, or ends without an answer.
         """
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(f"{seconds}\n".encode())
+        # A child that is killed, by its limits or the sandbox, closes stdout without an answer.
         line = await self._process.stdout.readline()
         status = await self._process.wait()
         if not line:
@@ -155,14 +158,14 @@ class Reader:
 
 
 WRITE_BLOCK_BYTES = 1 << 20
-"""Bytes that are written at once."""
+"""Bytes that are written in one call."""
 
 
 async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
     """Write the body of a request to a file.
 
-    Raises SlowUploadError where nothing comes for so many ``seconds``, Cancelled where the client
-    has left, and what the file raises.
+    Raises SlowUploadError if nothing comes for ``seconds``, Cancelled if the client disconnects,
+    and the errors of the file.
     """
     async with aclosing(blocks(request, seconds)) as arriving:
         async for block in arriving:
@@ -171,7 +174,7 @@ async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
 
 
 async def blocks(request: Request, seconds: float) -> AsyncGenerator[bytes, None]:
-    """The body in blocks of at least WRITE_BLOCK_BYTES, but for the last."""
+    """Yield the body in blocks of at least WRITE_BLOCK_BYTES, except for the last one."""
     block = bytearray()
     stream = aiter(request.stream())
     while (part := await next_of(stream, seconds)) is not None:
@@ -183,14 +186,12 @@ async def blocks(request: Request, seconds: float) -> AsyncGenerator[bytes, None
 
 
 async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
-    """The next part of a body; None at its end."""
+    """Return the next part of a body; None at its end. Raises SlowUploadError and Cancelled."""
     try:
         async with asyncio.timeout(seconds):
             return await anext(stream, None)
     except TimeoutError:
-        raise SlowUploadError(
-            f"Nothing of the upload came for {seconds:g} s: send it again."
-        ) from None
+        raise SlowUploadError(f"The upload stopped for {seconds:g} s: send it again.") from None
     except ClientDisconnect:
         raise Cancelled("The client left before its upload was whole.") from None
 
@@ -198,7 +199,7 @@ async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
 log = logging.getLogger("isogi.uploads")
 
 AT_ONCE = 2
-"""Uploads that are taken at once, of which one is read at a time; others are answered with 429."""
+"""Uploads that are taken at a time, of which one is read; further ones are answered with 429."""
 
 UPLOADS_OFF = (
     "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
@@ -206,12 +207,10 @@ UPLOADS_OFF = (
 
 
 class Uploads:
-    """The volumes that clients have sent to an ``engine``. Its coroutines belong to one event
-    loop.
-    """
+    """The uploads that an ``engine`` shows. Its coroutines belong to one event loop."""
 
     def __init__(self, engine: "RenderEngine", settings: Settings) -> None:
-        """Take none yet; see ``open``."""
+        """Read the settings; the folder is opened by ``open``."""
         self.on = settings.upload_quota_mb > 0
         self.quota = settings.upload_quota_mb << 20
         self.limit = settings.max_upload_mb << 20
@@ -226,17 +225,18 @@ class Uploads:
         self._off = UPLOADS_OFF
 
     def open(self) -> None:
-        """Show the volumes in the folder, where uploads are on, as far as the quota goes; others
-        are logged and left.
+        """Open the folder, if uploads are on, and show its volumes as far as the quota allows;
+        others are logged and kept.
 
-        Raises UploadFolderError where uploads were asked for and the folder cannot be used. Uploads
-        that are on by default are off then.
+        Raises UploadFolderError if uploads were asked for and the folder cannot be used. Uploads
+        that are on by default are turned off instead.
         """
         if not self.on:
             return
         try:
             self.folder.open()
         except (UploadFolderError, FullError) as error:
+            # If uploads were not asked for, start without them.
             if self._settings.uploads_mb is not None:
                 raise
             self.on = False
@@ -247,6 +247,7 @@ class Uploads:
         left = self.quota
         for kept in self.folder.volumes:
             try:
+                # Volumes above the quota stay on disk, but are not shown.
                 left -= kept.held
                 if left < 0:
                     raise FullError(
@@ -259,20 +260,22 @@ class Uploads:
         self._ready = True
 
     def close(self) -> None:
-        """Leave the folder to another server."""
+        """Release the folder for another server."""
         self.folder.close()
 
     def notes(self) -> list[str]:
-        """What a person should know of the reader: what its sandbox lacks on this system."""
+        """Return sentences for the operator: the protections that readers lack on this system."""
         return [self._lacking] if self._lacking else []
 
     @property
     def free(self) -> int:
-        """Bytes that the quota has left."""
+        """Return the bytes that are left of the quota."""
         return max(self.quota - self.folder.held, 0)
 
     def find(self, number: str, kind: str = VOLUME_KIND) -> Upload:
-        """The upload of a ``kind`` with this id; UnknownVolumeError where there is none."""
+        """Return the upload of a ``kind`` with this id. Raises UnknownVolumeError if there is
+        none.
+        """
         kept = self.folder.uploads.get(number)
         if kept is None or kept.kind != kind:
             raise UnknownVolumeError(
@@ -283,13 +286,12 @@ class Uploads:
     async def take(
         self, request: Request, name: str, kind: str = VOLUME_KIND
     ) -> tuple[Upload, bool]:
-        """Take the body of a request as an upload of a ``kind``, and show a volume; the upload, and
-        whether it is new.
+        """Take the body of a request as an upload of a ``kind``, and show it if it is a volume.
+        Return the upload, and True if it is new.
 
-        It belongs to all who have sent it by name.
-
-        Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError,
-        FullError, UploadFolderError, and Cancelled where the client has left.
+        An upload belongs to all bearers that have sent it. Raises UploadsOffError, StartingError,
+        BusyError, SlowUploadError, VolumeError, LateError, FullError, UploadFolderError, and
+        Cancelled if the client disconnects.
         """
         if not self.on:
             raise UploadsOffError(self._off)
@@ -298,40 +300,47 @@ class Uploads:
             self._admission.admitted(client_of(request.scope)) as place,
             self.folder.drafts() as (body, draft),
         ):
-            self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)  # no volume takes less
+            # No volume needs less than SCENE_BYTES: refuse it before its body comes.
+            self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)
             async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
                 with name_folder_in_errors(self.folder.path):
                     await place.keep(receive(request, body, self._settings.body_seconds))
-                number = await attended(request, place.keep(self._read(reader)))
+                number = await run_while_connected(request, place.keep(self._read(reader)))
+            # Check and change the folder as one step.
             async with self._changing:
                 kept = await asyncio.to_thread(self._keep, draft, number, kind)
+                # An upload without owners belongs to everyone: sending it again takes it from no
+                # one.
                 if kept[1] or self.folder.owners_of(number):
                     await asyncio.to_thread(self.folder.give, number, bearer_of(request.scope).name)
                 return kept
 
     async def _read(self, reader: Reader) -> str:
-        """The id of what a reader reads, when it is its turn. Raises as that does."""
+        """Have a reader read when it is its turn, and return the id. Raises as ``Reader.read``
+        does.
+        """
         async with self._reading:
             return await reader.read(self._settings.reading_seconds)
 
     async def remove(
         self, number: str, bearer: Bearer = ANY_BEARER, kind: str = VOLUME_KIND
     ) -> None:
-        """Have an upload's file gone, and what is shown of it. Light is left in the store: the
+        """Delete an upload and the scenes that show it. Baked light remains in the store, as the
         upload may come again.
 
-        It stays where it belongs to others besides this bearer. Raises UnknownVolumeError,
-        ForbiddenError, StartingError and UploadFolderError.
+        If the upload belongs to others too, only this ``bearer`` ceases to be an owner. Raises
+        UnknownVolumeError, ForbiddenError, StartingError and UploadFolderError.
         """
         self.find(number, kind)
         self._check_ready()
         async with self._changing:
+            # Another request may have removed it meanwhile.
             self.find(number, kind)
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
                 raise ForbiddenError(
-                    f"The upload '{number}' belongs to another: its sender or an admin may "
-                    "delete it."
+                    f"The upload '{number}' belongs to another client: only its sender or an admin "
+                    "may delete it."
                 )
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)
@@ -342,8 +351,8 @@ class Uploads:
                 await asyncio.to_thread(self._engine.dismiss, each)
 
     def environment_at(self, name: str) -> str | None:
-        """An environment as a scene file names it, by its name or the id of an uploaded one; None
-        where none is.
+        """Return an environment as scene files name it, by its name or by the id of an upload;
+        None if there is none.
         """
         if name in ENVIRONMENTS:
             return name
@@ -353,8 +362,8 @@ class Uploads:
         return None
 
     def _keep(self, draft: IO[bytes], number: str, kind: str) -> tuple[Upload, bool]:
-        """Keep an upload in the folder, and show a volume, unless it is there already; all or
-        nothing.
+        """Keep an upload in the folder and show it if it is a volume, unless it is there; do
+        all of it or nothing.
         """
         if number in self.folder.uploads:
             return self.folder.uploads[number], False
@@ -365,16 +374,18 @@ class Uploads:
             try:
                 self._engine.admit(self._scene(kept))
             except Exception:
+                # A volume that cannot be shown is not kept.
                 self.folder.remove(number)
                 raise
         return kept, True
 
     def _check_ready(self) -> None:
+        """Raise StartingError until the folder is open."""
         if not self._ready:
             raise StartingError("isogi is starting: ask again in a second.")
 
     def _check_room(self, size: int) -> None:
-        """Raises FullError where so many bytes are more than the quota has left."""
+        """Raise FullError if the quota has less than ``size`` bytes left."""
         if size > self.free:
             room = f"{size} bytes are wanted and {self.free} free"
             raise FullError(
@@ -382,6 +393,6 @@ class Uploads:
             )
 
     def _scene(self, kept: Upload) -> Scene:
-        """The scene of a volume: in default light, and found by the volume's id."""
+        """Return the scene of a volume, in default light, with the volume's id."""
         source = SceneSource(kept.name, {"volume": f"{kept.id}.nrrd"}, self.folder.path.resolve())
         return replace(build_scene(source), id=kept.id)

@@ -49,7 +49,7 @@ def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     baker = Baker()
     loaded = load_scene(scene)
     engine = RenderEngine([loaded], str(store), baker=baker)
-    engine.hire = lambda: None  # type: ignore[method-assign]
+    engine.start_workers = lambda: None  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
     app = create_app(engine, Settings(**settings))
     with live(app, until) as url:

@@ -90,9 +90,9 @@ class InlinePool:
 
 
 class EngineWithoutWorkers(RenderEngine):
-    """An engine that hires nobody, and is ready all the same."""
+    """An engine that starts no workers, and is ready all the same."""
 
-    def hire(self) -> None:
+    def start_workers(self) -> None:
         """Nobody comes."""
 
     def unready(self) -> list[str]:

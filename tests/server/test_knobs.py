@@ -19,7 +19,7 @@ from tests.loaded import load_scene
         (
             "antialias",
             (
-                "Whether pixels at edges are the mean of 8 to 16 samples (on, off); default: on, "
+                "Make pixels at edges the mean of 8 to 16 samples (on, off); default: on, "
                 "off in npy."
             ),
         ),

@@ -1,5 +1,5 @@
-"""What a page needs to draw by itself, on its visitor's graphics card: the scene, voxels, and light
-of chunks.
+"""All that a page needs to draw a scene on its visitor's graphics card: a document, voxels, and
+light of chunks.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from isogi_core.frame.card.blocks import Look, SeenChunk, known_light, known_tra
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
 from server.answers import card_schema, chunk_list, voxel_version
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
@@ -39,7 +40,7 @@ from server.parameters import (
     layers_of,
 )
 from server.problems import documented_problems
-from server.render.bakes import request_viewer
+from server.render.viewers import request_viewer
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY: dict[int | str, dict[str, Any]] = {
@@ -51,17 +52,20 @@ BINARY: dict[int | str, dict[str, Any]] = {
 }
 
 GZIP = b"\x1f\x8b\x08" + bytes(5) + b"\x04\xff"
-"""What data in gzip begin with (RFC 1952): compressed fast, at no time, by nobody in particular."""
+"""The header of gzip data (RFC 1952): fastest compression, no time, unknown system. Fixed bytes
+give equal ETags.
+"""
 
 END = b"\x03\x00"
 """An empty last block of DEFLATE."""
 
 
 def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Response:
-    """The answer of some ``parts``: at the address of the request it is the same for ever where it
-    is ``lasting``.
+    """Answer with the bytes of some ``parts``. If ``lasting``, the bytes at this address never
+    change.
     """
     packs = takes_gzip(request.headers.get("accept-encoding", ""))
+    # Digests of parts are computed once; the encoding belongs to the tag, as ETags are strong.
     tag = tag_of(hashlib.blake2b(b"".join(each.digest for each in parts)).digest(), packs)
     headers = {
         "ETag": tag,
@@ -76,13 +80,14 @@ def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Res
 
 
 def gzipped(parts: Sequence[Part]) -> bytes:
-    """The ``parts`` as one member of gzip; each is compressed once, for all answers that it is
-    in.
+    """Return the ``parts`` as one gzip member. Each part is compressed once, for all answers
+    that contain it.
     """
     check = 0
     size = sum(len(each.data) for each in parts)
     for each in parts:
         check = zlib.crc32(each.data, check)
+    # A member ends with the checksum and the size of all data.
     ends = (number.to_bytes(4, "little") for number in (check, size & 0xFFFFFFFF))
     return b"".join((GZIP, *(each.deflated for each in parts), END, *ends))
 
@@ -106,9 +111,10 @@ VOXELS_WITHHELD = (
 async def read_card(
     request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
 ) -> Response:
-    """Whether a page may draw a view by itself, and all that this takes besides voxels and texels.
+    """Say if a page may draw a view itself, and return all that it needs besides voxels and texels.
 
-    Nothing in it changes with the light's turn, but ``lambert``; nor with the camera.
+    Nothing in the document depends on the camera, and only ``lambert`` on the rotation of the
+    light.
     """
     lit = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(lit, params)
@@ -122,6 +128,7 @@ async def read_card(
         )
 
     document = await service.compute(request, work)
+    # The version of the document is a digest of all else in it.
     tag = tag_of(document.model_dump_json())
     headers = {"ETag": tag, "Cache-Control": "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
@@ -139,7 +146,9 @@ async def read_card(
 async def read_voxels(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
-    """Codes of voxels in some layers along z, x fastest; the document says what they stand for."""
+    """Return codes of the voxels in some layers along z, x fastest. The document of the card
+    says what codes stand for.
+    """
     shown = await open_scene(request, service, scene, params)
 
     def work() -> Response:
@@ -158,11 +167,11 @@ async def read_voxels(
 async def read_chunks(
     request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
 ) -> Response:
-    """The chunks of texels that a view reads, most visible first; the light that it lacks is
-    requested.
+    """Return the chunks of texels that a view reads, most visible first, and request the light that
+    it lacks.
 
-    Nothing is drawn: the size of the picture is how finely the view is looked at, by a million rays
-    at most.
+    Nothing is drawn. The size of the picture sets the number of rays that find the chunks, up to a
+    million.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
@@ -180,16 +189,21 @@ async def read_chunks(
         return look_at(renderer, picture.view, picture.target, renderer.tiles)
 
     look = await service.compute(request, work)
-    coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
+    # Looking has found the texels that are missing; request them for this client.
+    coming: frozenset[Index] = frozenset()
+    if look.frame:
+        coming = await service.request_light(picture, look.frame, viewer)
     return listed(look.seen, len(coming))
 
 
 MAX_LOOK_RAYS = 1 << 20
-"""Rays that a view is looked at by, at most: what they miss is smaller than a screen's pixel."""
+"""Rays that find the chunks of a view, at most: details that they miss are smaller than a pixel
+of the screen.
+"""
 
 
 def looked_at(picture: PictureRequest) -> PictureRequest:
-    """The picture with MAX_LOOK_RAYS pixels at most, of the same view."""
+    """Return the request of the same view with at most MAX_LOOK_RAYS pixels."""
     view = picture.view
     scale = math.sqrt(MAX_LOOK_RAYS / (view.width * view.height))
     if scale >= 1.0:
@@ -199,7 +213,9 @@ def looked_at(picture: PictureRequest) -> PictureRequest:
 
 
 def listed(seen: Sequence[SeenChunk], coming: int) -> Response:
-    """The answer that lists the chunks ``seen``, to some of which light is ``coming``."""
+    """Answer with the list of the chunks ``seen``, and the number of chunks whose light is
+    ``coming``.
+    """
     found = CardChunks(chunks=chunk_list(seen), coming=coming)
     return Response(found.model_dump_json(), 200, {"Cache-Control": "no-cache"}, "application/json")
 
@@ -213,8 +229,8 @@ def listed(seen: Sequence[SeenChunk], coming: int) -> Response:
 async def read_light(
     request: Request, scene: SceneDep, chunks: str, params: FoldParamsDep, service: ServiceDep
 ) -> Response:
-    """Records of the texels of some chunks under the light of the request, filtered where they are
-    noisy.
+    """Return records of the texels of some chunks under the light of the request, filtered if
+    they are noisy.
     """
     lit = await open_scene(request, service, scene, params)
     picture = service.picture_of(lit, params.view)
@@ -236,7 +252,9 @@ async def read_light(
 async def read_transfer(
     request: Request, scene: SceneDep, chunks: str, params: TransferParamsDep, service: ServiceDep
 ) -> Response:
-    """What the texels of some chunks keep, for a page that turns the light by itself."""
+    """Return the transfer coefficients of the texels of some chunks, for a page that rotates
+    the light itself.
+    """
     lit = await open_scene(request, service, scene, params)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
@@ -248,8 +266,8 @@ async def read_transfer(
 async def open_scene(
     request: Request, service: Service, scene: Scene, params: VariantParams
 ) -> Scene:
-    """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are
-    kept, and as ``Service.variant``.
+    """Return the variant that is asked for. Raises ForbiddenError if this server hands out no
+    voxels, and as ``Service.variant``.
     """
     if not service.settings.hands_out_voxels:
         raise ForbiddenError(VOXELS_WITHHELD)
@@ -268,8 +286,8 @@ async def packed(
     params: TransferParams,
     pack: Pack,
 ) -> Response:
-    """The blocks of the named chunks; to be kept for ever where their versions are named, and stand
-    for them alone.
+    """Answer with the blocks of the named chunks. Caches may keep them for ever if the address
+    names their present versions, and the blocks depend on nothing else.
     """
     await service.startup.lit.wait()
 
@@ -278,6 +296,7 @@ async def packed(
         renderer.prepared.scene.require_texels()
         named = chunk_names(chunks, renderer.prepared.chunks)
         found = pack(renderer, named, params.max_error or scene.target_error)
+        # The address names versions: the answer lasts only if these are the present ones.
         current = tuple(each.version for each in named) == found.versions
         return binary_answer(request, found.blocks, current and found.alone)
 

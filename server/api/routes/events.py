@@ -1,6 +1,4 @@
-"""How a view becomes final, as server-sent events: for scripts, and for pages that show no
-stream.
-"""
+"""The refinement of a view as server-sent events, for scripts and for pages without a stream."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ from server.api.service import (
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
-from server.render.bakes import stream_viewer
+from server.render.viewers import stream_viewer
 from server.schemas import TimeLeftSchema
 from worker.bake_requests import Viewer
 
@@ -61,7 +59,7 @@ async def read_events(
     client: ClientDep,
     last_event_id: Annotated[str | None, Header(max_length=80)] = None,
 ) -> Response:
-    """How a view is refined, as it happens; its light is baked while a client listens."""
+    """Return events about the refinement of a view. Its light is baked while a client listens."""
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
             "wait_ms is for requests, events come by themselves: leave it out.", "wait_ms"
@@ -71,6 +69,8 @@ async def read_events(
     events = events_of(
         service, service.picture_of(scene, params), last_event_id or "", viewer, client
     )
+    # Wait for the first event: errors before it become an HTTP status, and a final picture that the
+    # client has seen becomes 204.
     first = await anext(events, None)
     if first is None:
         return Response(status_code=204)
@@ -78,8 +78,9 @@ async def read_events(
 
 
 async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
-    """The first and the other events; ``failed`` where the scene is dismissed, its light cannot be
-    read, or another client needs the place."""
+    """Yield the ``first`` event and the others; end with ``failed`` if the scene is dismissed,
+    its light cannot be read, or another client needs the place.
+    """
     yield first
     async with aclosing(rest) as others:
         try:
@@ -90,16 +91,16 @@ async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGener
 
 
 TIME_LEFT_SECONDS = 1.0
-"""Seconds without other events after which an event says how much time is left."""
+"""Seconds without other events after which a progress event is sent."""
 
 
 async def events_of(
     service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
-    """Events of a picture until it is final or has failed; none where it is final and was ``seen``
-    so.
+    """Yield events of a picture until it is final or has failed; none if it is final at the version
+    ``seen``.
 
-    Its light is baked while a ``client`` listens. Raises BusyError where too many do, and
+    Its light is baked while the ``client`` listens. Raises BusyError if too many clients do, and
     StoreError.
     """
     with service.connections.admitted(client) as place:
@@ -110,6 +111,7 @@ async def events_of(
                     if not new:
                         yield event("progress", await progress(service, picture, shown, viewer))
                     elif not (shown.frame.final or shown.coming):
+                        # Not final, and nothing is coming: the light was given up.
                         yield event(
                             "failed",
                             coverage(shown) | {"detail": reason(service, shown.frame, viewer)},
@@ -128,8 +130,8 @@ async def events_of(
 async def answers(
     service: Service, picture: PictureRequest, viewer: Viewer
 ) -> AsyncGenerator[tuple[Shown, bool], None]:
-    """Each answer to a picture request, and whether it is new; the latest again after
-    TIME_LEFT_SECONDS seconds.
+    """Yield each answer to a picture request with True; if none comes for TIME_LEFT_SECONDS,
+    yield the last one again with False.
     """
     async with aclosing(service.refinements(picture, viewer)) as refinements:
         shown = None
@@ -144,28 +146,28 @@ async def answers(
                 if shown:
                     yield shown, bool(done)
         finally:
+            # Wait until the generator has really ended, so that ``aclosing`` can close it.
             coming.cancel()
             while not coming.done():
-                with suppress(
-                    asyncio.CancelledError
-                ):  # a scope that was cancelled says so again and again
+                # A scope that was cancelled cancels each wait again.
+                with suppress(asyncio.CancelledError):
                     await asyncio.wait({coming})
 
 
 def event(kind: str, data: dict[str, Any], version: str | None = None) -> bytes:
-    """One event; its id is the ``version`` of the frame that it is about."""
+    """Encode an event; its id is the ``version`` of the frame that it reports."""
     return format_sse_event(data_str=json.dumps(data), event=kind, id=version)
 
 
 def coverage(shown: Shown) -> dict[str, Any]:
-    """What /coverage answers."""
+    """Return the document that /coverage answers."""
     return coverage_schema(shown.frame, shown.time_left).model_dump()
 
 
 async def progress(
     service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer
 ) -> dict[str, Any]:
-    """The chunks that are still to be baked, and the time that this takes."""
+    """Return the number of chunks that are still to be baked, and the time left."""
     engine = service.engine
     frame = shown.frame
     waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
@@ -175,7 +177,8 @@ async def progress(
 
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
-    """Why no more light is coming though a frame is not final."""
+    """Return the reason why a frame is not final though no more light is coming."""
+    # From the most specific reason to the general one.
     if frame.quality.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."

@@ -1,4 +1,4 @@
-"""Frames of a scene, how far their light is baked, and pictures that are answered later."""
+"""Frames of a scene, their coverage, and pictures that a job delivers later."""
 
 from __future__ import annotations
 
@@ -37,17 +37,18 @@ from server.parameters import (
 )
 from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts, smoothed
 from server.problems import documented_problems
-from server.render.bakes import BackgroundBake, background_viewer, request_viewer, stream_viewer
+from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINEMENT_PATIENCE
+from server.render.viewers import background_viewer, request_viewer, stream_viewer
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
-APPLIED = {"Preference-Applied": {"description": "What of the Prefer header was heeded."}}
+APPLIED = {"Preference-Applied": {"description": "The preferences that were applied."}}
 HEADERS = APPLIED | {
     "Isogi-Time-Left": {
-        "description": "Seconds until all is final, where known: low=12.0, likely=20.0, high=41.0."
+        "description": "Seconds until all is final, if known: low=12.0, likely=20.0, high=41.0."
     },
     "Server-Timing": {"description": "; ".join(f"{name}: {what}" for name, what in STAGES.items())},
 }
@@ -82,13 +83,15 @@ async def read_frame(
     preferences: PreferencesDep,
     bearer: BearerDep,
 ) -> Response:
-    """A picture at once, with what is baked so far; the headers say how good it is."""
+    """Return a picture at once, with the light baked so far. The headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
     scene = await service.variant(scene, params, client_of(request.scope))
     if params.exposure is None:
         exposure = scene.default_exposure
     else:
         exposure = params.exposure
+    # A client that prefers a job waits for the time that it prefers, and gets the job if the
+    # picture is not final then.
     params, applied = preferences.fill(smoothed(params, form))
     later = preferences.respond_async and bearer.may("bake")
 
@@ -115,6 +118,8 @@ async def read_frame(
         viewer = stream_viewer(request)
     else:
         viewer = request_viewer(request)
+    # A request that may become a job has a separate viewer. Its requests for light are dropped, as
+    # the job repeats them.
     if (now := await service.render(request, scene, params, answer, viewer)) is not None:
         return now
     service.leave(viewer)
@@ -130,8 +135,8 @@ async def read_frame(
 
 
 def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
-    """A frame as npy, made while it is sent: a large one would take its memory several times
-    over.
+    """Answer with a frame as npy, made while it is sent: made as a whole, a large one would
+    take its memory several times.
     """
     whole = headers | {"Content-Length": str(npy_bytes(frame))}
     return StreamingResponse(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
@@ -150,8 +155,8 @@ async def read_coverage(
     service: ServiceDep,
     preferences: PreferencesDep,
 ) -> Coverage:
-    """How far the same view is baked: chunks, pixels by state, the estimated error, and the time
-    until it is final.
+    """Return how far the same view is baked: chunks, pixels by state, the estimated error, and
+    the time until it is final.
     """
     params, applied = preferences.fill(params)
     scene = await service.variant(scene, params, client_of(request.scope))
@@ -167,7 +172,7 @@ async def read_coverage(
 async def read_fit(
     request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep
 ) -> CameraSchema:
-    """The camera that shows the whole surface as large as the picture takes it."""
+    """Return the camera that shows the whole surface as large as the picture allows."""
     first = scene.settings.first
     if first.fov is not None and "fov" not in params.model_fields_set:
         params = params.model_copy(update={"fov": first.fov})
@@ -182,7 +187,7 @@ async def read_fit(
 
 
 REPLACED = ("f", "version", "wait_ms")
-"""Parameters that the address of a job's picture replaces or leaves out."""
+"""Parameters that are replaced or left out in the address of a job's picture."""
 
 
 def defer(
@@ -193,11 +198,11 @@ def defer(
     output: tuple[str, float],
     client: tuple[str, str] = ("", ""),
 ) -> Response:
-    """202 and a job that has the light of a picture baked; ``query`` are the parameters as they
-    were given.
-
-    ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises
+    """Answer 202, and start a job of the ``client`` that has the light of a picture baked. Raises
     BusyError.
+
+    ``query`` are the parameters as they were given; ``output`` is the format and the exposure of
+    the picture.
     """
     (form, exposure) = output
     own = service.engine.variant(picture.scene).base
@@ -205,6 +210,7 @@ def defer(
     async def work(job: Job) -> Iterable[Result]:
         frame = await complete(service, picture, job)
         tag = entity_tag(frame, form, exposure, params)
+        # The address asks for the version that was baked, which caches keep for ever.
         named = [
             *(pair for pair in query if pair[0] not in REPLACED),
             ("f", form),
@@ -231,16 +237,16 @@ JOB_REPORT_SECONDS = 1.0
 """Seconds between two reports of a job's progress."""
 
 AWAY = 1.0
-"""Seconds after which a store that is away is asked again."""
+"""Seconds after which a store that cannot be reached is tried again."""
 
 
 async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame:
-    """The frame of a picture once it is final, or lacks no light: a path-traced one is as good as
-    its samples.
+    """Return the frame of a picture once it is final or lacks no more light; a path-traced one is
+    as good as its samples.
 
-    The ``job`` reports progress. The bake yields to people, and is dropped when this is cancelled.
-    Raises WorkersError where some light cannot be baked, and StoreError; while the store is away it
-    waits.
+    The ``job`` reports progress. The bake yields to people, and is dropped if this is cancelled.
+    While the store cannot be reached, it waits. Raises WorkersError if some light cannot be baked,
+    and StoreError.
     """
     viewer = background_viewer()
     bake = service.engine.bake_of(picture.scene, picture.view)
@@ -257,16 +263,18 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 continue
             if frame.final:
                 return frame
+            # All texels are baked: measure and refine the picture, step by step.
             if frame.checkable:
                 job.report(1.0, "All light is baked; control pixels measure the picture.")
                 await service.check(picture)
                 continue
+            # Have the next stage of light baked, and draw the picture again.
             lacking, stage = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
             if not stage.demands:
                 return frame
             baking = await asyncio.to_thread(service.engine.bake, lacking, stage, viewer)
             needed = frame.chunks_needed
-            del frame, stage  # they may be large, and the rest long
+            del frame, stage  # Free megabytes while light is baked.
             if not baking.coming:
                 raise WorkersError(service.reason())
             await follow(service, bake, baking, needed, since, job)
@@ -277,13 +285,14 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
 async def follow(
     service: Service, bake: str, baking: BackgroundBake, needed: int, since: int, job: Job
 ) -> None:
-    """Returns when all of a background bake is done; the ``job`` reports its part of the chunks
-    ``needed``.
+    """Return when a background bake is done. The ``job`` reports the share of the ``needed`` chunks
+    that are baked.
 
     Updates of the ``bake`` that the view reads count from number ``since`` on.
     """
     with service.updates.pending(bake, baking.coming, since) as pending:
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
+            # Ask for the chunks now and then, as the request expires otherwise.
             done = needed - waiting
             left = await asyncio.to_thread(baking.time_left)
             job.report(done / needed, f"{done} of {needed} chunks are baked.", left)

@@ -1,4 +1,4 @@
-"""Jobs, prewarms among them: work that goes on when its request has been answered."""
+"""Jobs, which go on after their request is answered; prewarms and exports start some."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from server.schemas import TimeLeftSchema
 from server.settings import Settings
 
 RESULTS = "http://www.opengis.net/def/rel/ogc/1.0/results"
-"""What links to the results of a job are called."""
+"""Relation of a link to the results of a job."""
 
 
 class JobLink(BaseModel):
-    """An address: what it is to the job (``rel``), and what is there."""
+    """A link: its relation to the job (``rel``), and the media type and title of its target."""
 
     href: str
     rel: str
@@ -42,8 +42,8 @@ class JobLink(BaseModel):
 class JobSchema(BaseModel):
     """One job. ``progress`` is in percent; times are in UTC, null while they are to come.
 
-    ``expires`` is when a job that has ended is forgotten; all are when the server stops, and
-    prewarms are taken up when it starts again. ``time_left`` is null where it is unknown.
+    ``expires`` is when a job that has ended is forgotten. All jobs are forgotten when the server
+    stops; prewarms are resumed when it starts again. ``time_left`` is null if it is unknown.
     """
 
     jobID: str
@@ -69,7 +69,7 @@ class JobList(BaseModel):
 
 
 def job_schema(job: Job) -> JobSchema:
-    """The document of one job."""
+    """Return the document of one job."""
     own = JobLink(href=address(job), rel="self", type="application/json", title=job.title)
     names = (
         "status",
@@ -91,7 +91,7 @@ def job_schema(job: Job) -> JobSchema:
 
 
 def address(job: Job) -> str:
-    """Where a job is asked for."""
+    """Return the address of a job."""
     return f"/v1/jobs/{job.id}"
 
 
@@ -104,7 +104,7 @@ JobId = Annotated[
 
 @router.get("", responses=documented_problems(422))
 async def list_jobs(service: ServiceDep, response: Response) -> JobList:
-    """All jobs that are known, the newest first."""
+    """Return all known jobs, the newest first."""
     response.headers["Cache-Control"] = "no-store"
     own = JobLink(href="/v1/jobs", rel="self", type="application/json", title="Jobs")
     return JobList(jobs=[job_schema(job) for job in service.jobs.all()], links=[own])
@@ -112,15 +112,17 @@ async def list_jobs(service: ServiceDep, response: Response) -> JobList:
 
 @router.get("/{job}", responses=JOB_PROBLEMS)
 async def read_job(job: JobId, service: ServiceDep, response: Response) -> JobSchema:
-    """How far a job is, the time that is left, and at the end where its results are."""
+    """Return the status of a job, the time left, and, after its end, the addresses of its
+    results.
+    """
     response.headers["Cache-Control"] = "no-store"
     return job_schema(service.job(job))
 
 
 @router.get("/{job}/results", responses=JOB_PROBLEMS)
 async def read_results(job: JobId, service: ServiceDep, response: Response) -> Summary:
-    """What a prewarm came to: what was asked, what there was to do, what it took and how good the
-    light is.
+    """Return the summary of a prewarm: its order, the amount of work, its cost, and the quality
+    of the light.
     """
     response.headers["Cache-Control"] = "no-store"
     found = service.job(job)
@@ -133,8 +135,8 @@ async def read_results(job: JobId, service: ServiceDep, response: Response) -> S
 
 @router.get("/{job}/file", response_class=FileResponse, responses=JOB_PROBLEMS)
 async def read_file(job: JobId, service: ServiceDep) -> FileResponse:
-    """The file that an export has made; it is kept while its job is known, and there is room for
-    it.
+    """Return the file that an export has made. It is kept while its job is known and there is
+    room for it.
     """
     file = service.exports.find(service.job(job).id)
     return FileResponse(
@@ -144,7 +146,7 @@ async def read_file(job: JobId, service: ServiceDep) -> FileResponse:
 
 @router.delete("/{job}", responses=JOB_PROBLEMS)
 async def dismiss_job(job: JobId, service: ServiceDep, bearer: BearerDep) -> JobSchema:
-    """End a job: nothing more is baked for it. One that has ended is forgotten at once."""
+    """End a job: nothing more is baked for it. A job that has ended is forgotten at once."""
     return job_schema(await service.dismiss(job, bearer))
 
 
@@ -161,8 +163,8 @@ EXAMPLES = {
 
 
 def inlined(schema: Any, definitions: dict[str, Any]) -> Any:
-    """A schema with what it refers to in its place: the document that it becomes a part of has no
-    such definitions.
+    """Replace references in a schema by their targets, as the document that it becomes a part
+    of lacks the definitions.
     """
     if isinstance(schema, list):
         return [inlined(each, definitions) for each in schema]
@@ -188,8 +190,8 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
 
 
 async def order_in(request: Request) -> PrewarmRequest:
-    """The document in a request's body, all defaults where there is none; ParameterError where it
-    is wrong.
+    """Return the order in a request's body; all defaults if the body is empty. Raises
+    ParameterError if it is invalid.
     """
     body = await request.body()
     try:
@@ -216,9 +218,9 @@ async def prewarm(
     response: Response,
     client: ClientDep,
 ) -> JobSchema:
-    """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
+    """Bake light ahead, or forecast (dry_run) its amount and time.
 
-    It yields to people, goes on when the server starts again, and is dismissed by DELETE.
+    A prewarm yields to people, goes on when the server starts again, and is dismissed by DELETE.
     """
     service.startup.check()
     await asyncio.to_thread(check, scene, asked.order, service.settings)
@@ -243,8 +245,8 @@ async def export(
     response: Response,
     client: ClientDep,
 ) -> JobSchema:
-    """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when
-    that has ended.
+    """Bake a whole isosurface and make a file with its light, to be fetched at
+    `/v1/jobs/{job}/file` after the job has ended.
     """
     service.startup.check()
     scene = await service.variant(scene, params, client)
@@ -254,6 +256,6 @@ async def export(
 
 
 def check(scene: Scene, order: PrewarmOrder, settings: Settings) -> None:
-    """Raises ViewError where an order asks for what is not allowed."""
+    """Raise ViewError if an order asks for isovalues or views that are not allowed."""
     order.isovalues_of(scene)
     Views(order, scene, settings)

@@ -1,4 +1,4 @@
-"""The pages for people, and whether the process lives and can render."""
+"""Pages for people, and the endpoints that say if the process lives and can render."""
 
 import base64
 import hashlib
@@ -37,18 +37,20 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/")
 def index(request: Request) -> Response:
-    """The viewer."""
+    """Return the viewer."""
     return file_answer(request, "index.html")
 
 
 @router.get("/web/{name:path}")
 def page_file(request: Request, name: str) -> Response:
-    """A file of the viewer."""
+    """Return a file of the viewer."""
     return file_answer(request, f"web/{name}")
 
 
 def file_answer(request: Request, name: str) -> Response:
-    """A file of the viewer, in gzip's form to browsers that take it. Raises HTTPException."""
+    """Answer with a file of the viewer, compressed for browsers that accept it. Raises
+    HTTPException if there is no such file.
+    """
     file = viewer_files().get(name)
     if file is None:
         raise HTTPException(404, "The page has no such file.")
@@ -68,14 +70,14 @@ def file_answer(request: Request, name: str) -> Response:
 
 @router.get("/docs")
 def docs(request: Request) -> HTMLResponse:
-    """The OpenAPI document as a page that needs nothing else."""
+    """Return the OpenAPI document as a page that loads no other files."""
     return HTMLResponse(
         documentation(request.app.openapi()), headers={"Content-Security-Policy": PAGE_POLICY}
     )
 
 
 def documentation(api: dict[str, Any]) -> str:
-    """The whole page."""
+    """Return the documentation page of an OpenAPI document, as HTML."""
     title = f"{escape(api['info']['title'])} {escape(api['info']['version'])}"
     sections = "".join(
         operation(method, path, facts)
@@ -91,7 +93,7 @@ def documentation(api: dict[str, Any]) -> str:
 
 
 def operation(method: str, path: str, facts: dict[str, Any]) -> str:
-    """One operation: what it does, its parameters, its answers."""
+    """Return the HTML of one operation: its description, parameters and answers."""
     parameters = "".join(
         table_row(
             each["name"],
@@ -110,12 +112,12 @@ def operation(method: str, path: str, facts: dict[str, Any]) -> str:
 
 
 def table_row(name: str, html: str) -> str:
-    """One row of a table: a name, and what there is to say about it."""
+    """Return one row of an HTML table: a name, and the HTML of its description."""
     return f"<tr><td><code>{escape(name)}</code></td><td>{html}</td></tr>"
 
 
 def parameter_in_words(schema: dict[str, Any]) -> str:
-    """A parameter's kind, range and default in a few words."""
+    """Return the type, range and default of a parameter in a few words, as HTML."""
     kind = next((s for s in schema.get("anyOf", [schema]) if s.get("type") != "null"), schema)
     if "enum" in kind:
         words = " | ".join(kind["enum"])
@@ -139,8 +141,8 @@ class Live(BaseModel):
 
 
 class Compiling(BaseModel):
-    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds``
-    left, once known.
+    """Kernels that are being compiled, once on this machine: ``done`` of ``total``, with about
+    ``seconds`` left if that is known.
     """
 
     done: int
@@ -149,10 +151,10 @@ class Compiling(BaseModel):
 
 
 class Ready(BaseModel):
-    """Whether frames can be served, and whether light that they lack is baked; if not, why not, and
-    if so, what one should know all the same.
+    """The state of the service: ``ready`` if frames can be served, ``bakes`` if the light that they
+    lack is baked; with reasons if not, and with notes for the operator if so.
 
-    While kernels of light are ``compiling`` they are served without light; else that is left out.
+    While kernels of light are ``compiling``, frames are served without light.
     """
 
     ready: bool = True
@@ -167,7 +169,7 @@ NOTED = "isogi is ready, and there is something to know: ask with a token."
 
 @health_router.get("/livez")
 async def livez(request: Request) -> Live:
-    """Alive: the event loop runs. Touches neither store nor workers."""
+    """Answer if the event loop runs. Touches neither store nor workers."""
     return Live(version=request.app.version)
 
 
@@ -178,11 +180,12 @@ async def livez(request: Request) -> Live:
     responses=documented_problems(503),
 )
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready: pictures can be drawn, and no stop is asked; 503 with reasons.
+    """Answer 200 if pictures can be drawn and the server is not about to stop; else 503 with
+    reasons.
 
-    Where light is not baked, pictures show the light that is there: `bakes` is false then, and the
-    reasons say why. Where the server wants a token, a client without one gets no reasons: they name
-    paths and keys.
+    If light is not baked, pictures show the light that is there: `bakes` is false then, and the
+    reasons say why. If the server requires a token, a client without one gets no reasons, as these
+    name paths and keys.
     """
     serves, bakes = shortcomings(request, service)
     return health(request, service, serves, bakes)
@@ -195,19 +198,19 @@ def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     responses=documented_problems(503),
 )
 def bakez(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready, and light that pictures lack is baked: workers are alive, the store is there and takes
-    it; 503 with reasons, as `/readyz` gives them.
+    """Answer 200 if pictures can be drawn and the light that they lack is baked: workers are
+    alive, and the store can be written; else 503 with reasons, as `/readyz` gives them.
     """
     _, bakes = shortcomings(request, service)
     return health(request, service, bakes, bakes)
 
 
 def shortcomings(request: Request, service: Service) -> tuple[list[str], list[str]]:
-    """Why no pictures are served, and why no light is baked."""
+    """Return the reasons why no pictures are served, and the reasons why no light is baked."""
     if request.app.state.closing.begun:
         stopping = ["isogi is stopping."]
         return stopping, stopping
-    # it is the probe that finds a store read-only, which is no reason
+    # Probe the store first: the probe finds out that a store is only read, which is no reason.
     of_store = request.app.state.probe.reasons()
     return service.startup.starting(), service.startup.reasons() or of_store
 
@@ -215,8 +218,10 @@ def shortcomings(request: Request, service: Service) -> tuple[list[str], list[st
 def health(
     request: Request, service: Service, lacks: list[str], bakes: list[str]
 ) -> Response | Ready:
-    """The answer of a server that ``lacks`` something that is asked about, or not; ``bakes`` are
-    the reasons why no light is baked.
+    """Answer a probe: 200 if ``lacks`` is empty, else 503. ``bakes`` are the reasons why no light
+    is baked.
+
+    A client that may not look gets a general sentence instead of the reasons.
     """
     progress = service.engine.kernels.progress
     if progress is None:
@@ -224,6 +229,7 @@ def health(
     else:
         compiling = Compiling(**progress._asdict())
     notes = [*bakes, *service.engine.notes(), *service.uploads.notes()]
+    # Reasons name paths and keys: without a token, only say that there are some.
     if not bearer_of(request.scope).may("look"):
         lacks = [NOT_READY][: len(lacks)]
         notes = [NOTED][: len(notes)]
@@ -241,5 +247,5 @@ def health(
     "/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}}
 )
 def metrics(request: Request) -> Response:
-    """What the server has counted since it started, in Prometheus' text format."""
+    """Return all metrics since the start of the server, in the text format of Prometheus."""
     return Response(request.app.state.metrics.text(), media_type=CONTENT_TYPE_LATEST)

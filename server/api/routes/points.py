@@ -1,6 +1,4 @@
-"""Points of a picture, slices through the volume, and the size of the surface: what is measured
-beside pictures.
-"""
+"""Measurements: points of a picture, slices of the volume, and the size of the surface."""
 
 from __future__ import annotations
 
@@ -44,15 +42,15 @@ VALUES_WITHHELD = (
     "hand_out_voxels set."
 )
 DRAWN = 1
-"""Version of how slices are drawn."""
+"""Version of the drawing of slices, a part of their ETag."""
 
 VALUE_TOLERANCE = 1e-6
-"""How far values that are sent may be off, of their range: what is smaller is seen in no picture,
-and no contour.
+"""Error of values that are sent, relative to their range: smaller errors are invisible in
+pictures and contours.
 """
 
 GZIP_LEVEL = 1
-"""Level of gzip: a slice of 256 × 256 bytes takes a millisecond."""
+"""Level of gzip: at this level a slice of 256 × 256 bytes takes a millisecond."""
 
 
 @router.get(
@@ -68,11 +66,11 @@ async def read_point(
     service: ServiceDep,
     preferences: PreferencesDep,
 ) -> PointSchema:
-    """What the picture of the same view shows at a place: position, value, normal, light and the
-    error of that.
+    """Return the surface point at a place of the picture: position, value, normal, light, and its
+    error.
 
-    Where that picture was not drawn lately, one ray is cast: the error is then that of the pixel
-    alone, and light is asked for it alone.
+    If the picture was not drawn lately, one ray is cast: the error is then that of the pixel, and
+    light is requested for it alone.
     """
     params, applied = preferences.fill(params)
     pixel = params.pixel
@@ -84,6 +82,7 @@ async def read_point(
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
 
     def finish(shown: Shown) -> PointSchema:
+        # A picture of one pixel has that pixel alone.
         place = pixel if shown.frame.view.columns is None else (0, 0)
         return point_schema(lit, shown.frame, place, exposure)
 
@@ -96,11 +95,10 @@ async def read_point(
 async def read_size(
     request: Request, scene: SceneDep, params: SizeParamsDep, service: ServiceDep
 ) -> SizeSchema:
-    """Area of the whole surface and volume of what it encloses, in the volume's unit, with how
-    exact both are.
+    """Return the area of the whole surface and the volume that it encloses, in the volume's unit,
+    with their errors.
 
-    Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take
-    nothing away.
+    Faces of a cut belong to the surface; pinned surfaces do not, and windows change nothing.
     """
     shown = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(shown, params.view)
@@ -120,13 +118,12 @@ async def read_size(
 async def read_slice(
     request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep
 ) -> Response:
-    """The volume's values on a plane across one of its voxel axes, as a grey picture: one pixel for
-    each voxel.
+    """Return the volume's values on a plane across one of its voxel axes, as a grey picture with
+    one pixel per voxel.
 
     Columns go along the first of the other two axes, and rows down the second, whose end is at the
-    top. With `f=npy` the values themselves, in the volume's units: whole numbers exactly, others as
-    float32 where that is near enough, else as float64. They are packed where the request accepts
-    gzip.
+    top. `f=npy` returns the values in the volume's units: integers exactly, others as float32 if
+    that is exact enough, else as float64; compressed if the request accepts gzip.
     """
     if params.f == "npy" and not service.settings.hands_out_voxels:
         raise ForbiddenError(VALUES_WITHHELD)
@@ -138,7 +135,7 @@ async def read_slice(
 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
-    """The slice of a scene's volume, or that it is the one that the client has."""
+    """Return the slice of a scene's volume, or 304 if the client has it."""
     volume = scene.volume
     axis = AXIS_NAMES.index(params.axis)
     if params.at > volume.size[axis] - 1:
@@ -156,6 +153,7 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     plane = volume.plane(axis, params.at)
     if params.is_picture:
         return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
+    # Values that are sent may be off by a millionth of their range, computed without overflow.
     values = values_npy(plane, VALUE_TOLERANCE * volume.core[1] - VALUE_TOLERANCE * volume.core[0])
     if packed:
         values = gzip.compress(values, GZIP_LEVEL)

@@ -1,4 +1,6 @@
-"""The scenes that this server shows, their skies, and volumes that clients have uploaded."""
+"""The scenes of this server, pictures of their light, and volumes and environments that clients
+upload.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
 
 @router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_scenes(service: ServiceDep) -> SceneList:
-    """All scenes, each with the address of its document."""
+    """Return all scenes, each with the address of its document."""
     links = [
         SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}")
         for s in service.engine.own_scenes
@@ -63,15 +65,15 @@ async def list_scenes(service: ServiceDep) -> SceneList:
 async def read_scene(
     scene: SceneDep, params: VariantParamsDep, service: ServiceDep, client: ClientDep
 ) -> SceneSchema:
-    """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is
-    baked.
+    """Return one scene: volume, histogram, defaults and ranges of all parameters, and the plan
+    of its light.
     """
     lit = await service.variant(scene, params, client)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
 
 
 def scene_facts(scene: Scene, lit: Scene, environment: str | None, service: Service) -> SceneSchema:
-    """The document of a scene, as it is ``lit`` in an ``environment``, if one is named."""
+    """Return the document of a scene that is ``lit`` in an ``environment``, if one is named."""
     facts = scene_schema(service.planned(lit))
     notes = service.engine.notes()
     facts.id = scene.id
@@ -105,19 +107,20 @@ async def read_sky(
     service: ServiceDep,
     client: ClientDep,
 ) -> Response:
-    """The scene's unturned light from all around, with an exposure of its own; black where there is
-    none.
+    """Return a picture of the scene's unturned light from all around, with its own exposure; black
+    if there is no such light.
 
     The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional
-    lights are marked by discs; lamps that stand in the scene are not shown.
+    lights are marked by discs; lamps within the scene are not shown.
     """
     lit = await service.variant(scene, params, client)
     return await asyncio.to_thread(painted, request, lit, params)
 
 
 def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
-    """The picture of a scene's light, or that it is the one that the client has."""
+    """Return the picture of a scene's light, or 304 if the client has it."""
     orientation = scene.volume.orientation
+    # Light that cannot be rotated belongs to the volume, and is shown in its orientation.
     if orientation.turned and not scene.lighting.rotating:
         turn = orientation.matrix
     else:
@@ -164,8 +167,8 @@ TAKEN: dict[int | str, dict[str, Any]] = {
 async def upload(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> UploadSchema:
-    """Take the body, a file with its data in it, as a volume, and show it as a scene of the same
-    id.
+    """Take the body, a file that contains its data, as a volume, and show it as a scene of the
+    same id.
     """
     return facts(await taken(request, response, params, service, VOLUME_KIND))
 
@@ -173,8 +176,8 @@ async def upload(
 async def taken(
     request: Request, response: Response, params: UploadParams, service: Service, kind: str
 ) -> Upload:
-    """The upload of a ``kind`` that a request's body is; the ``response`` says whether it is new,
-    and where it is.
+    """Take the body of a request as an upload of this ``kind``. The ``response`` says if it is
+    new, and its address.
     """
     kept, new = await service.uploads.take(request, params.name, kind)
     response.status_code = 201 if new else 200
@@ -184,7 +187,7 @@ async def taken(
 
 @volume_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_volumes(service: ServiceDep) -> UploadList:
-    """All uploaded volumes."""
+    """Return all uploaded volumes."""
     uploads = service.uploads
     return UploadList(
         volumes=[facts(kept) for kept in uploads.folder.volumes], uploads=limits(uploads)
@@ -193,7 +196,7 @@ async def list_volumes(service: ServiceDep) -> UploadList:
 
 @volume_router.get("/{volume}", dependencies=[NoParamsDep], responses=documented_problems(404, 422))
 async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
-    """One uploaded volume."""
+    """Return one uploaded volume."""
     return facts(service.uploads.find(volume))
 
 
@@ -204,7 +207,9 @@ async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
     responses=documented_problems(404, 422, 503),
 )
 async def delete_volume(volume: str, service: ServiceDep, bearer: BearerDep) -> None:
-    """Show a volume no more and delete its file; light that was baked for it stays in the store."""
+    """Remove a volume's scene and delete its file; light that was baked for it remains in the
+    store.
+    """
     await service.uploads.remove(volume, bearer)
 
 
@@ -229,15 +234,17 @@ TAKEN_LIGHT: dict[int | str, dict[str, Any]] = {
 async def upload_environment(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> EnvironmentSchema:
-    """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown
-    in.
+    """Take the body, a lat-long Radiance picture (.hdr), as light in which every scene may be
+    shown.
     """
     return uploaded_light(await taken(request, response, params, service, ENVIRONMENT_KIND))
 
 
 @environment_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_environments(service: ServiceDep) -> EnvironmentList:
-    """Light that scenes may be shown in besides their own: by formula, and uploaded."""
+    """Return light in which scenes may be shown instead of their own: given by formulas, and
+    uploaded.
+    """
     return EnvironmentList(
         environments=environments(service.uploads), uploads=limits(service.uploads)
     )
@@ -250,23 +257,23 @@ async def list_environments(service: ServiceDep) -> EnvironmentList:
     responses=documented_problems(404, 422, 503),
 )
 async def delete_environment(environment: str, service: ServiceDep, bearer: BearerDep) -> None:
-    """Delete an uploaded environment; light that was baked in it stays in the store."""
+    """Delete an uploaded environment; light that was baked in it remains in the store."""
     await service.uploads.remove(environment, bearer, ENVIRONMENT_KIND)
 
 
 def environments(uploads: Uploads) -> list[EnvironmentSchema]:
-    """Light that scenes may be shown in besides their own."""
+    """Return the documents of all environments that views may name."""
     own = [EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()]
     return own + [uploaded_light(kept) for kept in uploads.folder.environments]
 
 
 def uploaded_light(kept: Upload) -> EnvironmentSchema:
-    """The document of one uploaded environment."""
+    """Return the document of an uploaded environment."""
     return EnvironmentSchema(id=kept.id, name=kept.name, href=href(kept))
 
 
 def facts(kept: Upload) -> UploadSchema:
-    """The document of one volume."""
+    """Return the document of an uploaded volume."""
     scene = f"/v1/scenes/{kept.id}"
     x, y, z = kept.size
     size = x, y, z
@@ -276,7 +283,7 @@ def facts(kept: Upload) -> UploadSchema:
 
 
 def limits(uploads: Uploads) -> UploadLimits | None:
-    """What may be uploaded; None where nothing may."""
+    """Return the limits of uploads; None if this server takes none."""
     if not uploads.on:
         return None
     return UploadLimits(
@@ -288,5 +295,5 @@ def limits(uploads: Uploads) -> UploadLimits | None:
 
 
 def href(kept: Upload) -> str:
-    """The address of an upload."""
+    """Return the address of an upload."""
     return f"/v1/{kept.kind}s/{kept.id}"

@@ -232,7 +232,7 @@ async def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
 def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path: Path) -> None:
     baker = Baker()
     engine = RenderEngine([load_scene(small_scene)], str(tmp_path), baker=baker)
-    engine.hire = lambda: None  # type: ignore[method-assign]
+    engine.start_workers = lambda: None  # type: ignore[method-assign]
     path = "/v1/scenes/small/coverage?width=8&height=8&shading=lambert"
     with (
         live(create_app(engine, Settings()), path) as url,

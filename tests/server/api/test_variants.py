@@ -34,7 +34,7 @@ def traced(scene: Path, place: Path, **settings: object) -> np.ndarray:
     """
     loaded = load_scene(scene, **settings)
     with closing(RenderEngine([loaded], place, workers=1)) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         params = FrameParams(shading="path_traced", samples=256, width=40, height=40)
         return engine.frame(loaded.id, view_of(loaded, params, Settings())).radiance
 

@@ -72,7 +72,9 @@ def test_inspect_tells_facts_the_plan_and_what_it_saves(told: Told, small_scene:
     scene = load_scene(small_scene)
     plan = scene.plan
     texels = scene.texels
-    assert f"texel         {plan.bytes_per_texel} bytes, beside 300 for any scene in S1" in lines
+    assert (
+        f"texel         {plan.bytes_per_texel} bytes, instead of 300 for any scene in S1" in lines
+    )
     assert sum(line.startswith("layer ") for line in lines) == len(plan.layers)
     shown = f"{texels.shown:,} of {texels.total:,} can be shown"
     assert any(line.startswith("texels ") and shown in line for line in lines)
@@ -269,7 +271,7 @@ def test_a_render_whose_store_is_full_fails_with_a_word(
     assert "provisional" in said.out
     assert (
         said.err
-        == "isogi: The light is not done. The store is full: make room, and baking goes on.\n"
+        == "isogi: The light is not complete. The store is full: make room, and baking goes on.\n"
     )
 
 
@@ -335,7 +337,7 @@ def start(engine, *_):
     raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
 RenderEngine.open = RenderEngine.start = start
-RenderEngine.hire = lambda engine: None
+RenderEngine.start_workers = lambda engine: None
 sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
 """
 

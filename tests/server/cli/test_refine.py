@@ -23,7 +23,7 @@ class Script:
         self.versions = list(versions)
         self.asked: list[dict[str, Any]] = []
         self.failing = ""
-        self.workforce = SimpleNamespace(preparing="")
+        self.workers = SimpleNamespace(preparing="")
         self.demands: tuple[str, ...] = ("a chunk",)
 
     def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
@@ -110,12 +110,12 @@ def test_it_gives_up_where_nothing_changes() -> None:
 
 def test_it_waits_while_workers_start_or_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     engine = Script("a")
-    engine.workforce.preparing = "The workers compile their kernels."
+    engine.workers.preparing = "The workers compile their kernels."
     ask = engine.frame
 
     def frame(*given: Any, **more: Any) -> SimpleNamespace:
         if len(engine.asked) == 1000:
-            engine.workforce.preparing = ""
+            engine.workers.preparing = ""
         return ask(*given, **more)
 
     monkeypatch.setattr(engine, "frame", frame)

@@ -94,7 +94,7 @@ def test_holes_and_the_texels_beside_them() -> None:
     array[4, 6, 3] = np.nan
     facts = inspection_schema(scene_of(array, 0.5))
     assert 0.0 < own(facts).holes < 0.5
-    assert "no numbers" in about(facts)["holes"]
+    assert "not numbers" in about(facts)["holes"]
 
 
 @pytest.mark.parametrize("isovalue", [1.0, 0.0])
@@ -289,7 +289,7 @@ def test_ten_lines_tell_of_holes_and_marks(brief_of: Brief, tmp_path: Path) -> N
     array[5:7, 5:7, 5:7] = np.nan
     nrrd.write(str(tmp_path / "a.nrrd"), array, index_order="C")
     told = brief_of(tmp_path / "a.nrrd")
-    assert told["values"].endswith("8 voxels are no numbers: holes")
+    assert told["values"].endswith("8 voxels are not numbers: holes")
     assert "proposed from the values" in told["isovalue"]
     assert told["missing"].startswith("Many voxels have the value -9999")
 

@@ -19,7 +19,7 @@ from isogi_core.frame import projected_texels
 from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
-from server.api.prewarm_jobs import Silence
+from server.api.prewarm_jobs import RecordAges
 from server.cli.prewarm import prewarm
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, RecordDocument, Summary
@@ -50,7 +50,7 @@ def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Pat
     warmed(among, tmp_path, "0.4", "0.6", distance=4.0)
     scene = load_scene(among)
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         for view in Views(
             order_of({"isovalues": [0.4, 0.6], "views": 3, **SIZE, "distance": 4.0}),
             scene,
@@ -83,7 +83,7 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     )
     order = order_of({"isovalues": [0.4, 0.5, 0.6], "views": 3, **SIZE})
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         for view in Views(order, scene, Settings()):
             assert not engine.survey("blocks", view, 0.1).provisional
     assert warmed(blocks, tmp_path, "0.5").paths == 0
@@ -102,7 +102,7 @@ def test_whole_isosurfaces_are_final_from_all_sides_and_between(
     scene = load_scene(blocks)
     rng = np.random.default_rng(3)
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         for isovalue in rng.uniform(0.45, 0.55, 8):
             view = view_of(scene, float(rng.uniform(0, 360)), float(isovalue))
             assert not engine.survey("blocks", view, 0.1).provisional
@@ -128,7 +128,7 @@ def test_projected_texels_are_prewarmed_too(
     assert (summary.final, summary.stopped) == (1.0, "target")
     assert ahead.texels == summary.texels > plain.texels
     with closing(RenderEngine([scene], str(tmp_path / "light"))) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         for view in Views(
             order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()
         ):
@@ -216,9 +216,9 @@ def test_it_says_at_once_what_it_does(
     start = RenderEngine.start
     said = list[str]()
 
-    def slow(engine: RenderEngine, hire: bool = True) -> None:
+    def slow(engine: RenderEngine, with_workers: bool = True) -> None:
         said.append(capsys.readouterr().err)
-        start(engine, hire)
+        start(engine, with_workers)
 
     monkeypatch.setattr(RenderEngine, "start", slow)
     warmed(blocks, tmp_path, "0.5", dry=True)
@@ -254,7 +254,7 @@ def test_a_record_knows_its_process_and_the_time_left(blocks: Path) -> None:
 
 def test_silence_is_counted_by_the_clock_of_who_listens(blocks: Path) -> None:
     clock = [7.0]
-    silence = Silence(lambda: clock[0])
+    silence = RecordAges(lambda: clock[0])
     document = Record("store", load_scene(blocks), order_of({}), "server").document
     future = document.model_copy(update={"updated": document.updated + timedelta(days=1)})
     heard = []

@@ -87,9 +87,9 @@ def watched(scene: Path, store: Path, order: dict[str, Any]) -> Warm:
 
 
 @contextmanager
-def engine_of(scene: Path, store: Path, hire: bool) -> Iterator[RenderEngine]:
+def engine_of(scene: Path, store: Path, with_workers: bool) -> Iterator[RenderEngine]:
     with closing(RenderEngine([load_scene(scene)], str(store), workers=1)) as engine:
-        engine.start(hire=hire)
+        engine.start(with_workers=with_workers)
         yield engine
 
 
@@ -103,7 +103,7 @@ def warmed(scene: Path, store: Path, order: dict[str, Any]) -> Summary:
 
 def rungs_in(scene: Path, store: Path, low: float, high: float) -> np.ndarray:
     """The samples of all lit texels of the isosurfaces from one isovalue to another."""
-    with engine_of(scene, store, hire=False) as engine:
+    with engine_of(scene, store, with_workers=False) as engine:
         renderer = engine.renderer(scene.stem)
         prepared = renderer.prepared
         volume = renderer.prepared.scene.volume
@@ -128,7 +128,7 @@ def test_a_prewarm_bakes_what_serving_the_view_would(
     one = VIEWS | {"views": 1, "width": 160, "height": 128, "target_error": 0.004}
     summary = warmed(lit, tmp_path / "warmed", one)
     (view,) = views_of(lit, one)
-    with engine_of(lit, tmp_path / "served", hire=True) as engine:
+    with engine_of(lit, tmp_path / "served", with_workers=True) as engine:
         frame = engine.frame("lit", view, max_error=0.004, wait=LONG)
         assert frame.final
     assert chunks_in(tmp_path / "warmed") == chunks_in(tmp_path / "served")
@@ -141,14 +141,14 @@ def test_views_are_final_without_a_texel_baked(lit: Path, viewed: Warm, tmp_path
     views = views_of(lit, VIEWS)
     kept = chunks_in(viewed.store)
     assert (summary.final, summary.stopped) == (1.0, "target")
-    with engine_of(lit, viewed.store, hire=False) as engine:
+    with engine_of(lit, viewed.store, with_workers=False) as engine:
         for view in views:
             frame = engine.frame("lit", view, wait=LONG)
             assert frame.final and not frame.stages
             assert frame.measured is not None and frame.measured.high <= TARGET
     assert warmed(lit, viewed.store, VIEWS).paths == 0
     assert chunks_in(viewed.store) == kept
-    with engine_of(lit, tmp_path / "each", hire=True) as engine:
+    with engine_of(lit, tmp_path / "each", with_workers=True) as engine:
         for view in views:
             bake_each_texel(engine, "lit", view)
         assert summary.paths < 0.7 * engine.baker.paths
@@ -160,7 +160,7 @@ def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, whole: Warm
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.worst <= TARGET
     assert FIRST_LEVEL < rungs.min() <= rungs.max(), "those with fewer are good enough alone"
     assert summary.texels >= len(rungs) and summary.paths >= rungs.sum()
-    with engine_of(lit, whole.store, hire=False) as engine:
+    with engine_of(lit, whole.store, with_workers=False) as engine:
         for view in views_of(lit, VIEWS):
             assert engine.frame("lit", view, wait=LONG).final
     assert warmed(lit, whole.store, WHOLE).paths == 0
@@ -279,7 +279,7 @@ def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.Monk
     summary = warmed(scene, tmp_path / "light", order)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.error <= 0.05
     (view,) = views_of(scene, order)
-    with engine_of(scene, tmp_path / "light", hire=False) as engine:
+    with engine_of(scene, tmp_path / "light", with_workers=False) as engine:
         frame = engine.frame("coarse", view, wait=LONG)
         assert frame.final and frame.quality.fineness > 0
     assert warmed(scene, tmp_path / "light", order).paths == 0
@@ -292,7 +292,7 @@ def test_all_sides_of_several_surfaces_are_prewarmed(blocks: Path, tmp_path: Pat
     summary = warmed(scene, tmp_path, VIEWS)
     views = views_of(scene, VIEWS)
     assert (summary.final, summary.stopped) == (1.0, "target")
-    with engine_of(scene, tmp_path, hire=False) as engine:
+    with engine_of(scene, tmp_path, with_workers=False) as engine:
         for view in views:
             frame = engine.frame("several", view, wait=LONG)
             assert frame.final and not frame.stages

@@ -38,7 +38,7 @@ from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
-from server.render.workforce import StoreProbe, whereabouts
+from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
@@ -130,17 +130,17 @@ def test_asking_again_and_again_is_enough(begin: Begin) -> None:
 def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
-    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+    def start_pool(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
         assert come.wait(LONG)
         return InlinePool(workers)
 
-    monkeypatch.setattr(pool, "start_pool", hire)
+    monkeypatch.setattr(pool, "start_pool", start_pool)
     engine = begin()
-    assert engine.unready() == [engine.workforce.preparing] == ["The workers are starting."]
+    assert engine.unready() == [engine.workers.preparing] == ["The workers are starting."]
     assert_unlit(look(engine))
     come.set()
     assert not look(engine, wait=LONG).provisional
-    assert engine.unready() == [] and engine.workforce.preparing == ""
+    assert engine.unready() == [] and engine.workers.preparing == ""
 
 
 def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> None:
@@ -149,18 +149,18 @@ def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> 
     assert isinstance(engine.baker._bakes[scene.id].assets, SharedScene)
 
 
-def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
-    hired = []
+def test_workers_are_started_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
 
-    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
-        hired.append(InlinePool(workers))
-        return hired[0]
+    def start_pool(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+        started.append(InlinePool(workers))
+        return started[0]
 
-    monkeypatch.setattr(pool, "start_pool", hire)
+    monkeypatch.setattr(pool, "start_pool", start_pool)
     engine = begin()
-    engine.hire()
+    engine.start_workers()
     assert not look(engine, wait=LONG).provisional
-    assert len(hired) == 1
+    assert len(started) == 1
 
 
 def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
@@ -195,7 +195,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
             raise WorkersAwayError("The scheduler is late.")
         return InlinePool(*given)
 
-    monkeypatch.setattr("server.render.workforce.SCHEDULER_RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("server.render.engine_workers.SCHEDULER_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(pool, "start_pool", join)
     engine = begin()
     assert not look(engine, wait=LONG).provisional
@@ -223,7 +223,7 @@ def test_anything_that_keeps_workers_from_coming_is_told(
     engine = begin()
     assert_unlit(look(engine, wait=0.1))
     assert engine.unready() == [engine.trouble()] == [told]
-    assert engine.workforce.preparing == "", "nothing is to come"
+    assert engine.workers.preparing == "", "nothing is to come"
 
 
 def test_workers_that_are_lost_are_told(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -471,7 +471,7 @@ import json, sys
 from contextlib import closing
 from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
-from server.render.workforce import StoreProbe
+from server.render.stores import StoreProbe
 from server.render.engine import RenderEngine
 from tests.compile_kernels import entry_kernels
 from tests.server.buckets import Begin

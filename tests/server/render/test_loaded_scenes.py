@@ -16,10 +16,10 @@ import pytest
 from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
-from server.render import loaded_scene, workforce
+from server.render import loaded_scene, scene_kernels
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import IDLE_SCENE_SECONDS, LoadedScenes
-from server.render.workforce import SceneKernels
+from server.render.scene_kernels import SceneKernels
 from tests.loaded import load_scene
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
@@ -151,8 +151,8 @@ class Slow:
 
 
 def test_what_an_admitted_scene_lacks_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workforce, "Compilation", Slow)
-    monkeypatch.setattr(workforce, "load", lambda *_: None)
+    monkeypatch.setattr(scene_kernels, "Compilation", Slow)
+    monkeypatch.setattr(scene_kernels, "load", lambda *_: None)
     scene = load_scene("demo:orbital")
     known = SceneKernels(lambda: [scene], threading.Event())
     assert known.progress is None

@@ -9,8 +9,8 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
-from server.render import bakes
-from server.render.bakes import MAX_WAITING_PICTURES, PictureChecks
+from server.render import picture_checks
+from server.render.picture_checks import MAX_WAITING_PICTURES, PictureChecks
 from worker.bake_requests import Viewer
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
@@ -76,7 +76,7 @@ def test_a_check_that_breaks_leaves_the_others(
     steps: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
-    monkeypatch.setattr(bakes.log, "exception", said.append)
+    monkeypatch.setattr(picture_checks.log, "exception", said.append)
     steps.broken = 0.1
     steps.ask(0.1)
     steps.end(1)

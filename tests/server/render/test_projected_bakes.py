@@ -24,7 +24,7 @@ from isogi_core.storage.store import Store
 from server.api.headers import projection_header
 from server.pictures import planes
 from server.render import bakes as room
-from server.render.bakes import SideBakes, lend_nothing
+from server.render.bakes import SideBakes, share_nothing
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, view_of
 from worker.bake_requests import GUEST_VIEWER
@@ -87,7 +87,7 @@ def test_the_caches_that_asked_last_hear_of_new_light(
         Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2)
     )
     names = {
-        bakes.side("a", "gi", Stage((), 0.3, caches=each), lend_nothing)
+        bakes.side("a", "gi", Stage((), 0.3, caches=each), share_nothing)
         for each in (former, latter)
     }
     assert len(names) == len(baker.bakes) == 1

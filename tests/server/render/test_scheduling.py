@@ -15,7 +15,6 @@ from isogi_core.frame.tiles import Interruption
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
-from server.render.bakes import UpdateBus
 from server.render.scheduling import (
     DRAFT,
     REFINEMENT_PATIENCE,
@@ -27,6 +26,7 @@ from server.render.scheduling import (
     Rank,
     Renders,
 )
+from server.render.update_bus import UpdateBus
 from tests.server.loops import IN_NO_TIME
 
 

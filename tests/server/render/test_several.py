@@ -19,8 +19,8 @@ from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
 from server.answers import scene_schema
 from server.cli.render import awaited
-from server.render.bakes import CHECK
 from server.render.engine import RenderEngine
+from server.render.picture_checks import CHECK
 from tests.server.inline import LONG
 from worker.bake_requests import GUEST_VIEWER
 
@@ -36,17 +36,17 @@ SCENE = {
 
 @pytest.fixture
 def make(tmp_path: Path, inline: None) -> Iterator[Callable[..., RenderEngine]]:
-    """Make engines of an orbital over one store, with a worker to ``hire``, on a thread of this
-    process, or without.
+    """Make engines of an orbital over one store, with a worker on a thread of this process if
+    ``with_workers``.
     """
     with ExitStack() as engines:
 
-        def make(hire: bool, **settings: Any) -> RenderEngine:
+        def make(with_workers: bool, **settings: Any) -> RenderEngine:
             scene = load_scene("demo:orbital", **settings)
             engine = engines.enter_context(
                 closing(RenderEngine([scene], tmp_path / "store", workers=1))
             )
-            engine.start(hire)
+            engine.start(with_workers)
             return engine
 
         yield make
@@ -106,6 +106,6 @@ def test_walls_are_lit_beside_texels(make: Callable[..., RenderEngine]) -> None:
     second = engine.survey("orbital", view, target)
     assert not coarse(second) and second.demands and engine.baker.paths == 0
     assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
-    engine.hire()
+    engine.start_workers()
     frame = awaited(engine, "orbital", view, None, LONG)
     assert frame.final and not frame.quality.waiting

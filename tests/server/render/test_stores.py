@@ -54,7 +54,7 @@ def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
         submit(workers, task, done)
 
     monkeypatch.setattr(InlinePool, "submit", noted)
-    monkeypatch.setattr("server.render.workforce.FINDING_SECONDS", 0.0)
+    monkeypatch.setattr("server.render.stores.FINDING_SECONDS", 0.0)
     return tasks
 
 
@@ -337,17 +337,17 @@ def test_a_store_that_is_not_there_is_told_in_one_line(
     ):
         RenderEngine(
             [load_scene(small_scene)], Store(StoreUrl(s3.url, seconds=1.0, retries=0))
-        ).start(hire=False)
+        ).start(with_workers=False)
 
 
 def baked(scene: Path, store: Path, scheduler: str | None) -> dict[str, str]:
     """The chunks of a view, baked after the scene's folder went away where workers are joined."""
     shown = load_scene(scene)
     with closing(RenderEngine([shown], str(store), scheduler=scheduler)) as engine:
-        engine.start(hire=False)
+        engine.start(with_workers=False)
         if scheduler:
             scene.parent.rename(scene.parent.with_name("gone"))
-        engine.hire()
+        engine.start_workers()
         assert not engine.frame(shown.id, view_of(shown), wait=LONG).provisional
     return {
         name: digest

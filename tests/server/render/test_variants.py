@@ -56,9 +56,8 @@ def test_other_parts_of_a_variant_are_kept_beside_a_material(engine: RenderEngin
     )
     assert SceneVariant("seg", material="glass", hidden=(3,), time=2).id == "seg@=glass!3+2"
     scatters = SceneVariant("seg", material="subsurface")
-    assert scatters.may_lend(replace(scatters, time=2)) and not SceneVariant("seg").may_lend(
-        scatters
-    )
+    assert scatters.may_stand_in_for(replace(scatters, time=2))
+    assert not SceneVariant("seg").may_stand_in_for(scatters)
 
 
 @pytest.mark.parametrize(
@@ -139,12 +138,12 @@ def test_scenes_that_differ_in_labels_or_time_lend_light() -> None:
     own = SceneVariant("seg")
     noon = SceneVariant("seg", "noon")
     hides = replace(own, hidden=(3,))
-    assert own.may_lend(hides) and hides.may_lend(replace(own, hidden=(8,), time=2))
-    assert replace(noon, time=1).may_lend(replace(noon, hidden=(3,)))
+    assert own.may_stand_in_for(hides) and hides.may_stand_in_for(replace(own, hidden=(8,), time=2))
+    assert replace(noon, time=1).may_stand_in_for(replace(noon, hidden=(3,)))
     for other, scene in (
         (own, own),
         (noon, hides),
         (own, replace(hides, cut="x>1")),
         (SceneVariant("other"), hides),
     ):
-        assert not other.may_lend(scene) and not scene.may_lend(other)
+        assert not other.may_stand_in_for(scene) and not scene.may_stand_in_for(other)

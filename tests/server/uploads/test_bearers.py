@@ -14,7 +14,7 @@ from starlette.requests import Request
 from server.api.access import needed_scope
 from server.api.service import Service
 from server.bearers import BEARER_SCOPE_KEY, Bearer, read_bearers
-from server.render.bakes import request_viewer, stream_viewer
+from server.render.viewers import request_viewer, stream_viewer
 from server.settings import Settings
 from tests.server.asking import Ask
 from tests.server.uploads.files import ball, names

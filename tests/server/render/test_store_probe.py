@@ -14,15 +14,16 @@ import pytest
 
 from isogi_core.storage import folder
 from isogi_core.storage.store import Store
-from server.render import workforce
-from server.render.workforce import FINDING_SECONDS, StoreProbe, shared
+from server.render import stores
+from server.render.loaded_scene import shared
+from server.render.stores import FINDING_SECONDS, StoreProbe
 from tests.worker.clock import Clock
 
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow disk is waited for."""
-    monkeypatch.setattr(workforce, "PROBE_SECONDS", 60.0)
+    monkeypatch.setattr(stores, "PROBE_SECONDS", 60.0)
 
 
 def test_a_store_that_works_has_nothing_left_of_it(tmp_path: Path) -> None:
@@ -95,14 +96,14 @@ def test_a_store_that_hangs_holds_no_probe(tmp_path: Path, monkeypatch: pytest.M
     probe = StoreProbe(Store(tmp_path), clock := Clock())
     hangs = threading.Event()
     assert probe.reasons() == []
-    monkeypatch.setattr(workforce, "PROBE_SECONDS", 0.01)
+    monkeypatch.setattr(stores, "PROBE_SECONDS", 0.01)
     monkeypatch.setattr(Store, "check_writable", lambda _: hangs.wait(60))
     clock.now += FINDING_SECONDS
     assert probe.reasons() == [], "what was found before stands for a while"
     clock.now += FINDING_SECONDS
     assert probe.reasons() == [f"The store at {tmp_path} does not answer."]
     hangs.set()
-    monkeypatch.setattr(workforce, "PROBE_SECONDS", 60.0)
+    monkeypatch.setattr(stores, "PROBE_SECONDS", 60.0)
     assert probe.reasons() == []
 
 

@@ -1,0 +1,99 @@
+"""The update bus: tells requests and streams which chunks have new light."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from isogi_core.prepared.prepared_scene import Index
+
+
+@dataclass(eq=False)
+class Pending:
+    """Chunks of a ``bake`` that a request waits for.
+
+    ``some`` is set with the first update of any of the ``chunks``, ``all`` with the last update of
+    the last one: a chunk's last update says that it is final or given up. ``lit`` is set with
+    ``all``, or once each of the ``dark`` chunks, which had no light, has had an update.
+    """
+
+    bake: str
+    chunks: set[Index]
+    dark: set[Index] = field(default_factory=set)
+    some: asyncio.Event = field(default_factory=asyncio.Event)
+    lit: asyncio.Event = field(default_factory=asyncio.Event)
+    all: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def note(self, index: Index, more: bool) -> None:
+        """Note an update of a chunk, and set the events that it completes. ``more`` says that
+        the chunk will have further updates.
+        """
+        # Any update shows something new; only the last one of a chunk ends the wait for it.
+        if index in self.chunks:
+            self.some.set()
+            if not more:
+                self.chunks.discard(index)
+        if index in self.dark:
+            self.dark.discard(index)
+            if not self.dark:
+                self.lit.set()
+        if not self.chunks:
+            self.lit.set()
+            self.all.set()
+
+
+class UpdateBus:
+    """Tells waiting requests of new light in chunks. Updates are numbered from 1.
+
+    All methods but ``publish`` belong to the event loop that created the bus.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._count = 0
+        self._last: dict[tuple[str, Index], tuple[int, bool]] = {}
+        self._newest: dict[str, int] = {}
+        self._pending: set[Pending] = set()
+
+    def publish(self, bake: str, index: Index, more: bool) -> None:
+        """Report from any thread that a chunk of a bake has new light, or that its task failed,
+        and if ``more`` updates of it will come.
+        """
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._note, bake, index, more)
+
+    def newest(self, bake: str) -> int:
+        """Return the number of the newest update of a bake; 0 if it had none."""
+        return self._newest.get(bake, 0)
+
+    @contextmanager
+    def pending(
+        self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
+    ) -> Iterator[Pending]:
+        """Watch ``chunks`` of a bake, some of which are ``dark``, for the block.
+
+        Updates with numbers above ``since`` count, also those that came before this call: a frame
+        drawn at update ``since`` misses none.
+        """
+        pending = Pending(bake, set(chunks), set(dark))
+        # Catch up with the updates since the frame was drawn.
+        for index in chunks:
+            number, more = self._last.get((bake, index), (0, True))
+            if number > since:
+                pending.note(index, more)
+        self._pending.add(pending)
+        try:
+            yield pending
+        finally:
+            self._pending.discard(pending)
+
+    def _note(self, bake: str, index: Index, more: bool) -> None:
+        """Number an update, and pass it on to those that watch its bake."""
+        self._count += 1
+        self._newest[bake] = self._count
+        self._last[bake, index] = self._count, more
+        for pending in self._pending:
+            if pending.bake == bake:
+                pending.note(index, more)
