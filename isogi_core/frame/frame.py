@@ -11,20 +11,19 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import (
     ControlPixels,
-    TailError,
     TotalError,
     measure_total,
     predict_total,
     spread_errors,
-    tail_of,
 )
 from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import (
     CONVERGING,
     FINAL,

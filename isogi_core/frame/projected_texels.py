@@ -14,9 +14,10 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.errors import StoreError
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import Demand, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, UNLIT_ROW, VOID_GRADE
 from isogi_core.kernels.transport.transfer import measure_distances

@@ -32,8 +32,8 @@ from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
-from isogi_core.frame.film import smooth_edges
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
@@ -43,10 +43,11 @@ from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.peels import Peels
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
+from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import OwnNormals, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.material import DULL

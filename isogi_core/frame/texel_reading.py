@@ -10,8 +10,9 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Effort, Until, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import Demand, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import (

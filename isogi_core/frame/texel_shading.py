@@ -27,17 +27,19 @@ from isogi_core.frame.shading import (
     filter_texel_light,
     light_sources,
 )
-from isogi_core.frame.texel_reading import Level, Reading, mixed, read_texels
-from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import (
+from isogi_core.frame.texel_normals import (
     ENTRY,
     OwnNormals,
     TexelNormals,
+    find_texel_normals,
+    nearby_normals,
+)
+from isogi_core.frame.texel_reading import Level, Reading, mixed, read_texels
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_texels import (
     ViewTexels,
     carries_irradiance_ratios,
-    find_texel_normals,
     find_texels,
-    nearby_normals,
     reads_coarsely,
 )
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer

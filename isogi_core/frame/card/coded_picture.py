@@ -9,7 +9,8 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.frame.card.blocks import Coding, normals_of, raw_numbers, raw_scale
+from isogi_core.frame.card.blocks import normals_of, raw_numbers, raw_scale
+from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (

@@ -26,10 +26,11 @@ from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, lig
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import colour_surface
+from isogi_core.frame.texel_normals import TexelNormals
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, check_key, texels_until
-from isogi_core.frame.view_texels import TexelNormals, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.shine import filter_shine, light_ends

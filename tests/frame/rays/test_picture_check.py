@@ -24,6 +24,7 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     CLOSER,
@@ -44,7 +45,6 @@ from isogi_core.frame.rays.picture_plan import (
     rungs_at_once,
 )
 from isogi_core.frame.texel_reading import Reading, grade_rows
-from isogi_core.frame.view_checks import PictureCheck
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View

@@ -1,0 +1,226 @@
+"""The layout of blocks in bytes; docs/card.md describes it."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.frame.card.chunk_texels import ChunkTexels
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, VOID_GRADE
+
+BLOCK_MARK = b"ISOB"
+"""What a block begins with."""
+
+
+HEADER = np.dtype(
+    [
+        ("mark", "S4"),
+        ("bytes", "<u4"),
+        ("at", "<u2", 3),
+        ("kind", "<u2"),
+        ("counts", "<u4", 2),
+        ("version", "V8"),
+    ]
+)
+BRICK = np.dtype([("mask", "<u8"), ("first", "<u4"), ("place", "<u4")])
+
+
+FOLDED = 0
+RAW = 1
+CODED = 2
+"""Kinds of blocks: records of light, transfer that a page puts under the light by itself, and such
+in few bits.
+"""
+
+
+EDGE = 2
+"""Texels along each side of a brick, as a power of two."""
+
+
+CODES = {BURIED_GRADE: 0x80008001, VOID_GRADE: 0x80008002}
+"""Words of texels without light in place of a normal, by their grade; no part of a normal is
+-32768.
+"""
+
+
+FLAT = 0x80008003
+"""The word of a texel with light whose normal is (0, 0, 0)."""
+
+
+MAX_HALF_FLOAT = float(np.finfo(np.float16).max)
+
+
+class Order(NamedTuple):
+    """The order of records in blocks: the chunk ``owners`` and ``places`` of bricks, their
+    ``masks`` and where in the order each ``begins``, (bricks,); ``texels`` (texels,) lists the
+    numbers of texels, brick by brick.
+    """
+
+    owners: np.ndarray
+    places: np.ndarray
+    masks: np.ndarray
+    begins: np.ndarray
+    texels: np.ndarray
+
+
+def order_texels(texels: ViewTexels) -> Order:
+    """Order texels by chunk, then by brick, then by their place in it."""
+    bits = texels.lattice.bits
+    z, y, x = (texels.places >> bits * axis & texels.lattice.chunk - 1 for axis in (2, 1, 0))
+    bricks = (z >> EDGE) << 16 | (y >> EDGE) << 8 | x >> EDGE
+    bit = (z & 3) << 4 | (y & 3) << 2 | x & 3
+    keys = ((texels.places >> 3 * bits).astype(np.int64) << 24 | bricks) << 6 | bit
+    order = np.argsort(keys)
+    own, begins = np.unique(keys[order] >> 6, return_index=True)
+    masks = np.bitwise_or.reduceat(np.uint64(1) << bit[order].astype(np.uint64), begins)
+    return Order(own >> 24, own & 0xFFFFFF, masks, begins, order)
+
+
+def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
+    """Normals (m, 3) of texels with this ``grade`` (m,) as words, or the codes of those without;
+    (m,) uint32.
+
+    A normal is projected onto an octahedron, whose lower half is folded over the upper one (Meyer
+    and others, "On Floating-Point Normal Vectors", 2010); x is in the lower 16 bits, y in the upper
+    ones.
+    """
+    size = np.abs(normals).sum(axis=1)
+    x, y, z = (normals / np.maximum(size, 1e-30)[:, None]).T
+    u = np.where(z < 0.0, (1.0 - np.abs(y)) * np.where(x >= 0.0, 1.0, -1.0), x)
+    v = np.where(z < 0.0, (1.0 - np.abs(x)) * np.where(y >= 0.0, 1.0, -1.0), y)
+    low, high = (
+        np.rint(32767.0 * each).astype(np.int16).view(np.uint16).astype(np.uint32)
+        for each in (u, v)
+    )
+    words = np.where(size > 0.0, low | high << 16, FLAT).astype(np.uint32)
+    for each, code in CODES.items():
+        words[grade == each] = code
+    return words
+
+
+def with_means(
+    order: Order, grade: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The ``grade`` (m,) and ``values`` (m, n) of texels in their order, with the mean of each
+    brick behind its texels.
+
+    A mean is of the texels with light, or buried or void where there are none.
+    """
+    grade = grade[order.texels]
+    values = values[order.texels]
+    bricks = np.arange(len(order.begins))
+    ends = np.append(order.begins[1:], len(grade))
+    fit = (grade >= PARTIAL_GRADE) & (grade <= FINAL)
+    if not len(bricks):
+        return grade, values
+    count = np.add.reduceat(fit, order.begins, dtype=np.int64)
+    means = (
+        np.add.reduceat(np.where(fit[:, None], values, 0.0), order.begins)
+        / np.maximum(count, 1)[:, None]
+    )
+    kinds = np.where(count > 0, FINAL, np.minimum.reduceat(grade, order.begins))
+    return np.insert(grade, ends, kinds), np.insert(values, ends, means, axis=0)
+
+
+def halves(values: np.ndarray) -> np.ndarray:
+    """Numbers as half floats, those beyond these at their ends."""
+    return np.clip(values, -MAX_HALF_FLOAT, MAX_HALF_FLOAT).astype("<f2")
+
+
+def folded_body(words: np.ndarray, light: np.ndarray) -> bytes:
+    """Records of light (r, 6), direct and reflected linear RGB, with their ``words`` (r,)."""
+    return np.column_stack([halves(light).view("<u4"), words]).astype("<u4").tobytes()
+
+
+def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
+    """Records of transfer, ``numbers`` (r, n), after their ``words`` (r,): four numbers of each in
+    every layer.
+    """
+    layers = -(-numbers.shape[1] // 4)
+    quads = np.pad(halves(numbers), ((0, 0), (0, -numbers.shape[1] % 4))).reshape(
+        len(words), layers, 4
+    )
+    padded = np.pad(words.astype("<u4"), (0, len(words) % 2))
+    return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
+
+
+NORMAL_STEPS = 64
+"""Steps of normals in few bits: a tenth of a degree."""
+
+
+def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
+    """Records of transfer in few bits, ``codes`` (r, n), with their ``words`` (r,): byte by byte,
+    for compression.
+
+    First come all low bytes of words' x, all high ones, and those of y. Codes follow, with their
+    signs in bit 0: low bytes of number 0, of number 1, and so on, then all high ones.
+    """
+    x = (words & 0xFFFF).astype(np.uint16)
+    y = (words >> 16).astype(np.uint16)
+    signed = np.rint(codes.T).astype(np.int32)
+    folded = (signed << 1 ^ signed >> 31).astype(np.uint16)
+    planes = [
+        each >> shift & 0xFF for each in (coarse(x, words), coarse(y, words)) for shift in (0, 8)
+    ]
+    body = np.vstack([*planes, folded & 0xFF, folded >> 8]).astype(np.uint8).tobytes()
+    return body + bytes(-len(body) % 8)
+
+
+def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
+    """Parts of normals' ``words`` (m,) as multiples of NORMAL_STEPS, those of words without a
+    normal as they are.
+    """
+    most = 0x7FFF // NORMAL_STEPS
+    rounded = NORMAL_STEPS * np.clip(
+        np.rint(parts.view(np.int16) / NORMAL_STEPS), -most, most
+    ).astype(np.int16)
+    return np.where(np.isin(words, (*CODES.values(), FLAT)), parts, rounded.view(np.uint16))
+
+
+BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
+
+
+def pack(
+    chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int
+) -> Iterator[bytes]:
+    """The block of each chunk, of a ``kind``, from the ``normals`` (m, 3) and ``values`` (m, n) of
+    its texels.
+    """
+    order = order_texels(chunks.texels)
+    grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
+    words = words_of(found[:, :3], grade)
+    numbers = found[:, 3:]
+    firsts = order.begins + np.arange(len(order.begins))
+    owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
+    for index, version in zip(chunks.chunks, chunks.versions, strict=True):
+        a, b = np.searchsorted(order.owners, [number := owners.get(index, -1), number + 1]).tolist()
+        ends = [int(firsts[i]) if i < len(firsts) else len(words) for i in (a, b)]
+        bricks = np.zeros(b - a, BRICK)
+        bricks["mask"], bricks["place"] = order.masks[a:b], order.places[a:b]
+        bricks["first"] = firsts[a:b] - ends[0]
+        some = slice(*ends)
+        yield block_of(
+            index,
+            version,
+            bricks,
+            ends[1] - ends[0],
+            BODIES[kind](words[some], numbers[some]),
+            kind,
+        )
+
+
+def block_of(
+    index: Sequence[int], version: bytes, bricks: np.ndarray, records: int, body: bytes, kind: int
+) -> bytes:
+    """A block: its header, its table of ``bricks``, and its records."""
+    header = np.zeros(1, HEADER)
+    size = HEADER.itemsize + bricks.nbytes + len(body)
+    header["mark"] = BLOCK_MARK
+    header["bytes"] = size
+    header["at"] = index
+    header["kind"] = kind
+    header["counts"] = (len(bricks), records)
+    header["version"] = np.void(version)
+    return header.tobytes() + bricks.tobytes() + body

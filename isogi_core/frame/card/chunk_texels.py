@@ -1,0 +1,157 @@
+"""All texels of whole chunks, as blocks for a visitor's graphics card need them."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.bake.noise import Until
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.scene_caches import Loader
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.shading import (
+    FILTER_DISTANCES,
+)
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.filtering import Numbering
+from isogi_core.kernels.shading.lattice import UNLIT_ROW
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTexels:
+    """All texels of ``chunks`` that hold light, or are known to have none, and what is read of
+    them.
+
+    ``texels`` are of those chunks alone that have any, in the same order; ``versions`` of all, 8
+    bytes each: they say how far each chunk is baked.
+    """
+
+    chunks: tuple[Index, ...]
+    versions: tuple[bytes, ...]
+    texels: ViewTexels
+    reading: Reading
+
+
+class Occupied(NamedTuple):
+    """Chunks that have any texels, their ``slots`` in a pool, and which texels are ``there``,
+    (chunks, texels) bool.
+    """
+
+    chunks: tuple[Index, ...]
+    slots: np.ndarray
+    there: np.ndarray
+
+
+@contextmanager
+def hold_texels(
+    loader: Loader,
+    chunks: Sequence[Index],
+    target: float,
+    tiles: Tiles,
+    around: Sequence[Index] = (),
+) -> Iterator[tuple[ChunkTexels, PagePool]]:
+    """The texels of ``chunks``, in the pool that holds them while the block runs; final at the
+    ``target`` error.
+
+    Of those ``around`` which chunks are filtered, where any are named, only the texels that the
+    filter reads. Raises what ``Loader.ensure`` does.
+    """
+    loader.ensure(chunks, tiles.check)
+    pool = loader.pool
+    prepared = loader.chunk_store.spec.prepared
+    with pool.hold(chunks) as held:
+        versions = tuple(map(pool.version, held.slots.tolist()))
+        if around:
+            near = near_texels(chunks, around, prepared)
+        else:
+            near = None
+        occupied = find_occupied(pool, tuple(chunks), held.slots, near)
+        texels = number_texels(occupied, prepared)
+        yield (
+            ChunkTexels(
+                tuple(chunks),
+                versions,
+                texels,
+                read_texels(texels, occupied.slots, pool, Until(target, FIRST_LEVEL), tiles),
+            ),
+            pool,
+        )
+
+
+def find_occupied(
+    pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, near: np.ndarray | None
+) -> Occupied:
+    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which; of
+    those ``near`` alone.
+    """
+    there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
+    if near is not None:
+        there &= near
+    some = np.flatnonzero(there.any(axis=1))
+    return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
+
+
+def near_texels(
+    chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene
+) -> np.ndarray:
+    """Which texels of ``chunks`` the filter reads for the chunks ``around`` which they lie;
+    (chunks, texels) bool.
+    """
+    side = prepared.lattice.chunk
+    reach = min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
+    parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
+    near = np.zeros((len(chunks), side, side, side), np.bool_)
+    numbers = {at: number for number, at in enumerate(chunks)}
+    for z, y, x in around:
+        for k, j, i in product(parts, repeat=3):
+            if (number := numbers.get((z + k, y + j, x + i))) is not None:
+                near[number, parts[k], parts[j], parts[i]] = True
+    return near.reshape(len(chunks), -1)
+
+
+def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
+    """The texels that are there, numbered as a view that shows no point of the surface would number
+    them.
+    """
+    lattice = prepared.lattice
+    (chunks, _, there) = occupied
+    read = texel_words(there.reshape(-1, lattice.chunk))
+    first = np.zeros(len(read) + 1, np.uint32)
+    np.cumsum(np.bitwise_count(read), out=first[1:])
+    slots = np.full(prepared.chunks, -1, np.int32)
+    slots[tuple(np.array(chunks, np.int64).reshape(-1, 3).T)] = np.arange(len(chunks))
+    places = np.flatnonzero(there).astype(np.uint32)
+    bounds = first[:: lattice.rows].copy()
+    corners = np.empty((0, 8), np.uint32)
+    nowhere = np.empty((0, 3), np.float32)
+    points = GBuffer.of_points(prepared.surface(prepared.scene.isovalue), (0.0, 0.0, 0.0), nowhere)
+    return ViewTexels(
+        points, lattice, chunks, places, bounds, corners, Numbering(slots, read, first)
+    )
+
+
+def texel_words(rows: np.ndarray) -> np.ndarray:
+    """Rows (m, n) bool of at most 32 as the bits of words, the first one lowest; (m,) uint32."""
+    bits = np.packbits(rows, axis=1, bitorder="little")
+    return np.pad(bits, ((0, 0), (0, 4 - bits.shape[1]))).view("<u4")[:, 0].astype(np.uint32)
+
+
+def with_neighbours(chunks: Sequence[Index], prepared: PreparedScene) -> tuple[Index, ...]:
+    """The ``chunks``, in their order, and after them all others that touch one of them."""
+    found = dict.fromkeys(chunks)
+    for z, y, x in chunks:
+        around = ((z + k, y + j, x + i) for k, j, i in product((-1, 0, 1), repeat=3))
+        found.update(dict.fromkeys(each for each in around if is_inside(each, prepared.chunks)))
+    return tuple(found)
+
+
+def is_inside(index: Index, shape: tuple[int, int, int]) -> bool:
+    """Whether there is a chunk of this ``index`` in a lattice of so many chunks."""
+    return all(0 <= i < n for i, n in zip(index, shape, strict=True))

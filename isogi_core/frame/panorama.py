@@ -1,0 +1,93 @@
+"""The panorama around a scene: a small picture of its environment and its directional lights."""
+
+import numpy as np
+
+from isogi_core.frame.film import LEVELS, tone_table
+from isogi_core.kernels.transport.lights import DIRECTIONAL
+from isogi_core.model.environment import (
+    LUMINANCE_WEIGHTS,
+    Environment,
+    Lamps,
+    pixel_directions,
+    resample,
+    solid_angles,
+)
+
+PANORAMA_FORMAT = 1
+"""Counts up when the same light makes another picture."""
+
+
+MIDDLE_BRIGHTNESS = 0.36
+"""How bright the middle of the light is shown, before the tone curve: twice Reinhard's, for a
+picture this small.
+"""
+
+
+DARKEST_SHARE = 1e-4
+"""Light darker than this share of the mean counts as this much where the middle is sought: black
+has no logarithm.
+"""
+
+
+GLARE = 0.02
+GLARE_REACH = 16
+"""The share of light that strays around what is bright, as in an eye, and the part of the picture's
+width, one in GLARE_REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel,
+and would hardly be seen."""
+
+
+MARK_RADIUS = 0.05
+"""Radius of the mark of a directional light, radians."""
+
+
+def paint_panorama(
+    environment: Environment, lamps: Lamps, width: int, turn: np.ndarray | None = None
+) -> np.ndarray:
+    """The picture (width // 2, width, 3) uint8 sRGB of what comes from infinitely far, unturned.
+
+    Its grid is that of a probe: the top row is +z, column 0 starts at azimuth 0. Directional lights
+    are discs in their own colour. Lamps that stand in the scene are in no direction, and are not
+    shown. Where the light is that of a volume's box, ``turn`` (3, 3) is the box's rotation in the
+    world, which is shown.
+    """
+    if turn is None:
+        overview = environment
+    else:
+        overview = environment.turned(turn.T)
+    picture = tone(glare(resample(overview.overview, width // 2, width)))
+    directions = pixel_directions(*picture.shape[:2]) @ (np.eye(3) if turn is None else turn)
+    far = lamps.arrays.kinds == DIRECTIONAL
+    for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
+        if colour.any():
+            away = np.arccos(np.clip(directions @ towards, -1.0, 1.0))
+            picture[away <= max(MARK_RADIUS, away.min())] = colour / colour.max()
+    return np.asarray(tone_table()[np.rint(picture * (LEVELS - 1)).astype(np.int64)])
+
+
+def glare(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance with some of its light spread by binomial steps; see
+    GLARE.
+    """
+    stray = radiance
+    for _ in range(radiance.shape[1] // GLARE_REACH):
+        across = (np.roll(stray, 1, axis=1) + 2.0 * stray + np.roll(stray, -1, axis=1)) / 4.0
+        padded = np.pad(across, ((1, 1), (0, 0), (0, 0)), "edge")
+        stray = (padded[:-2] + 2.0 * across + padded[2:]) / 4.0
+    return np.asarray(radiance + GLARE * stray)
+
+
+def tone(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to
+    MIDDLE_BRIGHTNESS, and nothing burns out.
+
+    Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
+    eqs. 1 to 3, with the mean logarithm over the sphere.
+    """
+    luminance = radiance @ LUMINANCE_WEIGHTS
+    shares = solid_angles(*luminance.shape) / (4.0 * np.pi)
+    mean = float((shares * luminance).sum())
+    if mean <= 0.0:
+        return np.zeros_like(radiance)
+    middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST_SHARE * mean))).sum())
+    factor = MIDDLE_BRIGHTNESS / (middle + MIDDLE_BRIGHTNESS * luminance)
+    return np.asarray(np.minimum(radiance * factor[..., None], 1.0))

@@ -1,0 +1,324 @@
+"""The check of one picture: measure its total error by control pixels, and take the step that
+brings it to its target at the lowest cost.
+
+All texels of the picture climb a ladder of sample counts together (16, 32, 64, …). On each rung,
+control pixels measure the error of the picture as it is shown, filtered or not. Then one of three
+ways is taken: all texels climb on, finer texels replace them, or the pixels with the largest errors
+get light from paths of their own. The way with the fewest expected paths to the target wins. Each
+step follows from the light of the texels and from the earlier steps on the same rung alone, so that
+the same view gets the same bits for every client and after every restart.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from isogi_core.bake.texel_light import next_level
+from isogi_core.frame.frame import Frame, PictureState
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import (
+    CONTROLS_IF_MISSED,
+    FIRST_CONTROLS,
+    MAX_CONTROLS,
+    ControlPixels,
+    TotalError,
+    chances,
+    draw_places,
+    paths_for,
+    spread_errors,
+    trace_controls,
+    variance_of_halves,
+)
+from isogi_core.frame.rays.own_light import (
+    AIM,
+    MOST_PATHS,
+    Growth,
+)
+from isogi_core.frame.rays.picture_plan import (
+    QUIETER,
+    Ahead,
+    OwnLight,
+    Plan,
+    Prices,
+    by_finer,
+    by_rungs,
+    climbs_of,
+    controls_to,
+    noise_of_climbers,
+    rungs_at_once,
+)
+from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
+from isogi_core.frame.tiles import Tiles
+
+STRICTER = 0.9
+"""Factor on the error that is aimed at with each attempt."""
+
+
+DOUBTFUL = 0.5
+"""Share of the target below which a small measured error puts the controls in doubt, not the light:
+none aims lower.
+"""
+
+
+@dataclass(eq=False)
+class PictureCheck:
+    """The check of the picture of one view: what it has ``known`` so far, and what its next step
+    needs besides.
+
+    Pixels of the next attempt are ``growing``; a path of a pixel takes a ``pace`` of so many
+    seconds, None before the first. ``coarse`` says that finer texels are to be shown in this
+    picture's place, which is not asked for once they were ``declined``. What is ``ahead`` is None
+    before the picture was measured. Steps of several threads wait for each other.
+    """
+
+    light: RotatedLight
+    gbuffer: GBuffer
+    known: PictureState
+    growing: Growth | None = None
+    pace: float | None = None
+    coarse: bool = False
+    declined: bool = False
+    ahead: Ahead | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
+
+    def is_shown(self, frame: Frame) -> bool:
+        """Whether a ``frame`` was drawn by the controls and for the samples that are known now."""
+        shown = frame.quality.known
+        return (
+            shown is not None
+            and shown.controls is self.known.controls
+            and shown.enough == self.known.enough
+        )
+
+    def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+        """Come one step nearer to the target from a ``frame`` of this picture; whether there was
+        one to take.
+
+        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the
+        target are weighed at these ``prices``. Raises Cancelled.
+        """
+        taken = (
+            frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
+        )
+        self.known = replace(self.known, ended=not taken)
+        return taken
+
+    def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+        if self.growing is not None:
+            return self._grow(self.growing, tiles)
+        if self.known.outdated or frame.measured is None:
+            return self._begin_rung(frame, uncertainty, tiles)
+        if not self.known.attempt:
+            climbs = climbs_of(frame, self._rung(frame), self.known.target)
+        else:
+            climbs = [0.0]
+        if not self._decided(frame.measured):
+            drawn = 2.0 * self.known.paths * frame.measured.controls
+            self.ahead = Ahead(
+                max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn),
+                times=1,
+            )
+            if self._climbing_decides(
+                frame, frame.measured, [prices.path * each for each in climbs]
+            ):
+                return self._climb(frame)
+            return self._add_controls(frame.measured, uncertainty, tiles)
+        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
+        first = 2.0 * self.known.paths * FIRST_CONTROLS
+        last = self._control_paths(frame.measured, self._aim(frame.measured))
+        self.coarse = plan.finer
+        self.ahead = plan.ahead(first, last)
+        if plan.rungs:
+            return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
+        return self._grow(Growth(plan.choice, self.known.own), tiles)
+
+    def decline(self) -> None:
+        """Go on without finer texels: there is no memory for them."""
+        self.known = replace(self.known, ended=False)
+        self.coarse = False
+        self.declined = True
+
+    def _decided(self, measured: TotalError) -> bool:
+        """Whether a picture that is not at its target needs better light, and no further
+        controls.
+        """
+        if measured.likely <= self.known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
+        return measured.low > self.known.target or measured.controls >= most
+
+    def _climbing_decides(
+        self, frame: Frame, measured: TotalError, climbs: Sequence[float]
+    ) -> bool:
+        """Whether a rung would bring the interval below the target, for less than as many controls
+        again cost.
+
+        ``climbs`` are what texels cost, in paths of pixels.
+        """
+        more = 2.0 * self.known.paths * measured.controls
+        gained = (1.0 - QUIETER) * noise_of_climbers(frame)
+        quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
+        return quiet and len(climbs) > 1 and more > climbs[1]
+
+    def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+        """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is
+        worth.
+        """
+        known = self.known
+        paths = paths_for(max(self.known.target, frame.noise))
+        first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
+        self.known = replace(
+            known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
+        )
+        return True
+
+    def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+        """Draw as many controls again as it takes to decide: at least as many as there are, at most
+        three times.
+        """
+        known = self.known
+        before = len(self.known.controls.places)
+        if measured.likely <= known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
+        wanted = min(controls_to(measured, measured.likely, known.target), most)
+        more = self._draw(
+            uncertainty,
+            before,
+            int(np.clip(wanted - before, before, 3 * before)),
+            known.paths,
+            tiles,
+        )
+        self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
+        return True
+
+    def _draw(
+        self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
+    ) -> ControlPixels:
+        """Draw ``count`` controls of so many ``paths`` a half, after those that there were
+        ``before``.
+        """
+        attempt = self.known.attempt
+        places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
+        begun = time.perf_counter()
+        halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
+        self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
+        return ControlPixels(
+            places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
+        )
+
+    def _climb(self, frame: Frame, rungs: int = 1) -> bool:
+        """Have texels take twice as many samples, for each of so many ``rungs``."""
+        self.known = replace(self.known, enough=next_level(self._rung(frame)) << (rungs - 1))
+        return True
+
+    def _cheapest(
+        self,
+        frame: Frame,
+        measured: TotalError,
+        uncertainty: np.ndarray,
+        climbs: Sequence[float],
+        prices: Prices,
+        tiles: Tiles,
+    ) -> Plan:
+        """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER
+        than before, at least.
+
+        By its texels, or by finer ones before any pixel has light of its own. Pixels that have some
+        keep it.
+        """
+        known = self.known
+        noise = frame.pixel_noise**2
+        variance = variance_of_halves(uncertainty, known.controls)
+        aim = self._aim(measured)
+        own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
+        errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
+        # controls of few pixels may find less than the noise that halves tell: then errors are as
+        # large as that
+        errors *= max(
+            (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
+        )
+        errors, noise = self._by_regions(errors, noise, tiles)
+        under = frame.quality.lacking and frame.quality.lacking.texels
+        if under:
+            texels = len(under.places)
+            chunks = len(under.chunks)
+        else:
+            texels = 0
+            chunks = 0
+        plans = by_rungs(
+            own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
+        )
+        if texels and not (known.attempt or self.declined):
+            plans += by_finer(own, errors, noise, texels, chunks, self._rung(frame), known.target)
+        return min(plans, key=lambda plan: plan.cost(prices))
+
+    def _by_regions(
+        self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Squared ``errors`` and variances of ``noise`` (m,), each a mean over pixels around: those
+        that get light of their own make whole regions then, and no scattered pixels whose borders
+        show. Raises Cancelled.
+        """
+        around = Surroundings(self.gbuffer, tiles)
+        found = np.column_stack([noise, errors])
+        for step, _ in FILTER_PASSES:
+            found, _ = around.means(found, noise, step)
+        return found[:, 1], found[:, 0]
+
+    def _aim(self, measured: TotalError) -> float:
+        """The relative error that the next attempt is to leave."""
+        target = self.known.target
+        return min(
+            AIM * STRICTER**self.known.attempt * target,
+            max(STRICTER * measured.likely, DOUBTFUL * target),
+        )
+
+    def _control_paths(self, measured: TotalError, likely: float) -> float:
+        """Paths of all controls that it takes to say that the target is met by a picture with a
+        ``likely`` error.
+        """
+        return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
+
+    def _rung(self, frame: Frame) -> int:
+        """The samples that all texels of a ``frame`` have that are not good enough with fewer."""
+        lacking = frame.quality.lacking
+        if lacking:
+            samples = lacking.reading.samples
+        else:
+            samples = np.empty(0, np.int32)
+        lit = samples[samples > 0]
+        return max(self.known.enough, int(lit.min()) if len(lit) else 0)
+
+    def _grow(self, growth: Growth, tiles: Tiles) -> bool:
+        """Trace further paths from the points of a ``growth``; they are shown, and controls drawn
+        anew, once that will do. Whether there was anything to trace.
+        """
+        count = growth.next
+        if count > MOST_PATHS:
+            return False
+        self.growing = Growth(growth.choice, growth.light)
+        begun = time.perf_counter()
+        light = growth.light.grown(
+            growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note
+        )
+        self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
+        self.growing = Growth(growth.choice, light)
+        if count == MOST_PATHS or self.growing.enough:
+            known = self.known
+            self.known = PictureState(
+                known.target, own=light, attempt=known.attempt + 1, enough=known.enough
+            )
+            self.growing = None
+        return True

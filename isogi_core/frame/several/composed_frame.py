@@ -1,0 +1,253 @@
+"""Add up the frames of the sides of several surfaces to one frame, and its quality."""
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.demand import Demand
+from isogi_core.frame.frame import Frame, Layer, Quality
+from isogi_core.frame.framing import paint_faces
+from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.several.peels import (
+    Peels,
+    SideLayers,
+)
+from isogi_core.frame.texel_reading import Stage
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side
+
+MIN_SHOWN_LUMINANCE = 1e-30
+"""Luminance below which relative errors are of nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What a picture shows of a ``side``, or of WALLS_SIDE: its ``layers``, their tall ``frame``,
+    and the ``caches`` of its light.
+    """
+
+    side: Side
+    layers: SideLayers
+    frame: Frame
+    caches: Caches
+
+    @property
+    def weight(self) -> float:
+        """The sum of the squares of what its points count in their pixels."""
+        return float((self.layers.weights.astype(np.float64) ** 2).sum())
+
+    def seen(self, values: np.ndarray) -> np.ndarray:
+        """The ``values`` of a tall picture at its points."""
+        return np.asarray(values.reshape(-1, *values.shape[2:])[self.layers.gbuffer.pixels])
+
+    @property
+    def measured(self) -> TotalError | None:
+        """The total error by control pixels; walls have no control pixels, and report their
+        noise.
+        """
+        noise = self.frame.noise
+        if self.side == WALLS_SIDE:
+            return TotalError(noise, noise, noise)
+        return self.frame.measured
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacesQuality(Quality):
+    """The quality of a frame that is composed of ``parts``, one for each side of a surface that is
+    seen.
+
+    Pixels have the least state of what they show, and errors add up by weight. ``aim`` is the
+    target of the picture.
+    """
+
+    parts: tuple[Part, ...] = ()
+    aim: float | None = None
+
+    @property
+    def target(self) -> float | None:
+        """See ``Quality``."""
+        return self.aim
+
+    @property
+    def given_up(self) -> bool:
+        """See ``Quality``: whether each part is final, or its check ended."""
+        return bool(self.parts) and all(
+            part.frame.quality.given_up or part.frame.final for part in self.parts
+        )
+
+    @property
+    def outdated(self) -> bool:
+        """See ``Quality``."""
+        return any(part.frame.quality.outdated for part in self.parts)
+
+    @property
+    def own(self) -> int:
+        """See ``Quality``."""
+        return sum(part.frame.quality.own for part in self.parts)
+
+    @property
+    def demands(self) -> tuple[Demand, ...]:
+        """The light that was not final on the outer side of the surface that slides."""
+        return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All light that is to be baked until the picture is final: first of the side with the
+        largest error.
+        """
+        return tuple(
+            replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
+            for part in sorted(self.parts, key=wrong_of, reverse=True)
+            for stage in part.frame.stages
+        )
+
+    def layers(self, frame: Frame) -> Iterator[Layer]:
+        """See ``Frame.layers``: of each side layer by layer."""
+        for part in self.parts:
+            for rows, pixels in part.layers.each:
+                yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
+        yield frame.gbuffer.faces.pixels, frame.gbuffer.faces.points, 1.0
+
+    def checkable(self, frame: Frame) -> bool:
+        """See ``Frame.checkable``."""
+        lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS_SIDE)
+        return lit and not frame.final and any(part.frame.checkable for part in self.parts)
+
+    def walls_lag(self, frame: Frame) -> bool:
+        """See ``Frame.walls_lag``: more wrong than the side with the largest error."""
+        walls = [
+            part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting
+        ]
+        worst = max((wrong_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
+        return any(
+            part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls
+        )
+
+    def true_mean(self, frame: Frame) -> float:
+        """The mean luminance of the pixels that show something."""
+        return float(
+            (frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()
+        ) / max(frame.surface, 1)
+
+    def measured(self, frame: Frame) -> TotalError | None:
+        """The total relative RMSE by the control pixels of all sides, whose errors count as
+        independent of each other; None before each side has some.
+        """
+        found = [part.measured for part in self.parts]
+        if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
+            return None
+        every = [each for each in found if each is not None]
+        likely, low, high = (
+            self._sum(frame, [getattr(each, of) for each in every])
+            for of in ("likely", "low", "high")
+        )
+        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(
+            frame.noise
+        )
+
+    def tail(self, frame: Frame) -> None:
+        """None: control pixels of one side tell nothing of how the errors of two in one pixel add
+        up.
+        """
+
+    def total_error(self, frame: Frame) -> np.ndarray:
+        """See ``Frame.total_error``."""
+        return summed_errors(
+            [(part, part.frame.total_error) for part in self.parts], frame.radiance
+        )
+
+    def _sum(self, frame: Frame, errors: Sequence[float]) -> float:
+        """The relative RMSE of a ``frame`` by the ``errors`` of its parts."""
+        parts = zip(errors, self.parts, strict=True)
+        squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
+        return min(
+            math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, MIN_SHOWN_LUMINANCE),
+            1.0,
+        )
+
+
+def parts_of(frame: Frame) -> tuple[Part, ...]:
+    """The parts that a frame is composed of; none of a frame of one surface."""
+    if isinstance(frame.quality, SurfacesQuality):
+        return frame.quality.parts
+    return ()
+
+
+def wrong_of(part: Part) -> float:
+    """The error of a part in the picture, as far as is known."""
+    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
+
+
+def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
+    """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall
+    pictures.
+    """
+    squares = np.zeros(radiance.shape[0] * radiance.shape[1])
+    for part, error in errors:
+        light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE_WEIGHTS
+        own = (part.layers.weights * light * part.seen(error)) ** 2
+        for rows, pixels in part.layers.each:
+            squares[pixels] += own[rows]
+    light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE_WEIGHTS
+    return (
+        np.minimum(np.sqrt(squares) / np.maximum(light, MIN_SHOWN_LUMINANCE), 1.0)
+        .astype(np.float32)
+        .reshape(radiance.shape[:2])
+    )
+
+
+def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
+    """Linear light (h, w, 3) float32 and states (h, w) uint8 of a view's pixels, of all that they
+    show together.
+    """
+    count = view.width * view.height
+    radiance = np.zeros((count, 3))
+    state = np.full(count, FINAL + 1, np.uint8)
+    for part in parts:
+        light = part.layers.weights[:, None] * part.seen(part.frame.radiance)
+        own = part.seen(part.frame.state)
+        for rows, pixels in part.layers.each:
+            radiance[pixels] += light[rows]
+            state[pixels] = np.minimum(state[pixels], own[rows])
+    state[state > FINAL] = 0
+    shape = view.height, view.width
+    return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
+
+
+def compose(
+    view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
+) -> Frame:
+    """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window
+    are painted.
+    """
+    lit, state = summed(view, parts)
+    error = summed_errors([(part, part.frame.error) for part in parts], lit)
+    if len(peels.first.faces.pixels):
+        paint_faces(
+            peels.first,
+            scene,
+            Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)),
+        )
+    checked = view.shading == "gi" and not view.moving
+    versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
+    frames = [part.frame for part in parts]
+    chunks = sum(each.chunks_needed for each in frames), sum(each.chunks_final for each in frames)
+    quality = SurfacesQuality(
+        chunks=chunks,
+        waiting=sum(each.quality.waiting for each in frames),
+        expected=max((each.quality.expected for each in frames), default=0.0),
+        parts=tuple(parts),
+        aim=target if checked else None,
+    )
+    version = hashlib.blake2b(versions.encode(), digest_size=16).hexdigest()
+    return Frame(
+        view, lit, state, error, peels.first, version, watch.seconds, quality, left=peels.left
+    )

@@ -1,0 +1,174 @@
+"""Normals of texels: at their positions, and on the isosurface that a view shows."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.texel_normals import (
+    fill_texel_normals,
+    keep_normals,
+    look_up_normals,
+)
+from isogi_core.prepared.prepared_scene import PreparedScene
+
+TEXELS_A_PIECE = 4096
+"""Texels whose normals one thread finds in one go."""
+
+
+MAX_TABLE_TEXELS = 1 << 21
+"""Texels that a table has room for at most."""
+
+
+ENTRY = 20
+"""Bytes of a texel in it: its number and its normal."""
+
+
+class OwnNormals:
+    """Outward unit world normals of a lattice's texels at their own points: no isovalue, camera or
+    light changes them.
+
+    Safe to use from many threads.
+    """
+
+    def __init__(self, budget: int) -> None:
+        """Know none yet, in ``budget`` bytes at most; they are taken when the first are asked
+        for.
+        """
+        self._room = min(
+            1 << max((budget // ENTRY).bit_length() - 1, 0), MAX_TABLE_TEXELS
+        )  # a power of two, as keys are hashed
+        self._full = self._room // 2  # fuller tables are slow
+        self._held = 0
+        self._lock = threading.Lock()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take."""
+        if "_keys" in vars(self):
+            return self._room * ENTRY
+        return 0
+
+    @cached_property
+    def _keys(self) -> np.ndarray:
+        return np.zeros(self._room, np.uint64)
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        return np.empty((self._room, 3), np.float32)
+
+    def of(
+        self, numbers: np.ndarray, find: Callable[[np.ndarray], np.ndarray], tiles: Tiles
+    ) -> np.ndarray:
+        """The normals of the texels ``numbers`` (m,) uint64, each once; (m, 3) float32.
+
+        Those that are not held are found by ``find``, which is given their rows. Raises Cancelled.
+        """
+        normals = np.empty((len(numbers), 3), np.float32)
+        found = np.empty(len(numbers), np.bool_)
+
+        def _piece(a: int, b: int) -> None:
+            look_up_normals(numbers[a:b], *table, normals[a:b], found[a:b])
+
+        with self._lock:
+            table = self._keys, self._normals
+            tiles.run(_piece, len(numbers), TEXELS_A_PIECE)
+            new = np.flatnonzero(~found)
+            if len(new):
+                normals[new] = find(new)
+                self._keep(numbers[new[: self._full]], normals[new[: self._full]])
+        return normals
+
+    def _keep(self, numbers: np.ndarray, normals: np.ndarray) -> None:
+        if self._held + len(numbers) > self._full:
+            self._keys[:] = 0
+            self._held = 0
+        keep_normals(numbers, normals, self._keys, self._normals)
+        self._held += len(numbers)
+
+
+@dataclass(eq=False)
+class TexelNormals:
+    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their own
+    points.
+
+    Of those that are read on the view's isosurface, normals there are found when they are first
+    asked for.
+    """
+
+    own: np.ndarray
+    _there: np.ndarray = field(repr=False)
+    _known: np.ndarray = field(repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.own.nbytes + self._there.nbytes + self._known.nbytes
+
+    def where(
+        self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles
+    ) -> np.ndarray:
+        """The normals of the same view's ``texels``, of which those ``projected`` (texels,) lie on
+        its isosurface.
+        """
+        if not projected.any():
+            return self.own
+        with self._lock:
+            new = np.flatnonzero(projected & ~self._known)
+            self._there[new] = normals_of(texels, texels.places[new], True, prepared, tiles)
+            self._known[new] = True
+            return np.where(projected[:, None], self._there, self.own)
+
+
+def find_texel_normals(
+    texels: ViewTexels, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
+) -> TexelNormals:
+    """Find the normals of a view's texels at their own points, which may be ``known``."""
+    own = own_normals(texels, texels.places, known, prepared, tiles)
+    return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
+
+
+def own_normals(
+    texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
+) -> np.ndarray:
+    """The normals of the texels at some of the ``places`` (k,), which may be ``known``; (k, 3)
+    float32.
+    """
+    numbers = texels.numbers(places)
+    return known.of(
+        numbers, lambda new: normals_of(texels, places[new], False, prepared, tiles), tiles
+    )
+
+
+def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
+    """For each texel of a view the normal of a surface point that reads it, (texels, 3) float32.
+
+    A picture of unshadowed light is the same about any normals, and these are at hand.
+    """
+    normals = np.empty((len(texels.places), 3), np.float32)
+    normals[texels.corners] = texels.gbuffer.normals(tiles)[:, None]
+    return normals
+
+
+def normals_of(
+    texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
+) -> np.ndarray:
+    """Normals (k, 3) float32 of a view's texels at ``places`` (k,), ``projected`` or as they
+    are.
+    """
+    normals = np.empty((len(places), 3), np.float32)
+    level = texels.gbuffer.isovalue
+    positions = texels.positions_of(places)
+
+    def _piece(a: int, b: int) -> None:
+        fill_texel_normals(
+            prepared.field, prepared.step, level, projected, positions[a:b], normals[a:b]
+        )
+
+    tiles.run(_piece, len(places), TEXELS_A_PIECE)
+    return normals
