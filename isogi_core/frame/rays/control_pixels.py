@@ -1,23 +1,10 @@
-"""Control pixels: whole paths from a few pixels measure the error of a picture, and the tail of its
-errors.
+"""Control pixels: measure the total error of a picture by whole paths from a few of its pixels.
 
-A control pixel has two independent halves of paths, a and b, beside the light s that the picture
-shows. As both halves are right on the average and independent of each other, (s - a)(s - b) is
-right on the average for the squared error of s, whatever its causes: noise, interpolation,
-harmonics, light that leaks, bounces that are cut off. Before there are controls the total is a
-prediction.
-
-The tail of a picture's errors: the error that 99 % of its pixels stay below, by control pixels. A
-control shows an error that is part noise of its own paths. The distribution of the errors without
-that noise is what makes all controls together most likely (Laird, Journal of the American
-Statistical Association 73, 1978, by expectation maximisation), where what is expected counts as
-some controls do (Dempster, Laird and Rubin, Journal of the Royal Statistical Society B 39, 1977,
-section 1): pixels err normally, as the controls of their class do, or by anything, for some err far
-more than their class. Few controls lie in the tail, each with a weight: the share of pixels above
-an error has a gamma interval (Fay and Feuer, Statistics in Medicine 16, 1997, with the mean weight
-of Tiwari, Clegg and Zou, Statistical Methods in Medical Research 15, 2006). The errors at which the
-ends of that interval come down to 1 % are the interval of the percentile (Woodruff, Journal of the
-American Statistical Association 47, 1952).
+From each control pixel two independent halves of paths are traced, whose mean luminances are a and
+b; the picture shows the luminance s there. Both halves are unbiased and independent of each other,
+so (s - a)(s - b) is an unbiased estimate of the squared error of s, whatever its causes: noise,
+interpolation, truncated harmonics, light that leaks, bounces that are cut off. Before a picture has
+control pixels, its total error is a prediction.
 """
 
 import math
@@ -36,35 +23,39 @@ from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for
 from isogi_core.plan.scene import Scene
 
 CUT = 0.001
-"""Share of the light that bounces beyond those of control paths may bring, where the plan chose the
-bounces.
+"""Share of the light that bounces beyond those of control paths may bring, if the plan chose
+the bounces of the scene.
 """
 
 
 FIRST_CONTROLS = 256
 CONTROLS_IF_MISSED = 1024
 MAX_CONTROLS = 4096
-"""Pixels of the first round of controls; of all rounds of a picture that seems to miss its target,
-and of one that seems to reach it, whose interval costs less to narrow than better light. Each
-further round doubles what there is.
+"""Number of controls of the first round; of all rounds, for a picture that seems to miss its
+target; and of all rounds for one that seems to reach it, as narrowing its interval costs less
+than better light. Each further round at least doubles their number.
 """
 
 
 EVENLY_DRAWN = 0.5
-"""Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
+"""Share of the controls that is drawn evenly from the points of a picture; the others are drawn
+by uncertainty.
+"""
 
 
 FEWEST_PATHS = 16
 MOST_PATHS = 512
-"""Paths of each half, at least and at most."""
+"""Number of paths of each half, at least and at most."""
 
 
 @dataclass(frozen=True, eq=False)
 class ControlPixels:
-    """Points of a view that were drawn at random, and what paths from each brought.
+    """Points of a picture that were drawn at random, and the light of paths from each.
 
-    ``places`` (k,) int64 are rows of the G-buffer's points, ``weights`` (k,) over k what each
-    counts in a mean over all points, and ``halves`` (k, 2) float64 the luminance by either half.
+    - ``places`` (k,) int64: rows of the G-buffer's points; a point may be drawn more than once.
+    - ``weights`` (k,): importance weights. The mean over the controls of weight · value estimates
+      the mean of the value over all points.
+    - ``halves`` (k, 2) float64: luminance by each half of the paths.
     """
 
     places: np.ndarray
@@ -73,67 +64,69 @@ class ControlPixels:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         return self.places.nbytes + self.weights.nbytes + self.halves.nbytes
 
     @classmethod
     def none(cls) -> "ControlPixels":
-        """No controls."""
+        """Return no controls."""
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 2)))
 
     def joined(self, other: "ControlPixels") -> "ControlPixels":
-        """The controls and ``other`` ones of the same picture."""
+        """Concatenate these controls and ``other`` ones of the same picture."""
         places = np.append(self.places, other.places)
         weights = np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
 
     def mean(self, shown: np.ndarray, mean: float) -> float:
-        """The true mean luminance of all points, at least 0: the picture's ``mean`` less what
-        controls find too much.
+        """Estimate the true mean luminance of all points, at least 0, from the ``mean`` that the
+        picture shows and from the luminance ``shown`` (k,) that it shows at the controls.
 
-        The picture shows the luminance ``shown`` (k,) at the controls.
+        The mean difference between picture and paths at the controls is subtracted: a control
+        variate, with less noise than the mean of the paths.
         """
         return max(mean - float((self.weights * (shown - self.halves.mean(axis=1))).mean()), 0.0)
 
     def squares(self, shown: np.ndarray) -> np.ndarray:
-        """The squared error of each control's luminance, ``shown`` (k,), right on the average;
-        (k,).
+        """Return an unbiased estimate of the squared error of the luminance ``shown`` (k,) at
+        each control; (k,).
         """
         wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
 
 
 BINS = 8
-"""Classes of points by how uncertain they are; what each errs by is measured by its controls."""
+"""Number of classes of points by their uncertainty; the controls of a class measure its error."""
 
 
 def classes_of(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
-    """The class of each point (m,) by its ``uncertainty``, least first, with as many ``controls``
-    in each; (m,).
+    """Return the class of each point (m,), from 0, by its ``uncertainty`` (m,), least first.
+    Every class has about as many ``controls``.
     """
     edges = np.quantile(uncertainty[controls.places], np.arange(1, BINS) / BINS)
     return np.searchsorted(edges, uncertainty)
 
 
 def means_of(classes: np.ndarray, controls: ControlPixels, values: np.ndarray) -> np.ndarray:
-    """The mean of each class of points by the ``values`` (k,) at its controls; (BINS,)."""
+    """Return the weighted mean of the ``values`` (k,) of the controls in each class; (BINS,)."""
     known = classes[controls.places]
     sums = np.bincount(known, controls.weights * values, BINS)
     return np.asarray(sums / np.maximum(np.bincount(known, controls.weights, BINS), 1e-9))
 
 
 def squares_of(classes: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
-    """The mean squared error of each class by its controls, whose luminance is ``shown`` (k,);
-    (BINS,), at least 0.
+    """Return the mean squared error of each class by its controls, at which the picture shows
+    the luminance ``shown`` (k,); (BINS,), at least 0.
     """
     return np.maximum(means_of(classes, controls, controls.squares(shown)), 0.0)
 
 
 def variance_of_halves(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
-    """The variance of each point's luminance by a half of its paths, as the controls of its class
-    show it; (m,).
+    """Estimate the variance of each point's luminance by one half of its paths, from the
+    controls of its class; (m,).
     """
     classes = classes_of(uncertainty, controls)
+    # The difference of two independent halves has twice the variance of one.
     apart = controls.halves[:, 0] - controls.halves[:, 1]
     return np.asarray(means_of(classes, controls, apart**2 / 2.0)[classes])
 
@@ -141,10 +134,12 @@ def variance_of_halves(uncertainty: np.ndarray, controls: ControlPixels) -> np.n
 def spread_errors(
     uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray
 ) -> np.ndarray:
-    """The error of each point's luminance: what its class errs by, shared out by the
-    ``uncertainty`` (m,); (m,).
+    """Estimate the error of each point's luminance: the RMS error that controls measure for its
+    class, distributed over the points of the class in proportion to their ``uncertainty`` (m,);
+    (m,).
     """
     classes = classes_of(uncertainty, controls)
+    # Scale the uncertainty so that its mean square in each class is 1.
     means = np.bincount(classes, uncertainty**2, BINS) / np.maximum(
         np.bincount(classes, minlength=BINS), 1
     )
@@ -158,16 +153,20 @@ def spread_errors(
 def draw_places(
     gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int], count: int
 ) -> np.ndarray:
-    """Rows of ``count`` points, drawn in strata along a curve that fills the picture, more where it
-    is uncertain.
+    """Draw ``count`` points of a G-buffer at random, more of them where the picture is uncertain;
+    return their rows, (count,) int64.
 
-    Half of them are drawn evenly, the others by the ``uncertainty`` (m,) of each point; random
-    numbers follow from the ``key``. Returns rows (count,) int64.
+    Half of them are drawn evenly, the others in proportion to the ``uncertainty`` (m,) of each
+    point (see ``chances``). Random numbers follow from the ``key`` alone.
     """
+    # Sort the points along Morton's curve, so that points near on the curve are near in the
+    # picture.
     order = np.argsort(
         interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1])
     )
     reached = np.cumsum(chances(uncertainty)[order])
+    # Draw one point from each of ``count`` strata of equal chance: the controls cover the whole
+    # picture.
     strata = (
         np.arange(count) + np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)
     ) / count
@@ -177,7 +176,7 @@ def draw_places(
 
 
 def chances(uncertainty: np.ndarray) -> np.ndarray:
-    """The chance of each point (m,) to be drawn."""
+    """Return the chance of each point to be drawn, by its ``uncertainty``; (m,), of the sum 1."""
     total = float(uncertainty.sum())
     if total > 0.0:
         uneven = uncertainty / total
@@ -187,21 +186,24 @@ def chances(uncertainty: np.ndarray) -> np.ndarray:
 
 
 def interleaved(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Numbers along Morton's curve of pixels (m,) uint32; (m,) uint64."""
+    """Return places along Morton's curve of pixels at ``x`` and ``y``, (m,) uint32 each; (m,)
+    uint64.
+    """
     spread = [spread_bits(each.astype(np.uint64)) for each in (x, y)]
     return np.asarray(spread[0] | spread[1] << np.uint64(1))
 
 
 def spread_bits(words: np.ndarray) -> np.ndarray:
-    """The low 16 bits of words with a zero after each."""
+    """Insert a zero after each of the low 16 bits of ``words``."""
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
         words = (words | words << np.uint64(shift)) & np.uint64(mask)
     return words
 
 
 def paths_for(target: float) -> int:
-    """Paths of each half for pictures of about a ``target`` error: a power of two, whose noise is
-    about as large.
+    """Return the number of paths of each half of a control, for a picture with an error of
+    about ``target``: a power of two, at which the noise of a control is of about that size,
+    too.
     """
     return int(np.clip(2 ** math.ceil(math.log2(8.0 / target)), FEWEST_PATHS, MOST_PATHS))
 
@@ -209,11 +211,12 @@ def paths_for(target: float) -> int:
 def trace_controls(
     light: RotatedLight, gbuffer: GBuffer, places: np.ndarray, paths: int, stream: int, tiles: Tiles
 ) -> np.ndarray:
-    """The luminance of points at ``places`` (k,) by two halves of so many ``paths`` each; (k, 2).
-    Raises Cancelled.
+    """Trace two halves of ``paths`` paths each from the points in rows ``places`` (k,); return
+    their luminance, (k, 2).
 
-    Halves of another ``stream`` draw random numbers of their own.
+    Each ``stream`` has random numbers of its own. Raises Cancelled.
     """
+    # A point that was drawn more than once is traced once: it would draw the same random numbers.
     distinct, each = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
@@ -222,8 +225,8 @@ def trace_controls(
 
 
 def bounces_of_truth(light: RotatedLight) -> int:
-    """Bounces of paths that nothing of worth is cut off from; the scene's own where somebody gave
-    them.
+    """Return the number of bounces after which no light of importance is left: what is cut off
+    is at most the share CUT. If the scene gives the number of bounces itself, return that.
     """
     plan = light.spec.prepared.scene.plan
     chosen = "bounces" in dict(plan.errors)
@@ -233,27 +236,27 @@ def bounces_of_truth(light: RotatedLight) -> int:
 
 
 CONTROL_STANDARD_ERRORS = 2.2
-"""Standard errors to either side: with 1.96 of them 256 controls of seven views held 86 to 95 %,
-not 95 %.
+"""Standard errors from the middle to either end of an interval. With 1.96 of them, intervals of
+256 controls of seven views held the truth in 86 to 95 % of the cases, not in 95 %.
 """
 
 
 NOISE_FACTOR = 1.3
-"""What the true noise is over its estimate at most, in 95 % of frames: it is 0.7 to 1.4 times that
-in 99 %, and its logarithm is about normal.
+"""Largest ratio of the true noise to its estimate, in 95 % of the frames: it is 0.7 to 1.4 in
+99 %, and its logarithm is about normal.
 """
 
 
 FARTHEST = 20.0
-"""The logarithm that an interval's half is cut off at."""
+"""Limit of the logarithm of an interval's half width."""
 
 
 @dataclass(frozen=True)
 class TotalError:
-    """Relative RMSE of a picture's luminance over its surface, ``likely``, and the 95 % interval
-    ``low`` to ``high``.
+    """The relative RMSE of a picture's luminance over its surface: the ``likely`` value, and the 95
+    % interval from ``low`` to ``high``.
 
-    So many ``controls`` measured it; of none it is a prediction.
+    ``controls`` is the number of control pixels that measured it; 0 for a prediction.
     """
 
     likely: float
@@ -262,14 +265,13 @@ class TotalError:
     controls: int = 0
 
     def at_least(self, noise: float) -> "TotalError":
-        """The error of a picture whose ``noise`` alone is this large: controls of few pixels may
-        find less.
-
-        The noise is an estimate, too: the upper end is as far above it as that of the controls is
-        above their middle, or NOISE_FACTOR where this is less.
+        """Return the error of a picture whose ``noise`` alone is known to be this large: few
+        control pixels may find less by chance.
         """
         if noise <= self.likely:
             return self
+        # The noise is an estimate, too. Its upper end is as far above it as that of the controls is
+        # above their middle, in proportion, but no farther than NOISE_FACTOR.
         if self.likely > 0.0:
             factor = min(self.high / self.likely, NOISE_FACTOR)
         else:
@@ -278,23 +280,23 @@ class TotalError:
 
     @property
     def predicted(self) -> bool:
-        """Whether no pixel was measured."""
+        """True if no control pixel measured it."""
         return self.controls == 0
 
 
 def measure_total(squares: np.ndarray, mean: float) -> TotalError:
-    """The total error by the weighted squared errors (k,) of control pixels, relative to the true
-    ``mean`` luminance.
-
-    The interval is that of the logarithm of their mean, for a few large ones make most of it; it
-    never leaves 0 to 1.
+    """Return the total error by the weighted squared errors ``squares`` (k,) of control pixels,
+    relative to the true ``mean`` luminance; all of it is between 0 and 1.
     """
     count = len(squares)
     square = float(squares.mean())
     spread = float(squares.std()) / math.sqrt(count)
+    # In the dark any error is as large as can be.
     if mean <= 0.0:
         worst = float(squares.any())
         return TotalError(worst, worst, worst, count)
+    # A few large errors make most of the mean, so the interval is symmetric about its logarithm.
+    # Estimates of squares may be negative, and their mean then says nothing but its standard error.
     if square > 0.0:
         factor = math.exp(min(CONTROL_STANDARD_ERRORS * spread / square, FARTHEST))
     else:
@@ -310,7 +312,9 @@ def measure_total(squares: np.ndarray, mean: float) -> TotalError:
 
 
 def expected_error(scene: Scene, isovalue: Isovalue) -> float:
-    """The error that the plan and the survey of the volume let expect beside noise; relative."""
+    """Return the relative error besides noise that is expected at an ``isovalue``: by the plan
+    of the ``scene``, and by the survey of its volume.
+    """
     surveyed = scene.projection
     return math.hypot(
         min(surveyed.error(isovalue), surveyed.allowed), *(error for _, error in scene.plan.errors)
@@ -318,5 +322,5 @@ def expected_error(scene: Scene, isovalue: Isovalue) -> float:
 
 
 def predict_total(noise: float, expected: float) -> TotalError:
-    """The total error of a frame with so much ``noise``, and an ``expected`` error beside."""
+    """Return the total error of a frame with this ``noise`` and an ``expected`` error besides."""
     return TotalError(min(math.hypot(noise, expected), 1.0), noise, 1.0)
