@@ -1,4 +1,6 @@
-"""Checks of the pictures of all views: keep them, feed them, and tell how much work is left."""
+"""Checks of the pictures of all views: keep them, measure how uncertain pixels are, and predict
+the work that is left.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -33,23 +35,22 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 PIXELS = 0.25
-"""Paths that a pixel takes to an error over those that a texel takes, which is to hold for all
-turns of its light.
+"""Paths that a pixel takes to an error, over those that a texel takes: the error of a texel
+must hold for all rotations of its light.
 """
 
 
 FILTERED_NOISE_RATIO = 4.0
-"""A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after
-16 samples.
+"""Noise of a texel over the noise of pixels that interpolate it and its neighbours, filtered: 3
+to 5 after 16 samples.
 """
 
 
 class PathsLeft(NamedTuple):
-    """Paths that a picture has left to take after its texels' present samples: of ``pixels``, and
-    of ``texels``.
+    """Paths that a picture still has to take after the present samples of its texels: of
+    ``pixels``, and of ``texels``. The picture is drawn ``times`` times on the way.
 
-    It is drawn so many ``times`` meanwhile. A path of a pixel takes a ``pace`` of so many seconds;
-    None if that is unknown.
+    ``pace`` is the number of seconds that a path of a pixel takes; None if it is unknown.
     """
 
     pixels: float = 0.0
@@ -59,30 +60,31 @@ class PathsLeft(NamedTuple):
 
 
 class ViewChecks(Refinement[PictureCheck]):
-    """The checks of the pictures of views that are ``kept``, shaded by their ``texels``."""
+    """The checks of the pictures of views, among the results that renderers keep."""
 
     def __init__(self, kept: LruCache[Any], texels: TexelShading) -> None:
-        """Keep them there, and ask ``texels`` how far they differ."""
+        """Keep checks in ``kept``; read the light of ``texels`` to see how far neighbours
+        differ.
+        """
         self._kept = kept
         self._texels = texels
 
     def check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
-        """What is known of the picture of a view besides its texels' light."""
+        """Return the check of the picture of a view, or begin one."""
         return self._kept.get(
             check_key(light.view, target),
             lambda: PictureCheck(light, gbuffer, PictureState(target)),
         )
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
-        """See ``Refinement``."""
+        """Return the check of the picture in a ``frame``: see ``Refinement``."""
         return self.check(light, frame.gbuffer, target)
 
     def advance(
         self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """See ``Refinement``. Pixels whose light grows were chosen before: nothing is drawn by the
-        uncertainty then.
-        """
+        """Take one step of the check ``found``: see ``Refinement``."""
+        # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
         else:
@@ -90,14 +92,14 @@ class ViewChecks(Refinement[PictureCheck]):
         return found.advance(frame, uncertainty, tiles, prices)
 
     def held(self, view: View, target: float) -> PictureCheck | None:
-        """The check of a view's picture, where anything is known of it."""
+        """Return the check of a view's picture; None if there is none."""
         if is_checked(view):
             return self._kept.held(check_key(view, target))
         return None
 
     def _uncertainty(self, frame: Frame, check: PictureCheck, tiles: Tiles) -> np.ndarray:
-        """How uncertain the light of each surface point is, by how texels around it differ, and its
-        noise; (m,).
+        """Return the uncertain luminance of each surface point: the spread of the texels around
+        it, and its noise; (m,).
         """
         light = check.light
         known = check.known
@@ -105,6 +107,8 @@ class ViewChecks(Refinement[PictureCheck]):
         found = self._texels.lit(
             texels, light, Until(known.target, known.enough), tiles, Stopwatch()
         )
+        # Where texels around a point differ, light between them is uncertain. Light that was traced
+        # for a pixel itself is not.
         between = light.spec.unit * texel_disagreement(texels, *found)
         if light.coloured:
             between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE_WEIGHTS
@@ -112,25 +116,21 @@ class ViewChecks(Refinement[PictureCheck]):
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def asks_finer(self, view: View, target: float) -> bool:
-        """Whether the check of a view's picture found that finer texels are to be shown in its
-        place.
-        """
+        """Return True if the check of a view's picture asks for finer texels in its place."""
         check = self.held(view, target)
         return check is not None and check.coarse
 
     def decline_finer(self, view: View, target: float) -> None:
-        """Have a view's picture reach its target without finer texels: there is no memory for
-        them.
+        """Tell the check of a view's picture to go on without finer texels: memory has no room
+        for them.
         """
         if (check := self.held(view, target)) is not None:
             check.decline()
 
     def left(self, frame: Frame, target: float) -> PathsLeft:
-        """The paths that a ``frame`` has left to take: as pixels' light grows, as its check
-        expects, or as foreseen.
-
-        Before it is measured they are foreseen by the error that the plan expects, and by the noise
-        of its texels.
+        """Return the paths that a ``frame`` still has to take for its ``target``: as its check
+        expects, or, before it was measured, as foreseen from the plan's error and from the
+        noise of its texels.
         """
         check = self.held(frame.view, target)
         if check and check.ahead is not None:
@@ -146,9 +146,9 @@ class ViewChecks(Refinement[PictureCheck]):
 
 
 def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """When texels of a ``view`` need no more samples: once they have as many as are enough for its
-    check, where that is ``known``; each at the target alone where nothing checks pictures, as of
-    vicinity shading.
+    """Return when texels of a ``view`` count as final: if the picture is checked, once they
+    have the samples that its check wants; else, as for vicinity shading, once each has reached
+    the target alone.
     """
     if view.shading != "gi":
         return Until(until.target)
@@ -156,13 +156,14 @@ def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
-    """Paths that a ``frame`` will take after its first ones, by the noise of its texels'
-    ``reading``: the fewest.
+    """Predict the paths that a ``frame`` will take after the first samples of its texels, by
+    the noise that their ``reading`` tells: those of the cheapest way.
     """
     points = len(frame.gbuffer.pixels)
     effort = reading.effort
     ways = []
     controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
+    # Try all rungs: more samples of texels leave fewer pixels that need light of their own.
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED_NOISE_RATIO
         own = foreseen_paths(
@@ -175,10 +176,12 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
 
 
 def is_checked(view: View) -> bool:
-    """Whether control pixels tell the total error of a view: of global illumination, at rest."""
+    """Return True if control pixels measure the total error of a ``view``: global illumination,
+    at rest.
+    """
     return view.shading == "gi" and not view.moving
 
 
 def check_key(view: View, target: float) -> tuple[Any, ...]:
-    """What the check of a picture depends on."""
+    """Return the cache key of the check of a picture: all that it depends on."""
     return "PictureCheck", surface_key(view), view.light, view.albedo, view.shine, view.glow, target

@@ -1,20 +1,8 @@
-"""Light from the paths of single pixels: which pixels have it, how many paths that takes, and the
-filter over it.
+"""Light of pixels' own: choose the pixels that get light from paths of their own, trace it, and
+write it into the picture.
 
-Filtering of pixels' own light, and of what it corrects in texels' light: no border shows where one
-meets the other. A pixel of few paths takes over what pixels around it on the surface agree on. The
-filter is that of texels (``kernels.shading.filtering``) among pixels: two passes over 3 × 3 pixels,
-the second at twice the distance (Dammertz and others 2010), and as much of a pixel's own light as
-pixels around it differ by more than their noise (Lee 1980).
-
-Pixels' own light differs from the light of texels by their error, which is smooth, and by noise.
-The mean difference over pixels around corrects the light of texels, there and beside, where it
-fades out. Of own light as much is kept as differs from the corrected light by more than noise.
-
-The error of the mixture is Stein's unbiased estimate of risk (Stein, Annals of Statistics 9, 1981):
-besides measured differences it needs how far each value follows its noise, which probes show
-(Ramani, Blu and Unser, IEEE Transactions on Image Processing 17, 2008). Probes are contrasts of the
-replicas: distributed as the noise of their mean is, and independent of it.
+Pixels whose texels have the largest error get it, so many of them that the picture's error comes to
+its target with the fewest paths. Traced light is filtered; see ``pixel_filter``.
 """
 
 import math
@@ -39,12 +27,12 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 REPLICAS = 4
 FIRST_PATHS = 16
-"""Independent randomisations of each pixel, and paths of each after the first step."""
+"""Number of independent randomisations of each pixel, and paths of each after the first step."""
 
 
 CONTRASTS = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
-"""What the replicas count in each probe, over their number: as much as in the mean, with signs that
-make probes independent of it and of each other.
+"""Weights of the replicas in each probe, times their number: of the same size as in the mean,
+with signs that make the probes independent of it and of each other.
 """
 
 
@@ -53,33 +41,34 @@ MOST_PATHS = 1 << 14
 
 
 FILTERED_VARIANCE_SHARE = 0.7
-"""What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it
-is most at edges.
+"""Share of the variance of traced light that filtering leaves: 0.46 to 0.9, as there is most of it
+at edges.
 
-Where it corrects the light of texels 0.3 to 1 is left of that: all where texels are much noisier,
-so that none is counted on.
+Correcting the light of texels leaves 0.3 to 1 of that: all of it if texels are much noisier, so
+that no gain is counted on.
 """
 
 
 BLACK_SHARE = 1e-3
-"""The share of the brightest colour below which a surface counts as black."""
+"""Share of the brightest albedo below which a surface counts as black."""
 
 
 AIM = 0.85
-"""Share of the target error that a picture is brought to: the interval of what is measured has some
+"""Share of the target error that is aimed at, as the interval of the measured error has some
 width.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class PixelLight:
-    """Surface points with light of their own: rows ``places`` (k,), ascending, and the ``estimate``
-    by their paths.
+    """Light of k surface points that was traced for them.
 
-    It is of REPLICAS, and all points have as many paths of each. They show ``light`` (k, 3), linear
-    RGB, which is filtered, and whose luminance has the ``variance`` (k,); ``probes`` (k, contrasts)
-    are distributed as its noise is. Of all points (m,) the luminance of texels' light is
-    ``expected`` to be so wrong.
+    - ``places`` (k,): rows of the points, ascending.
+    - ``estimate``: sums of REPLICAS replicas of paths; all points have the same number of paths.
+    - ``light`` (k, 3): linear RGB that they show, filtered.
+    - ``variance`` (k,): variance of its luminance.
+    - ``probes`` (k, contrasts): luminances with the distribution of its noise.
+    - ``expected`` (m,): expected error of the texels' luminance at all points of the picture.
     """
 
     places: np.ndarray
@@ -91,7 +80,7 @@ class PixelLight:
 
     @classmethod
     def none(cls) -> "PixelLight":
-        """No pixel has light of its own."""
+        """Return light of no points."""
         empty = Estimate.none(0, REPLICAS)
         probes = np.empty((0, len(CONTRASTS)))
         return cls(np.empty(0, np.int64), empty, np.empty((0, 3)), np.empty(0), probes, np.empty(0))
@@ -100,16 +89,18 @@ class PixelLight:
     def of(
         cls, places: np.ndarray, estimate: Estimate, paths: Paths, expected: np.ndarray
     ) -> "PixelLight":
-        """The light of points by an ``estimate``, filtered without their colours. Raises
+        """Return the light of the points of ``paths`` by an ``estimate``, filtered. Raises
         Cancelled.
         """
         means = estimate.means
         buffer = paths.gbuffer
         tiles = paths.tiles
+        # Divide by the colours of the surface, which the filter must not blur.
         tints = tints_of(paths.light, buffer, tiles)
         grey = (tints @ LUMINANCE_WEIGHTS) ** 2
         variance = pooled_variance(variance_of_mean(means), buffer)
         bare = means / tints[:, None]
+        # Filter the probes along with the light, so that they keep the distribution of its noise.
         probes = bare @ LUMINANCE_WEIGHTS @ CONTRASTS.T / REPLICAS
         found = np.column_stack([bare.mean(axis=1), probes])
         found, variance = filter_pixels(found, variance / grey, buffer, tiles)
@@ -119,12 +110,12 @@ class PixelLight:
 
     @property
     def count(self) -> int:
-        """Paths of each replica from every point."""
+        """Number of paths of each replica from every point."""
         return self.estimate.most
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         held = (
             *(self.places, self.estimate, self.light),
             *(self.variance, self.probes, self.expected),
@@ -140,12 +131,13 @@ class PixelLight:
         tiles: Tiles,
         progress: Callable[[int], object] | None = None,
     ) -> "PixelLight":
-        """Light of the points of a ``choice``, or after more paths: those known are not traced
-        again. Raises Cancelled.
+        """Return the light of the points of a ``choice`` after ``count`` paths of each replica;
+        paths that were traced before are kept. Raises Cancelled.
 
         ``progress`` is called with the number of paths that each piece traced.
         """
         places = choice.places
+        # Expected errors of known points are those from before they had light of their own.
         expected = choice.errors.copy()
         expected[self.places] = self.expected[self.places]
         paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
@@ -154,6 +146,7 @@ class PixelLight:
         kept = np.isin(self.places, places, assume_unique=True)
         estimate.sums[known] = self.estimate.sums[kept]
         estimate.counts[known] = self.estimate.counts[kept]
+        # Points that join have no paths yet: trace each group of equal counts up to ``count``.
         for first in np.unique(estimate.counts[estimate.counts < count]).tolist():
             rows = np.flatnonzero(estimate.counts == first)
             some = estimate.sums[rows]
@@ -165,13 +158,14 @@ class PixelLight:
     def put(
         self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles
     ) -> None:
-        """Write it into a picture of a G-buffer, as final light, and correct pixels around it.
-        Raises Cancelled.
+        """Write the light into a picture of a G-buffer, as final light, and correct the pixels
+        around it. Raises Cancelled.
         """
         if not len(self.places):
             return
         pixels = gbuffer.pixels
         own = gbuffer.pixels[self.places]
+        # Divide all light by the colours of the surface, correct it, and multiply again.
         tints = tints_of(light, gbuffer, tiles)
         some = tints[self.places]
         grey = (some @ LUMINANCE_WEIGHTS) ** 2
@@ -190,8 +184,8 @@ class PixelLight:
 
 
 def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-    """What to divide light by, so that colours of the surface do not show in it; (m, 3), never 0.
-    Raises Cancelled.
+    """Return the factors (m, 3), never 0, by which light is divided so that colours of the
+    surface do not show in it. Raises Cancelled.
     """
     if not light.coloured:
         return np.ones((len(gbuffer.points), 3), np.float32)
@@ -199,19 +193,19 @@ def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
 
 
 def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.ndarray:
-    """How many times as many paths bring a variance that was ``found`` to what is ``allowed``; see
-    RATE.
+    """Return the factor on the number of paths that brings a variance from ``found`` to
+    ``allowed``: paths grow with 1 / error^RATE.
     """
     return np.asarray((found / np.maximum(allowed, 1e-300)) ** (RATE / 2.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The points at ``places`` (k,), ascending, are to have light of their own whose variances add
-    up to ``variance``.
+    """The points at ``places`` (k,), ascending, that are to have light of their own.
 
-    That is expected to take ``count`` paths of each replica. Texels leave ``errors`` (m,) in the
-    luminance of points.
+    - ``variance``: sum of their variances that is to be reached.
+    - ``count``: paths of each replica which that is expected to take.
+    - ``errors`` (m,): expected error of the texels' luminance at all points.
     """
 
     places: np.ndarray
@@ -221,14 +215,14 @@ class Choice:
 
     @property
     def paths(self) -> float:
-        """Paths of all its points together."""
+        """The number of paths of all its points together."""
         return REPLICAS * self.count * len(self.places)
 
 
 @dataclass(eq=False)
 class Growth:
-    """The ``light`` that chosen points have so far; ``traced`` counts the paths of what is added to
-    it just now.
+    """The ``light`` that the points of a ``choice`` have so far; ``traced`` counts the paths of
+    the step that is under way.
     """
 
     choice: Choice
@@ -238,22 +232,24 @@ class Growth:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.light.nbytes
 
     @property
     def enough(self) -> bool:
-        """Whether the points' noise is as small as it is to be."""
+        """True if the noise of the points is as small as the choice asks."""
         return bool(self.light.variance.sum() <= self.choice.variance)
 
     @property
     def has_new(self) -> bool:
-        """Whether some of the points have no light of their own yet."""
+        """True if some of the points have no light yet."""
         return len(self.light.places) < len(self.choice.places)
 
     @property
     def wanted(self) -> float:
-        """Paths of each replica that it will take, by the noise after those that there are."""
+        """Paths of each replica that are needed in all, predicted from the noise of those
+        traced so far.
+        """
         if self.has_new:
             return self.choice.count
         more = float(times_as_many(float(self.light.variance.sum()), self.choice.variance))
@@ -261,8 +257,8 @@ class Growth:
 
     @property
     def next(self) -> int:
-        """Paths of each replica after the next step: twice as many at most, so that little is lost
-        with a step.
+        """Paths of each replica after the next step: at most twice as many, so that a cancelled
+        step loses little.
         """
         before = self.light.count
         if self.has_new:
@@ -271,12 +267,12 @@ class Growth:
 
     @property
     def left(self) -> float:
-        """Paths that are left, of all points together."""
+        """Paths that remain to be traced, of all points together."""
         known = len(self.light.places) * self.light.count
         return max(REPLICAS * (self.wanted * len(self.choice.places) - known) - self.traced, 0.0)
 
     def note(self, paths: int) -> None:
-        """Count so many more paths."""
+        """Count more ``paths`` as traced. Called from several threads."""
         with self._lock:
             self.traced += paths
 
@@ -284,17 +280,20 @@ class Growth:
 def choose_points(
     errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float
 ) -> Choice:
-    """The points that are to have light of their own, so that a picture's mean squared error is
-    ``allowed``.
+    """Choose the points that are to have light of their own, so that the mean squared error of a
+    picture becomes ``allowed`` with the fewest paths.
 
-    The points with the largest squared ``errors`` (m,) come first, after those that have their
-    ``own``, (k,); so many ``paths`` leave the ``variance`` (m,) of each. What the others err by
-    leaves so much to the noise of these: the number of points is that which takes fewest paths.
+    - ``errors`` (m,): squared error of each point by its texels.
+    - ``variance`` (m,): variance of each point's luminance after ``paths`` paths.
+    - ``own`` (k,): rows of the points that have such light already; they keep it.
     """
+    # Points with the largest errors come first, after those that have light already.
     rest = np.ones(len(errors), bool)
     rest[own] = False
     others = np.flatnonzero(rest)
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
+    # For each number of points, the errors of all others leave ``room`` for the noise of the chosen
+    # ones. The more points are chosen, the fewer paths each needs.
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
     noise = (
@@ -302,6 +301,7 @@ def choose_points(
     )
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
+    # Take the number of points with the smallest product of points and paths.
     costs = np.where(room > 0.0, many * counts, np.inf)
     costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
     best = int(np.argmin(costs))
@@ -311,15 +311,16 @@ def choose_points(
 
 
 SHARES = 64
-"""Shares of a picture's points of which the cheapest is foreseen."""
+"""Number of shares of a picture's points that are tried to foresee the cheapest."""
 
 
 def foreseen_paths(points: int, error: float, target: float, effort: float) -> float:
-    """Paths of their own that a picture's ``points`` will take before anything is measured.
+    """Predict the paths that pixels of a picture with so many ``points`` will need for light of
+    their own, before anything is measured.
 
-    Their errors, whose root mean square is ``error``, are taken to have squares that are
-    distributed exponentially: a share x of the points, those that err most, leaves 1 - x + x ln x
-    of the sum to the others. To a relative error e a point takes ``effort`` / e^RATE paths.
+    The squares of their errors, whose root mean square is ``error``, are taken to be exponentially
+    distributed: the share x of the points with the largest errors leaves 1 - x + x ln x of the sum
+    to the others. A point takes ``effort`` / e^RATE paths to a relative error e.
     """
     share = np.arange(1, SHARES + 1) / SHARES
     variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))

@@ -55,24 +55,28 @@ from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
 from isogi_core.frame.tiles import Tiles
 
 STRICTER = 0.9
-"""Factor on the error that is aimed at with each attempt."""
+"""Factor on the error that is aimed at, for each attempt with light of pixels' own."""
 
 
 DOUBTFUL = 0.5
-"""Share of the target below which a small measured error puts the controls in doubt, not the light:
-none aims lower.
+"""Share of the target below which no attempt aims: a smaller measured error says that the
+controls are in doubt, not the light.
 """
 
 
 @dataclass(eq=False)
 class PictureCheck:
-    """The check of the picture of one view: what it has ``known`` so far, and what its next step
-    needs besides.
+    """The check of one picture.
 
-    Pixels of the next attempt are ``growing``; a path of a pixel takes a ``pace`` of so many
-    seconds, None before the first. ``coarse`` says that finer texels are to be shown in this
-    picture's place, which is not asked for once they were ``declined``. What is ``ahead`` is None
-    before the picture was measured. Steps of several threads wait for each other.
+    - ``light``, ``gbuffer``: of the view.
+    - ``known``: what the check has found so far.
+    - ``growing``: light of pixels that is being traced for the next attempt; None if there is none.
+    - ``pace``: seconds that a path of a pixel takes; None before any was traced.
+    - ``coarse``: True if finer texels are to be shown in place of this picture.
+    - ``declined``: True if finer texels were refused.
+    - ``ahead``: work that is expected to remain; None before the picture was measured.
+
+    Only the thread that holds the ``lock`` takes a step.
     """
 
     light: RotatedLight
@@ -87,11 +91,13 @@ class PictureCheck:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
     def is_shown(self, frame: Frame) -> bool:
-        """Whether a ``frame`` was drawn by the controls and for the samples that are known now."""
+        """Return True if a ``frame`` was drawn with the controls and the rung that are known
+        now.
+        """
         shown = frame.quality.known
         return (
             shown is not None
@@ -100,11 +106,11 @@ class PictureCheck:
         )
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
-        """Come one step nearer to the target from a ``frame`` of this picture; whether there was
-        one to take.
+        """Take one step from a ``frame`` of this picture towards its target; return False if there
+        is no step to take.
 
-        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the
-        target are weighed at these ``prices``. Raises Cancelled.
+        ``uncertainty`` (m,) is the uncertain luminance of each surface point, by which controls are
+        drawn; ``prices`` weigh the ways to the target. Raises Cancelled.
         """
         taken = (
             frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
@@ -113,14 +119,19 @@ class PictureCheck:
         return taken
 
     def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+        """Take the step that is due; return False if there is none."""
+        # Light of pixels that was begun is finished first.
         if self.growing is not None:
             return self._grow(self.growing, tiles)
+        # On a new rung, or with new light of pixels, the picture is measured again.
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty, tiles)
+        # Once pixels have light of their own, texels climb no more: it would be traced in vain.
         if not self.known.attempt:
             climbs = climbs_of(frame, self._rung(frame), self.known.target)
         else:
             climbs = [0.0]
+        # While the interval holds the target, draw more controls, unless a rung decides for less.
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
             self.ahead = Ahead(
@@ -132,6 +143,9 @@ class PictureCheck:
             ):
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty, tiles)
+        # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
+        # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
+        # shows them.
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
         first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
@@ -142,14 +156,14 @@ class PictureCheck:
         return self._grow(Growth(plan.choice, self.known.own), tiles)
 
     def decline(self) -> None:
-        """Go on without finer texels: there is no memory for them."""
+        """Go on without finer texels: memory has no room for them."""
         self.known = replace(self.known, ended=False)
         self.coarse = False
         self.declined = True
 
     def _decided(self, measured: TotalError) -> bool:
-        """Whether a picture that is not at its target needs better light, and no further
-        controls.
+        """Return True if more controls would not help a picture that is not at its target: its
+        interval lies above the target, or as many controls are drawn as may be.
         """
         if measured.likely <= self.known.target:
             most = MAX_CONTROLS
@@ -160,10 +174,10 @@ class PictureCheck:
     def _climbing_decides(
         self, frame: Frame, measured: TotalError, climbs: Sequence[float]
     ) -> bool:
-        """Whether a rung would bring the interval below the target, for less than as many controls
-        again cost.
+        """Return True if one rung would bring the interval below the target at a lower cost than
+        doubling the controls.
 
-        ``climbs`` are what texels cost, in paths of pixels.
+        ``climbs`` are the costs of no rung, of one, and so on, in paths of pixels.
         """
         more = 2.0 * self.known.paths * measured.controls
         gained = (1.0 - QUIETER) * noise_of_climbers(frame)
@@ -171,8 +185,8 @@ class PictureCheck:
         return quiet and len(climbs) > 1 and more > climbs[1]
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
-        """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is
-        worth.
+        """Draw the first controls of a rung, or of an attempt, with paths for the larger of
+        target and noise.
         """
         known = self.known
         paths = paths_for(max(self.known.target, frame.noise))
@@ -183,8 +197,8 @@ class PictureCheck:
         return True
 
     def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
-        """Draw as many controls again as it takes to decide: at least as many as there are, at most
-        three times.
+        """Draw as many more controls as it takes to decide: at least as many as there are, at
+        most three times as many.
         """
         known = self.known
         before = len(self.known.controls.places)
@@ -206,20 +220,23 @@ class PictureCheck:
     def _draw(
         self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
     ) -> ControlPixels:
-        """Draw ``count`` controls of so many ``paths`` a half, after those that there were
-        ``before``.
+        """Draw ``count`` controls of ``paths`` paths in each half, after the ``before`` ones
+        that there are.
         """
         attempt = self.known.attempt
         places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
         begun = time.perf_counter()
         halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
         self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
+        # A weight is the chance of a point if all are drawn evenly, over its chance here.
         return ControlPixels(
             places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
         )
 
     def _climb(self, frame: Frame, rungs: int = 1) -> bool:
-        """Have texels take twice as many samples, for each of so many ``rungs``."""
+        """Have texels double their samples once for each of the ``rungs``; they are baked when
+        asked for.
+        """
         self.known = replace(self.known, enough=next_level(self._rung(frame)) << (rungs - 1))
         return True
 
@@ -232,11 +249,11 @@ class PictureCheck:
         prices: Prices,
         tiles: Tiles,
     ) -> Plan:
-        """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER
-        than before, at least.
+        """Return the plan that costs least at these ``prices`` and brings the picture to the error
+        that is aimed at.
 
-        By its texels, or by finer ones before any pixel has light of its own. Pixels that have some
-        keep it.
+        Plans use the present texels, or finer ones if no pixel has light of its own yet. Pixels
+        that have such light keep it.
         """
         known = self.known
         noise = frame.pixel_noise**2
@@ -244,12 +261,13 @@ class PictureCheck:
         aim = self._aim(measured)
         own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
-        # controls of few pixels may find less than the noise that halves tell: then errors are as
-        # large as that
+        # Few controls may find an error below the noise that is known to be there: scale all errors
+        # up to it.
         errors *= max(
             (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
         )
         errors, noise = self._by_regions(errors, noise, tiles)
+        # Count the texels and chunks that each rung would bake.
         under = frame.quality.lacking and frame.quality.lacking.texels
         if under:
             texels = len(under.places)
@@ -257,6 +275,7 @@ class PictureCheck:
         else:
             texels = 0
             chunks = 0
+        # Weigh all numbers of rungs, for these texels and for finer ones.
         plans = by_rungs(
             own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
         )
@@ -267,9 +286,9 @@ class PictureCheck:
     def _by_regions(
         self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Squared ``errors`` and variances of ``noise`` (m,), each a mean over pixels around: those
-        that get light of their own make whole regions then, and no scattered pixels whose borders
-        show. Raises Cancelled.
+        """Average squared ``errors`` and variances of ``noise`` (m,) over neighbouring pixels,
+        so that pixels that are chosen form regions: borders of scattered pixels would show.
+        Raises Cancelled.
         """
         around = Surroundings(self.gbuffer, tiles)
         found = np.column_stack([noise, errors])
@@ -278,7 +297,9 @@ class PictureCheck:
         return found[:, 1], found[:, 0]
 
     def _aim(self, measured: TotalError) -> float:
-        """The relative error that the next attempt is to leave."""
+        """Return the relative error that the next attempt aims at: below the target, and lower
+        with each attempt, but not far below what was measured.
+        """
         target = self.known.target
         return min(
             AIM * STRICTER**self.known.attempt * target,
@@ -286,13 +307,15 @@ class PictureCheck:
         )
 
     def _control_paths(self, measured: TotalError, likely: float) -> float:
-        """Paths of all controls that it takes to say that the target is met by a picture with a
-        ``likely`` error.
+        """Return the number of paths of all controls that show a picture with a ``likely``
+        error to be at its target.
         """
         return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
 
     def _rung(self, frame: Frame) -> int:
-        """The samples that all texels of a ``frame`` have that are not good enough with fewer."""
+        """Return the present rung: all texels of the ``frame`` that need it have so many
+        samples.
+        """
         lacking = frame.quality.lacking
         if lacking:
             samples = lacking.reading.samples
@@ -302,8 +325,11 @@ class PictureCheck:
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
-        """Trace further paths from the points of a ``growth``; they are shown, and controls drawn
-        anew, once that will do. Whether there was anything to trace.
+        """Trace further paths from the points of a ``growth``; return False if they have all that
+        they may.
+
+        Once their noise is small enough, the picture shows their light, and is measured again as
+        the next attempt.
         """
         count = growth.next
         if count > MOST_PATHS:
