@@ -1,4 +1,6 @@
-"""Demands: the texels of one chunk whose light a picture still needs, and how urgent it is."""
+"""Demands: the texels of one chunk whose light a picture still needs, and how much they count
+in it.
+"""
 
 import math
 from dataclasses import dataclass
@@ -12,13 +14,16 @@ from isogi_core.prepared.prepared_scene import Index
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """What a view wants of one chunk: the texels at ``offsets``, whose light is to become final.
+    """Texels of one chunk whose light is to become final for a view.
 
-    ``weight`` is the squared visible error of the pixels that read it (centre ones count more),
-    ``effort`` what its texels have taken and will, and ``footprints`` how much of each is seen, see
-    ``ViewTexels.footprints``. Where an isosurface is ``shown``, the texels are projected onto it. A
-    chunk has 1 << ``bits`` texels a side; 0 where all of them are to have their first light
-    together, see ``first_texels``.
+    - ``index``: the chunk.
+    - ``offsets`` (k,) int32: places of the texels in the chunk, ascending.
+    - ``weight``: squared visible error of the pixels that read the chunk; central ones count more.
+    - ``effort``: samples that its texels have taken and will take.
+    - ``footprints`` (k,) float32: how much of each texel is seen, see ``ViewTexels.footprints``.
+    - ``shown``: isosurface that the texels are projected onto; None if they lie on their own.
+    - ``bits``: the chunk has 1 << ``bits`` texels along each side; 0 if all of them are to have
+      their first light together, see ``first_texels``.
     """
 
     index: Index
@@ -30,8 +35,10 @@ class Demand:
     bits: int = 0
 
     def joined(self, other: "Demand") -> "Demand":
-        """What this and ``other`` want of the chunk; texels of both are taken to be as those of
-        one.
+        """Return the demand of two views for the same chunk.
+
+        The effort counts texels that both demand once: it is scaled by the share of distinct
+        texels.
         """
         offsets = np.union1d(self.offsets, other.offsets)
         each = len(offsets) / (len(self.offsets) + len(other.offsets))
@@ -49,19 +56,19 @@ class Demand:
 
 
 def first_texels(offsets: np.ndarray, bits: int) -> np.ndarray:
-    """Which texels at ``offsets`` have light first: those whose indices z, y, x are all even or all
-    odd; (m,) bool.
+    """Mark the texels at ``offsets`` that get light first: those whose indices z, y and x are all
+    even or all odd; (m,) bool.
 
-    Of the corners of each cell that is one each, so that all others have neighbours in light: a
-    body-centred lattice.
+    They form a body-centred lattice: each cell has two of them among its corners, so every other
+    texel has neighbours with light.
     """
     z, y, x = (offsets >> bits * axis & 1 for axis in (2, 1, 0))
     return np.asarray((z == y) & (y == x))
 
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """The footprints of the texels at ``offsets`` in that of several views, (offsets, footprints),
-    that sees most.
+    """Return the largest footprint of each texel at ``offsets`` in any of several ``views``,
+    each given as (offsets, footprints); (m,) float32.
     """
     seen = np.zeros(len(offsets), np.float32)
     for own, footprints in views:

@@ -1,4 +1,6 @@
-"""Normals of texels: at their positions, and on the isosurface that a view shows."""
+"""Normals of texels: at their positions, which all views share, and on the isosurface of one
+view.
+"""
 
 import threading
 from collections.abc import Callable
@@ -21,22 +23,22 @@ TEXELS_A_PIECE = 4096
 
 
 MAX_TABLE_TEXELS = 1 << 21
-"""Texels that a table has room for at most."""
+"""Largest number of texels in a table."""
 
 
 ENTRY = 20
-"""Bytes of a texel in it: its number and its normal."""
+"""Bytes of a texel in the table: its number and its normal."""
 
 
 class OwnNormals:
-    """Outward unit world normals of a lattice's texels at their own points: no isovalue, camera or
-    light changes them.
+    """A hash table of the outward unit world normals of a lattice's texels at their positions. No
+    isovalue, camera or light changes these, so all views share it.
 
     Safe to use from many threads.
     """
 
     def __init__(self, budget: int) -> None:
-        """Know none yet, in ``budget`` bytes at most; they are taken when the first are asked
+        """Use at most ``budget`` bytes, which are allocated when the first normals are asked
         for.
         """
         self._room = min(
@@ -48,7 +50,7 @@ class OwnNormals:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of the table in bytes."""
         if "_keys" in vars(self):
             return self._room * ENTRY
         return 0
@@ -64,9 +66,11 @@ class OwnNormals:
     def of(
         self, numbers: np.ndarray, find: Callable[[np.ndarray], np.ndarray], tiles: Tiles
     ) -> np.ndarray:
-        """The normals of the texels ``numbers`` (m,) uint64, each once; (m, 3) float32.
+        """Return the normals of the texels with the distinct ``numbers`` (m,) uint64; (m, 3)
+        float32.
 
-        Those that are not held are found by ``find``, which is given their rows. Raises Cancelled.
+        Those that the table lacks are found by ``find``, which is given their rows, and kept.
+        Raises Cancelled.
         """
         normals = np.empty((len(numbers), 3), np.float32)
         found = np.empty(len(numbers), np.bool_)
@@ -75,6 +79,7 @@ class OwnNormals:
             look_up_normals(numbers[a:b], *table, normals[a:b], found[a:b])
 
         with self._lock:
+            # Look up all texels, then find the others together.
             table = self._keys, self._normals
             tiles.run(_piece, len(numbers), TEXELS_A_PIECE)
             new = np.flatnonzero(~found)
@@ -93,11 +98,10 @@ class OwnNormals:
 
 @dataclass(eq=False)
 class TexelNormals:
-    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their own
-    points.
+    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their
+    positions.
 
-    Of those that are read on the view's isosurface, normals there are found when they are first
-    asked for.
+    Normals on the view's isosurface are found later, for texels that are read there.
     """
 
     own: np.ndarray
@@ -107,18 +111,19 @@ class TexelNormals:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.own.nbytes + self._there.nbytes + self._known.nbytes
 
     def where(
         self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles
     ) -> np.ndarray:
-        """The normals of the same view's ``texels``, of which those ``projected`` (texels,) lie on
-        its isosurface.
+        """Return the normals of the view's ``texels``: on its isosurface for those that are
+        ``projected`` (texels,) bool, at their positions for all others; (texels, 3) float32.
         """
         if not projected.any():
             return self.own
         with self._lock:
+            # Find those that no earlier call has asked for.
             new = np.flatnonzero(projected & ~self._known)
             self._there[new] = normals_of(texels, texels.places[new], True, prepared, tiles)
             self._known[new] = True
@@ -128,7 +133,7 @@ class TexelNormals:
 def find_texel_normals(
     texels: ViewTexels, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
 ) -> TexelNormals:
-    """Find the normals of a view's texels at their own points, which may be ``known``."""
+    """Return the normals of a view's texels at their positions, looking them up in ``known``."""
     own = own_normals(texels, texels.places, known, prepared, tiles)
     return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
 
@@ -136,8 +141,8 @@ def find_texel_normals(
 def own_normals(
     texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:
-    """The normals of the texels at some of the ``places`` (k,), which may be ``known``; (k, 3)
-    float32.
+    """Return the normals of the texels at some ``places`` (k,), looking them up in ``known``;
+    (k, 3) float32.
     """
     numbers = texels.numbers(places)
     return known.of(
@@ -146,9 +151,10 @@ def own_normals(
 
 
 def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
-    """For each texel of a view the normal of a surface point that reads it, (texels, 3) float32.
+    """Return for each texel of a view the normal of a surface point that reads it, (texels, 3)
+    float32.
 
-    A picture of unshadowed light is the same about any normals, and these are at hand.
+    Unshadowed light makes the same picture about any normals, and these are at hand.
     """
     normals = np.empty((len(texels.places), 3), np.float32)
     normals[texels.corners] = texels.gbuffer.normals(tiles)[:, None]
@@ -158,8 +164,8 @@ def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
 def normals_of(
     texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:
-    """Normals (k, 3) float32 of a view's texels at ``places`` (k,), ``projected`` or as they
-    are.
+    """Find the normals of a view's texels at ``places`` (k,), on its isosurface if they are
+    ``projected``; (k, 3) float32.
     """
     normals = np.empty((len(places), 3), np.float32)
     level = texels.gbuffer.isovalue

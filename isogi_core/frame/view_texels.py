@@ -28,33 +28,36 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 LEAST_SEEN = 1 / 16
-"""Share of the mean footprint that every texel counts as at least."""
+"""Least footprint of a texel, as a share of the mean."""
 
 
 READ = 3.0
 EACH = 16
-"""Texels that a view reads for each square of a lattice's texels on a surface; and every so many
-pairs of points are looked at to tell how large a share of such a square a pixel has.
+"""Number of texels that a view reads for each square of the lattice on a surface; and the step
+between the pairs of neighbouring points by which the area of a pixel on the surface is
+estimated.
 """
 
 
 PAIRED = 17.0 / 8.0
-"""How much more the variance of a texel counts in the pixels of a view that is ``coarse``, in the
-mean.
+"""Factor on the variance of a texel in the pixels of a ``coarse`` view, in the mean.
 
-Two texels then stand for the eight of a cell, whose trilinear weights they add up: over a cell the
-squares of these sums are 17/27 in the mean, where those of the weights themselves are (2/3)³.
+There, two texels stand for the eight corners of a cell, and add up their trilinear weights: over a
+cell the squares of these sums are 17/27 in the mean, those of the weights themselves (2/3)³.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class ViewTexels:
-    """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
+    """The texels of a ``lattice`` that the points of a G-buffer read, numbered 0 … m - 1, chunk by
+    chunk.
 
-    ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk +
-    offset, those of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers
-    the texels around each point, and ``numbering`` finds those around a texel. Where a view is
-    ``coarse`` its ``first_texels`` stand for all.
+    - ``chunks``: indices of the chunks that are touched.
+    - ``places`` (m,) uint32: texel t is at i · texels of a chunk + offset, if it lies in chunk i.
+    - ``bounds`` (chunks + 1,): texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``.
+    - ``corners`` (points, 8) uint32: numbers of the texels around each point.
+    - ``numbering``: tables that find the number of a texel by its place.
+    - ``coarse``: True if only ``first_texels`` are read, which stand for their neighbours.
     """
 
     gbuffer: GBuffer
@@ -68,15 +71,15 @@ class ViewTexels:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes, without its G-buffer; what is found when it is first asked for is
-        counted before.
+        """The size of its arrays in bytes, without the G-buffer; arrays that are found later
+        are counted before.
         """
         numbering = sum(each.nbytes for each in self.numbering)
         return 6 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + numbering
 
     def numbers(self, places: np.ndarray) -> np.ndarray:
-        """The numbers in the whole lattice of texels at some of the ``places`` (k,), in their
-        order; (k,) uint64.
+        """Return the numbers in the whole lattice of texels at some ``places`` (k,); (k,)
+        uint64.
         """
         bits = 3 * self.lattice.bits
         chunks = np.array(self.chunks, np.int64).reshape(-1, 3)
@@ -85,11 +88,11 @@ class ViewTexels:
 
     @cached_property
     def positions(self) -> np.ndarray:
-        """Lattice indices (m, 3; z, y, x) int32 of the texels."""
+        """Lattice indices of the texels, (m, 3; z, y, x) int32."""
         return self.positions_of(self.places)
 
     def positions_of(self, places: np.ndarray) -> np.ndarray:
-        """Lattice indices (k, 3; z, y, x) int32 of the texels at some of the ``places`` (k,)."""
+        """Return the lattice indices of texels at some ``places`` (k,), (k, 3; z, y, x) int32."""
         chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk
         bits = self.lattice.bits
         side = self.lattice.chunk - 1
@@ -100,17 +103,17 @@ class ViewTexels:
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
-        """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""
+        """The offset of each texel in its chunk, chunk by chunk; (m,) int32 each."""
         offsets = (self.places % self.lattice.texels).astype(np.int32)
         return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
 
     @cached_property
     def footprints(self) -> tuple[np.ndarray, ...]:
-        """What each texel's variance counts in the sum of the pixels', chunk by chunk; (m,) float32
-        each.
+        """The weight of each texel's variance in the sum of the variances of all pixels, chunk by
+        chunk; (m,) float32 each.
 
-        It is the sum of the squares of a texel's weights in them, see ``add_footprints``. One that
-        is hardly seen counts as LEAST_SEEN of the mean, for it is to become final too.
+        It is the sum of the squares of the texel's weights in them, see ``add_footprints``, and at
+        least LEAST_SEEN of the mean: texels that are hardly seen are to become final, too.
         """
         seen = np.zeros(len(self.places))
         add_footprints(self.lattice, self.gbuffer.points, self.corners, seen)
@@ -118,8 +121,8 @@ class ViewTexels:
         return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
 
     def weights(self, framebuffer: Framebuffer) -> np.ndarray:
-        """The squared visible error that the pixels of a picture have left in each chunk, see
-        ``weigh_chunks``.
+        """Return the squared visible error that the pixels of a picture have left in each
+        chunk, see ``weigh_chunks``; (chunks,).
         """
         weight = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
@@ -137,13 +140,13 @@ class ViewTexels:
 
 
 def reads_coarsely(view: View, gbuffer: GBuffer, lattice: Lattice) -> bool:
-    """Whether a ``view`` moves and would read more texels than it has points: some READ for each
-    square of the lattice.
-
-    By the median distance of points in pixels side by side.
+    """Return True if a ``view`` moves and would read more texels than it has points: then
+    coarse texels do.
     """
     if not view.moving:
         return False
+    # Estimate the area of a pixel on the surface, in squares of the lattice, by the median distance
+    # of points in neighbouring pixels: each square has READ texels about it.
     here = gbuffer.pixels[:-1:EACH]
     beside = gbuffer.pixels[1::EACH]
     steps = gbuffer.points[1::EACH] - gbuffer.points[:-1:EACH]
@@ -154,8 +157,8 @@ def reads_coarsely(view: View, gbuffer: GBuffer, lattice: Lattice) -> bool:
 def find_texels(
     gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles, coarse: bool = False
 ) -> ViewTexels:
-    """Collect the texels around every surface point of ``gbuffer``, or ``coarse`` ones alone.
-    Raises Cancelled.
+    """Find the texels around every surface point of ``gbuffer``, or ``coarse`` ones alone, and
+    number them. Raises Cancelled.
     """
     points = gbuffer.points
     lattice = prepared.lattice
@@ -167,16 +170,21 @@ def find_texels(
     ) -> None:
         tiles.run(lambda a, b: kernel(lattice, points[a:b], *each(a, b)), len(points), size)
 
+    # Mark the chunks that points touch, and give each a slot.
     touched = np.zeros(prepared.chunks, np.bool_)
     _over_points(touch_chunks, piece, lambda a, b: (coarse, touched))
     indices = np.argwhere(touched)
     slots = np.full(prepared.chunks, -1, np.int32)
     slots[touched] = np.arange(len(indices))
+    # Mark the texels of these chunks that points read, one bit each. Threads mark rows of their
+    # own, which are joined then: two of them never write to one word.
     marks = np.zeros((-(-len(points) // share), len(indices) * lattice.rows), np.uint32)
     _over_points(mark_texels, share, lambda a, b: (coarse, slots, marks[a // share]))
     read = np.bitwise_or.reduce(marks, axis=0)
+    # Number the texels: a running sum of the bits that are set in the words before.
     first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
+    # List the place of each texel, and the numbers of the eight around each point.
     places = np.empty(first[-1], np.uint32)
     tiles.run(
         lambda a, b: find_places(lattice, a, b, read, first, places),
@@ -197,11 +205,12 @@ def find_texels(
 
 
 def carries_irradiance_ratios(scene: Scene, shading: str, projects: bool) -> bool:
-    """Whether views of this ``shading`` carry light as ratios to unshadowed irradiance.
+    """Return True if pictures of a ``shading`` interpolate ratios to unshadowed irradiance, and not
+    light itself.
 
-    Where light is the same from all sides, and in vicinity shading, the ratios are the light
-    itself. Normals' weights alone then help a view that ``projects`` its texels, and no other.
-    Light that comes from inside a surface does not follow its normals.
+    Under constant light, and in vicinity shading, ratios equal the light. Weights by normals, which
+    come with them, then help only a view that ``projects`` its texels. Light that leaves a surface
+    from inside does not follow its normals, and has no ratios.
     """
     sided = scene.plan.representation in ("transfer", "irradiance") and not scene.inputs.constant
     return (
