@@ -1,5 +1,5 @@
-"""Views shaded by their texels: from the illumination cache, or light that stands in for it, to the
-picture.
+"""Shade views by their texels: find these, read their light, filter it, and carry it to the
+pixels.
 """
 
 import hashlib
@@ -52,17 +52,16 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 
 class StandIn:
-    """The light of a whole volume for views of one that is cut: of those texels that are far from
-    its faces.
-
-    So of another step of a series in time, nothing of which is cut.
+    """Light of a whole volume that stands in for views of the same volume with a cut: for
+    texels that are far from the faces of the cut. Also light of another time step, of which
+    nothing is cut.
     """
 
     def __init__(self, whole: Caches, left: Ranges) -> None:
-        """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are
+        """Borrow light of the caches ``whole``, for a volume of which only the ranges ``left`` are
         shown.
 
-        They are not kept in memory for this alone.
+        A weak reference does not keep the caches in memory.
         """
         self._whole = weakref.ref(whole)
         self._box = box_left(left, whole.prepared.scene.volume.size)
@@ -75,11 +74,13 @@ class StandIn:
         light: RotatedLight,
         tiles: Tiles,
     ) -> tuple[Reading, np.ndarray]:
-        """The ``reading`` of a view and its texels' light ``lit``, with the whole's for those that
-        have none: dark too, where the whole is closed.
+        """Return the ``reading`` of a view and the light ``lit`` of its texels, with borrowed light
+        for texels that have none yet.
 
-        They are then partly lit: pixels that read them are provisional still. Raises Cancelled.
+        Such texels count as partly lit, so pixels that read them stay provisional. Texels that are
+        buried in the whole volume are dark. Raises Cancelled.
         """
+        # Borrow only light that was baked by the same plan.
         caches = self._whole()
         waiting = reading.grade == UNBAKED_GRADE
         if (
@@ -94,6 +95,7 @@ class StandIn:
             other = read_texels(
                 texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles
             )
+            # Fit for borrowing is light of texels that wait for their own and are far from the cut.
             fit = (
                 waiting
                 & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
@@ -108,14 +110,14 @@ class StandIn:
         )
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
-        """Which texels are far from the faces of the cut; (texels,) bool."""
+        """Mark texels that are far from the faces of the cut; (texels,) bool."""
         return is_within(texels.positions[:, ::-1] * caches.prepared.step, self._box)
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and which of them
-    are ``lent`` (texels,) that of others.
+    """The light of a view's texels after filtering, ``lit`` (texels, LIGHT_NUMBERS); ``lent``
+    (texels,) marks texels that have light of their neighbours only.
     """
 
     lent: np.ndarray
@@ -123,13 +125,13 @@ class FilteredLight:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.lent.nbytes + self.lit.nbytes
 
 
 class TexelShading:
-    """Finds the texels under views, reads their light, and carries it to the pictures. Any thread
-    may use it.
+    """Finds the texels of views, reads their light, and carries it to pictures. Safe to use
+    from many threads.
     """
 
     def __init__(
@@ -141,11 +143,10 @@ class TexelShading:
         filters: bool,
         stand_in: StandIn | None,
     ) -> None:
-        """Shade with the light of ``levels``, which are mixed, and keep what the steps make where
-        renderers do.
+        """Shade with the mixed light of ``levels``; keep results of steps in ``kept``.
 
-        What views have in common takes ``most`` bytes besides. Who measures bakes ``filters`` no
-        noisy light. Other light may ``stand_in`` where there is none yet.
+        Normals of texels take up to ``most`` bytes besides. Set ``filters=False`` to measure
+        unfiltered light. ``stand_in`` is light for texels that have none yet.
         """
         self.prepared = prepared
         self._levels = levels
@@ -156,11 +157,13 @@ class TexelShading:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that normals of texels take."""
+        """The bytes that normals of texels take."""
         return self.normals.nbytes
 
     def under(self, view: View, gbuffer: GBuffer, tiles: Tiles) -> ViewTexels:
-        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
+        """Return the texels of a view, kept or found now. They hold its G-buffer, so that a
+        cache keeps both or neither.
+        """
         coarse = reads_coarsely(view, gbuffer, self.prepared.lattice)
         make = partial(find_texels, gbuffer, self.prepared, tiles, coarse)
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
@@ -168,8 +171,8 @@ class TexelShading:
     def picture(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, Framebuffer]:
-        """The reading of a view's texels, and the picture of their light, which is to be baked
-        ``until`` then.
+        """Return the reading of a view's texels, and the picture of their light. Light is final
+        ``until`` its target error, or enough samples.
         """
         reading, lit = self.lit(texels, light, until, tiles, watch)
         return reading, self._carry(texels, reading, lit, light, tiles, watch)
@@ -177,9 +180,10 @@ class TexelShading:
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT), filtered where it is
-        grainy.
+        """Return the reading of a view's texels, and their light (texels, LIGHT_NUMBERS),
+        filtered if it is grainy.
         """
+        # Read the light of each level, and mix it.
         found = [
             self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels
         ]
@@ -188,6 +192,8 @@ class TexelShading:
             return reading, lit
         view = light.view
         wanted = Until(reading.target, reading.enough)
+        # Filtering takes long, and is kept for as long as light and texels stay the same. Its
+        # normals are those that the texels are lit about.
         key = (
             FilteredLight,
             weakref.ref(texels),
@@ -211,7 +217,9 @@ class TexelShading:
         ), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
-        """Whether the texels of a view are filtered: global illumination that is grainy."""
+        """Return True if the texels of a view are to be filtered: global illumination that is
+        grainy.
+        """
         return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
     def _lit_by(
@@ -223,7 +231,10 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light, by some ``caches``."""
+        """Return the reading of a view's texels, and their light, by the ``caches`` of one
+        level.
+        """
+        # Hold the chunks in memory while their light is read.
         with (
             self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _),
             ExitStack() as stack,
@@ -247,8 +258,8 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios,
-        or as it is.
+        """Carry the light of texels, ``lit`` (texels, LIGHT_NUMBERS), to the pixels: as
+        irradiance ratios, or as it is.
         """
         gbuffer = texels.gbuffer
         records = None
@@ -257,9 +268,9 @@ class TexelShading:
                 about = self._texel_normals(light.view, texels, reading, tiles)
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
-        points = SurfacePoints(
-            gbuffer.points, gbuffer.points, gbuffer.pixels
-        )  # normals that are not read
+        # Normals of the pixels are needed for ratios, and for the sky that replaces missing light;
+        # else the points stand in for normals, which nothing reads.
+        points = SurfacePoints(gbuffer.points, gbuffer.points, gbuffer.pixels)
         if records is not None or not reading.whole:
             with watch.stage("normals"):
                 points = gbuffer.shown(tiles)
@@ -278,16 +289,17 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
-        """What the pool of ``caches`` has of a view's texels, looked up again where it has changed;
-        held meanwhile.
+        """Hold a view's chunks in the pool of ``caches`` while the block runs; yield the reading of
+        its texels, the pool, and the chunks held.
 
-        Raises what ``Loader.ensure`` does.
+        Raises the errors of ``Loader.ensure``.
         """
         loader = caches.of(view.shading)
         with watch.stage("load"):
             loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
             with watch.stage("read"):
+                # A reading is valid as long as the pool has not changed, which its age tells.
                 key = (
                     Reading,
                     surface_key(view),
@@ -301,8 +313,8 @@ class TexelShading:
             yield reading, loader.pool, held
 
     def _projects(self, texels: ViewTexels, view: View) -> bool:
-        """Whether a view may read texels that are projected; those that move, and vicinity shading,
-        do not.
+        """Return True if a view may read projected texels: global illumination at rest, at an
+        isovalue for which the scene projects.
         """
         shown = texels.gbuffer.isovalue
         return (
@@ -315,12 +327,14 @@ class TexelShading:
     def _project(
         self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
     ) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: projected
-        texels where they pay.
+        """Yield the reading of a view: of ``base`` texels, with projected ones in place of
+        those that are far from the isosurface. Their chunks are held while the block runs.
         """
         if not self._projects(texels, view):
             yield base
             return
+        # Look up the projected texels of this isovalue, which have caches of their own, and read
+        # each in place of its base where that pays.
         shown = texels.gbuffer.isovalue
         make = partial(find_distances, texels, self.prepared, tiles)
         distances = self._kept.get((Distances, surface_key(view)), make)
@@ -337,8 +351,8 @@ class TexelShading:
     def _texel_normals(
         self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles
     ) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read; such as are near where
-        none has light.
+        """Return the normals that a view's texels are lit about; if none of them has light,
+        normals of nearby surface points do.
         """
         if reading.unbaked:
             return nearby_normals(texels, tiles)
