@@ -1,4 +1,8 @@
-"""Smooth edges: pixels at silhouettes, creases and edges of shadows take more samples."""
+"""Smooth edges: pixels at silhouettes, creases and edges of shadows take more samples.
+
+Each sample casts a ray, and borrows its light from the pixels around that show the surface next to
+its hit: no sample is shaded by itself.
+"""
 
 import math
 from dataclasses import replace
@@ -16,33 +20,35 @@ from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 COUNTS = (16, 8, 4)
-"""Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
+"""Samples that a pixel at an edge may have: the largest number that BUDGET allows for all edges."""
 
 
 BUDGET = 0.8
 MIN_SAMPLE_BUDGET = 1 << 16
-"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have
-them. MIN_SAMPLE_BUDGET samples are always allowed.
+"""Largest number of samples of a picture, over its pixels: if edges are everywhere, the
+strongest have them. MIN_SAMPLE_BUDGET samples are always allowed.
 """
 
 
 MIN_EDGE_CONTRAST = 12
-"""How much neighbours differ, of 255 steps, where a pixel counts as at an edge."""
+"""Difference between neighbours, of 255 steps, from which a pixel counts as at an edge."""
 
 
 SILHOUETTE = 255
-"""What that is where one of them alone shows the surface."""
+"""Contrast of neighbours of which one alone shows the surface."""
 
 
 def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
-    """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for
-    each of them.
+    """Find the pixels at edges of a ``picture`` (h, w, 3) uint8, by their ``state`` (h, w);
+    return them, and the number of samples for each.
     """
     found = np.empty(state.shape, np.uint8)
     most = max(int(BUDGET * state.size), MIN_SAMPLE_BUDGET)
     find_contrasts(picture, state, found)
     contrast = found.ravel()
     edges = np.flatnonzero(contrast >= MIN_EDGE_CONTRAST)
+    # All edges have the same number of samples; if even the fewest are too many, the strongest
+    # edges alone have some.
     count = next((each for each in COUNTS if len(edges) * each <= most), COUNTS[-1])
     if len(edges) * count > most:
         strongest = np.argsort(contrast[edges], kind="stable")[::-1][: max(most // count, 1)]
@@ -51,8 +57,8 @@ def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]
 
 
 def pattern(count: int) -> np.ndarray:
-    """Places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in its own row and
-    column.
+    """Return the places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in a
+    row and a column of its own.
 
     Source: Halton 1964 in base 2, Hammersley's set, shifted so that its middle is the pixel's.
     """
@@ -65,15 +71,15 @@ def pattern(count: int) -> np.ndarray:
 
 
 def places_in(pixels: np.ndarray, count: int, width: int) -> np.ndarray:
-    """Places (pixels · count, 2; x, y) float32 of so many samples in each of some ``pixels`` (k,)
-    of a picture.
+    """Return the places (pixels · count, 2; x, y) float32 of ``count`` samples in each of some
+    ``pixels`` (k,) of a picture.
     """
     corners = np.stack(np.divmod(pixels, width)[::-1], axis=-1).astype(np.float32)
     return np.asarray((corners[:, None] + pattern(count)).reshape(-1, 2))
 
 
 def smooth_edges(frame: Frame, prepared: PreparedScene, tiles: Tiles) -> Frame:
-    """The ``frame`` of a prepared scene with more samples where it has edges. Raises Cancelled."""
+    """Return the ``frame`` of a scene with more samples at its edges. Raises Cancelled."""
     exposure = prepared.scene.default_exposure
     glow = EyeGlow.of(prepared, frame.view.glow)
     return replace(frame, edges=sample_edges(frame, exposure, tiles, prepared.walls_in_view, glow))
@@ -86,12 +92,13 @@ def sample_edges(
     walls: Walls | None = None,
     glow: EyeGlow | None = None,
 ) -> EdgeSamples | None:
-    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises
+    """Sample the edges that a ``frame`` has at its ``exposure``; return None if it has none. Raises
     Cancelled.
 
-    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a
-    window. Samples beside all of these show what glows, where there is any ``glow``.
+    ``walls`` and the faces of a window have edges as the surface has. Samples that miss all of
+    these show the ``glow``, if there is any.
     """
+    # Edges are found in the developed picture, as that is what one sees.
     pixels, count = find_edges(
         lit(frame.radiance, frame.state, exposure, marked=False), frame.state
     )
@@ -107,6 +114,7 @@ def sample_edges(
     shown = shown_by(frame)
     sight = sight_of(view, gbuffer.spacing, walls)
 
+    # Cast the rays of samples, and borrow the light of pixels near their hits.
     def _piece(a: int, b: int) -> None:
         found = np.empty(b - a, np.uint32)
         points = np.empty((b - a, 3), np.float32)
@@ -115,6 +123,7 @@ def sample_edges(
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
     tiles.run(_piece, len(places), TILE_RAYS)
+    # Samples that meet nothing may show glow in front of the background.
     airy = np.zeros_like(on)
     if glow is not None:
         beside = np.flatnonzero(~on)
@@ -129,11 +138,14 @@ def sample_edges(
 
 
 def shown_by(frame: Frame) -> Shown:
-    """What the pixels of a ``frame`` show, as the kernels take it."""
+    """Return the pixels of a ``frame`` as the kernels take them: the points that they show, and
+    their light.
+    """
     view = frame.view
     gbuffer = frame.gbuffer
     rows = gbuffer.rows
     points = gbuffer.points
+    # Number the points of walls and faces after those of the surface.
     for beside in (gbuffer.walls, gbuffer.faces):
         if len(beside.pixels):
             rows.flat[beside.pixels] = np.arange(

@@ -9,15 +9,16 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_ro
 from isogi_core.model.colours import linear_of
 
 SCALE = (0.001, 1.0)
-"""Relative errors at the ends of the scale; what lies beyond has the colour of the end."""
+"""Relative errors at the ends of the colour scale; errors beyond have the colour of the end."""
 
 
 COLOURS = (
     *("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c"),
     *("#28ae80", "#5ec962", "#addc30", "#fde725"),
 )
-"""sRGB at equal steps of the logarithm, from little error to much: viridis (Smith and van der Walt
-2015), of even steps to the eye, at nine places."""
+"""sRGB colours at equal steps of the logarithm, from small error to large: viridis (Smith and
+van der Walt 2015), which is perceptually uniform, at nine places.
+"""
 
 
 ERROR_LEVELS = 256
@@ -25,7 +26,7 @@ ERROR_LEVELS = 256
 
 @cache
 def colour_table() -> np.ndarray:
-    """COLOURS and what is between them, (LEVELS, 3) uint8 sRGB."""
+    """Return COLOURS and interpolated ones, (ERROR_LEVELS, 3) uint8 sRGB."""
     anchors = np.array([list(bytes.fromhex(colour[1:])) for colour in COLOURS], float)
     place = np.linspace(0.0, 1.0, ERROR_LEVELS)
     at = np.linspace(0.0, 1.0, len(COLOURS))
@@ -37,7 +38,7 @@ def colour_table() -> np.ndarray:
 
 
 def error_colours(error: np.ndarray) -> np.ndarray:
-    """The colours of relative errors (n,): (n, 3) uint8 sRGB."""
+    """Return the colours of relative errors (n,): (n, 3) uint8 sRGB."""
     low, high = SCALE
     share = np.log(np.clip(error, low, high) / low) / np.log(high / low)
     return colour_table()[(share * (ERROR_LEVELS - 1) + 0.5).astype(np.intp)]
@@ -48,8 +49,8 @@ BACKGROUND = (0.0103, 0.0123, 0.0160)
 
 
 LIGHT = "cbced1"
-"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, some 20 levels
-darker than what is lit, so that pale surfaces keep their outlines.
+"""sRGB behind the surface of pictures on a light ground: a studio grey, some 20 levels darker
+than lit surfaces, so that pale ones keep their outlines.
 """
 
 
@@ -58,26 +59,27 @@ HATCHING_COLOUR = (0.95, 0.42, 0.05)
 
 
 LEVELS = 4096
+"""Number of linear levels in the table of the sRGB curve."""
 
 
 MIN_PIXEL_COVER = 1e-6
-"""What the samples of a pixel cover together at least, where that divides their light."""
+"""Least cover of all samples of a pixel together, as a divisor."""
 
 
 COVER = 205
-"""How much of the picture, of 256 parts, the colours of the error hide: its form still shows."""
+"""Opacity of the colours of the error over the picture, of 256: the form below still shows."""
 
 
 @cache
 def tone_table() -> np.ndarray:
-    """The sRGB curve as a table of LEVELS uint8 codes, linear level i / (LEVELS - 1)."""
+    """Return the sRGB curve as a table of LEVELS uint8 codes, for linear light i / (LEVELS - 1)."""
     table = np.empty(LEVELS, np.uint8)
     fill_curve(table)
     return table
 
 
 def ground_of(background: str) -> tuple[float, ...]:
-    """Linear RGB of a background: dark, light, or sRGB as ``#rrggbb``."""
+    """Return the linear RGB of a background: dark, light, or sRGB as ``#rrggbb``."""
     if background == "dark":
         return BACKGROUND
     codes = bytes.fromhex(background[1:] if background.startswith("#") else LIGHT)
@@ -87,20 +89,23 @@ def ground_of(background: str) -> tuple[float, ...]:
 def develop(
     frame: Frame, exposure: float, overlay: str = "none", background: str = "dark"
 ) -> np.ndarray:
-    """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
+    """Develop the picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
-    ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture
-    is (h, w, 4), its last channel how much of a pixel the surface covers. ``overlay`` is one of the
-    view's OVERLAYS: ``provisional`` hatches what is not final, broad where provisional, fine where
-    converging; ``error`` colours what has light by its estimated relative error, and hatches the
-    rest. Pixels at edges are the mean of their samples, under no overlay.
+    ``background`` is dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), with
+    the share of each pixel that surfaces cover in its last channel. ``overlay`` is one of the
+    view's OVERLAYS: ``provisional`` hatches pixels that are not final, broadly if they are
+    provisional and finely if they converge; ``error`` colours pixels with light by their estimated
+    relative error, and hatches all others. Without an overlay, pixels at edges show the mean of
+    their samples.
     """
     clear = background == "transparent"
+    # Where surfaces let light pass, the background shows through.
     if frame.left is None:
         left = None
     else:
         left = np.where(frame.state > 0, frame.left, np.float32(1.0))
     ground = BACKGROUND if clear else ground_of(background)
+    # Develop the light of the pixels, with errors or marks over it.
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
@@ -108,12 +113,14 @@ def develop(
         picture = lit(radiance, frame.state, exposure, overlay == "provisional", ground)
     if left is not None and not clear:
         picture = seen_through(picture, left, ground)
+    # A transparent picture has the colours of the surfaces alone, and their cover.
     if clear:
         if left is None:
             cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0))
         else:
             cover = 1.0 - left
         picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
+    # Replace pixels at edges by the mean of their samples.
     if frame.edges and overlay == "none":
         picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(
             frame.edges, exposure, ground, clear
@@ -122,8 +129,8 @@ def develop(
 
 
 def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
-    """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground``
-    through.
+    """Add the ``ground`` to a ``picture`` (h, w, 3) uint8 of surfaces that let the share
+    ``left`` (h, w) of it pass.
     """
     some = (left > 0.0) & (left < 1.0)
     found = picture.copy()
@@ -133,8 +140,8 @@ def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...
 
 
 def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """The colours that a ``picture`` (h, w, 3) uint8 has where it covers a pixel in part, by a
-    ``cover`` (h, w).
+    """Return the colours of surfaces in a ``picture`` (h, w, 3) uint8 in which they cover
+    pixels by ``cover`` (h, w): partly covered pixels are divided by it.
     """
     some = (cover > 0.0) & (cover < 1.0)
     found = picture.copy()
@@ -145,8 +152,8 @@ def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
 def before_ground(
     radiance: np.ndarray, airy: np.ndarray | None, exposure: float, ground: tuple[float, ...]
 ) -> np.ndarray:
-    """The ``radiance`` (…, 3) of a picture with the ``ground`` behind what is ``airy`` (…), which
-    hides none of it.
+    """Add the ``ground`` to the ``radiance`` (…, 3) of pixels that are ``airy`` (…): glow hides
+    nothing behind it.
     """
     if airy is None:
         return radiance
@@ -157,13 +164,15 @@ def before_ground(
 def averaged(
     edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool
 ) -> np.ndarray:
-    """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a
-    screen.
+    """Return the pixels at ``edges`` as the mean of the light that their samples show on a screen;
+    (k, 3) uint8 sRGB.
 
-    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is how
-    much these cover.
+    If the picture is ``clear``, it is the mean of the samples on surfaces, and (k, 4): the last
+    channel is the share that these cover.
     """
     light = before_ground(edges.light, edges.airy, exposure, ground)
+    # Average after the tone curve, as a screen shows it: before it, one bright sample would hide
+    # all others.
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
         if edges.left is not None:
@@ -179,13 +188,13 @@ def averaged(
 
 
 def coded(light: np.ndarray) -> np.ndarray:
-    """The sRGB codes of linear ``light`` from 0 to 1, uint8."""
+    """Return the sRGB codes of linear ``light`` from 0 to 1, uint8."""
     return np.asarray(tone_table()[(light * (LEVELS - 1) + 0.5).astype(np.intp)])
 
 
 @cache
 def linear_table() -> np.ndarray:
-    """The linear light of each sRGB code, (256,) float32."""
+    """Return the linear light of each sRGB code, (256,) float32."""
     return np.array([linear_of(code / 255.0) for code in range(256)], np.float32)
 
 
@@ -196,8 +205,8 @@ def lit(
     marked: bool,
     ground: tuple[float, ...] = BACKGROUND,
 ) -> np.ndarray:
-    """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where
-    ``marked``.
+    """Develop ``radiance`` (h, w, 3) to a picture; if ``marked``, hatch it by the ``state`` (h,
+    w) of its pixels.
     """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([ground, HATCHING_COLOUR], np.float32)
@@ -208,8 +217,8 @@ def lit(
 def with_errors(
     frame: Frame, exposure: float, ground: tuple[float, ...] = BACKGROUND
 ) -> np.ndarray:
-    """The picture under the colours of its errors; what has no light, and so no estimate, is
-    hatched.
+    """Develop a picture under the colours of its errors; pixels without light, and thus without
+    an estimate, are hatched.
     """
     known = frame.state >= CONVERGING
     picture = lit(

@@ -20,8 +20,8 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 
 PAPER = 0.8
-"""What the greatest value on the face of a window reflects of the light that a surface turned to it
-has.
+"""Reflectance of the largest value on the face of a window, under the light that a surface
+turned to it has.
 """
 
 
@@ -35,14 +35,18 @@ def frame_of(
     checked: PictureState | None = None,
     rays: bytes = b"",
 ) -> Frame:
-    """The frame of a view from its framebuffer, from the texels and their reading where it was made
-    of any, and from what is known of a picture that was ``checked``. ``rays`` names those that it
-    cast besides. Faces of a window are painted into the framebuffer.
+    """Make the frame of a view from its framebuffer, and paint the faces of its window into it.
+
+    ``texels`` and their ``reading`` are those that it was made from, if any; ``checked`` is what
+    the check of its picture knows; ``rays`` names the rays of shine, or through glass, that it
+    shows.
     """
     scene = light.spec.prepared.scene
+    # Faces of a window show the values of the volume, or the colours of its labels.
     if len(gbuffer.faces.pixels):
         labelled = scene.surfaces.colours is not None and bool(scene.surfaces.colours.scale.labels)
         paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours if labelled else None)
+    # Texels know the light that the picture still lacks.
     if texels and reading:
         lacking = Lacking(texels, reading, framebuffer)
     else:
@@ -61,6 +65,7 @@ def frame_of(
         expected = expected_error(scene, gbuffer.isovalue)
     else:
         expected = 0.0
+    # The version of a picture names all that it depends on besides scene, light and view.
     read = (reading.version if reading else b"") + (checked.version if checked else b"") + rays
     if light.view.window:
         read += repr(light.view.window).encode()
@@ -84,13 +89,13 @@ def frame_of(
 
 @cache
 def linear_greys() -> np.ndarray:
-    """Linear light of 256 even steps of grey, float64."""
+    """Return the linear light of 256 even steps of grey, float64."""
     return np.array([linear_of(code / 255.0) for code in range(256)])
 
 
 def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
-    """The values of a volume's file at ``points`` (n, 3) float32 in index space, within its box;
-    (n,) float64.
+    """Return the values of a volume's file at ``points`` (n, 3) float32 in index space, within
+    its box; (n,) float64.
     """
     voxels = np.empty(len(points), np.float32)
     read_values(volume.voxels, points, voxels)
@@ -100,10 +105,9 @@ def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
 def paint_faces(
     gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer, labels: Colours | None = None
 ) -> None:
-    """Show the volume's values where a window opens what is solid: greys over the core of its
-    range, evenly lit.
-
-    In a segmentation these are shades of the colours of its ``labels``.
+    """Paint the faces that a window cuts into the solid: the volume's values as greys over the
+    core of their range, evenly lit. In a segmentation they are shades of the colours of its
+    ``labels``.
     """
     faces = gbuffer.faces
     volume = scene.volume
@@ -111,6 +115,7 @@ def paint_faces(
     share = (values - volume.core[0]) / max(
         volume.core[1] - volume.core[0], np.finfo(np.float64).tiny
     )
+    # Divide by the exposure, so that values look the same at any brightness of the light.
     light = (
         np.interp(255.0 * share, np.arange(256), linear_greys()) * PAPER / scene.default_exposure
     )

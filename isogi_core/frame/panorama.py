@@ -14,41 +14,42 @@ from isogi_core.model.environment import (
 )
 
 PANORAMA_FORMAT = 1
-"""Counts up when the same light makes another picture."""
+"""Number of the format of panoramas. It counts up when the same light makes another picture."""
 
 
 MIDDLE_BRIGHTNESS = 0.36
-"""How bright the middle of the light is shown, before the tone curve: twice Reinhard's, for a
-picture this small.
+"""Brightness of the middle of the light before the tone curve: twice Reinhard's, for a picture
+this small.
 """
 
 
 DARKEST_SHARE = 1e-4
-"""Light darker than this share of the mean counts as this much where the middle is sought: black
-has no logarithm.
+"""Share of the mean as which darker light counts where the middle is sought: black has no
+logarithm.
 """
 
 
 GLARE = 0.02
 GLARE_REACH = 16
-"""The share of light that strays around what is bright, as in an eye, and the part of the picture's
-width, one in GLARE_REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel,
-and would hardly be seen."""
+"""Share of the light that strays around bright places, as in an eye; and the reach of it: the
+picture's width over GLARE_REACH, in steps of a pixel. A sun is smaller than a pixel, and would
+hardly be seen.
+"""
 
 
 MARK_RADIUS = 0.05
-"""Radius of the mark of a directional light, radians."""
+"""Radius of the mark of a directional light, in radians."""
 
 
 def paint_panorama(
     environment: Environment, lamps: Lamps, width: int, turn: np.ndarray | None = None
 ) -> np.ndarray:
-    """The picture (width // 2, width, 3) uint8 sRGB of what comes from infinitely far, unturned.
+    """Paint the light that comes from infinitely far, unrotated: a picture (width // 2, width, 3)
+    uint8 sRGB on the grid of a probe, whose top row is +z and whose column 0 starts at azimuth 0.
 
-    Its grid is that of a probe: the top row is +z, column 0 starts at azimuth 0. Directional lights
-    are discs in their own colour. Lamps that stand in the scene are in no direction, and are not
-    shown. Where the light is that of a volume's box, ``turn`` (3, 3) is the box's rotation in the
-    world, which is shown.
+    Directional lights are discs in their colour. Lamps inside the scene have no single direction,
+    and are left out. If light is given in a volume's box, ``turn`` (3, 3) is the rotation of the
+    box in the world, and the picture shows the world.
     """
     if turn is None:
         overview = environment
@@ -65,7 +66,7 @@ def paint_panorama(
 
 
 def glare(radiance: np.ndarray) -> np.ndarray:
-    """A lat-long image (h, w, 3) of radiance with some of its light spread by binomial steps; see
+    """Spread some of the light of a lat-long image (h, w, 3) of radiance by binomial steps; see
     GLARE.
     """
     stray = radiance
@@ -77,7 +78,7 @@ def glare(radiance: np.ndarray) -> np.ndarray:
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
-    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to
+    """Compress a lat-long image (h, w, 3) of radiance into [0, 1], float64: its middle becomes
     MIDDLE_BRIGHTNESS, and nothing burns out.
 
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,

@@ -1,4 +1,4 @@
-"""One point of a frame: position, normal and value of what a pixel shows."""
+"""One point of a frame: position, normal, value and light of the surface in a pixel."""
 
 from dataclasses import dataclass
 
@@ -14,13 +14,15 @@ from isogi_core.plan.variants import surfaces_of
 
 @dataclass(frozen=True)
 class SurfacePoint:
-    """What one pixel shows: ``position`` and outward unit ``normal``, world, and the ``voxel``
-    indices there, x first.
+    """The point that one pixel shows.
 
-    ``value`` is the volume's there, in the units of its file: the isovalue, or another where a
-    window shows a face. On a wall it is None, and ``wall`` its number. ``radiance`` is linear RGB,
-    ``state`` one of STATE_CODES, and ``error`` the relative error of the pixel, whatever its
-    causes.
+    - ``position``, ``normal``: world coordinates, and the outward unit normal.
+    - ``voxel``: voxel indices, x first.
+    - ``value``: the volume's value in the units of its file: the isovalue, or another on the face
+      of a window; None on a wall.
+    - ``wall``: number of the wall, if it is on one.
+    - ``radiance``: linear RGB; ``state``: a name in STATE_CODES.
+    - ``error``: relative error of the pixel, whatever its causes.
     """
 
     position: Vector
@@ -34,13 +36,14 @@ class SurfacePoint:
 
 
 def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint | None:
-    """What the pixel in a ``column`` and a ``row`` of a ``frame`` of a ``scene`` shows; None where
-    nothing is.
+    """Return the point in a ``column`` and a ``row`` of a ``frame``; None if the pixel shows
+    nothing.
     """
     gbuffer = frame.gbuffer
     pixel = np.uint32(row * frame.state.shape[1] + column)
     wall = None
     value = None
+    # A pixel shows the surface, a wall, or the face of a window: look for it in each list.
     if (place := place_of(gbuffer.pixels, pixel)) is not None:
         index = gbuffer.points[place]
         normal = surface_normal(frame, place)
@@ -71,12 +74,13 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
 
 
 def isovalue_at(frame: Frame, place: int, scene: Scene) -> float:
-    """The isovalue of what is in front at a ``place`` of the G-buffer: that of the view, or of a
-    pinned surface.
+    """Return the isovalue of the surface at a ``place`` of the G-buffer: that of the view, or
+    of a pinned surface.
     """
     shown = frame.view.isovalue
     if not scene.surfaces.pinned:
         return shown
+    # Of several surfaces it is the one with the isovalue nearest to the value there.
     value = float(values_at(scene.volume, frame.gbuffer.points[place : place + 1])[0])
     return min(
         (each.isovalue for each in surfaces_of(scene, shown)), key=lambda level: abs(level - value)
@@ -84,7 +88,7 @@ def isovalue_at(frame: Frame, place: int, scene: Scene) -> float:
 
 
 def place_of(pixels: np.ndarray, pixel: np.uint32) -> int | None:
-    """Where a ``pixel`` is among ascending ``pixels``; None where it is not."""
+    """Return the position of a ``pixel`` in ascending ``pixels``; None if it is not among them."""
     place = int(np.searchsorted(pixels, pixel))
     if place < len(pixels) and pixels[place] == pixel:
         return place
@@ -92,8 +96,8 @@ def place_of(pixels: np.ndarray, pixel: np.uint32) -> int | None:
 
 
 def face_normal(frame: Frame, index: np.ndarray) -> np.ndarray:
-    """The normal, in the volume's box, of the plane of the frame's window that is nearest to a
-    point: towards the eye from what is left.
+    """Return the normal of the plane of the frame's window that is nearest to a point, towards
+    the eye; in the volume's box.
     """
     if frame.view.window:
         planes = np.array(frame.view.window.planes)
@@ -104,8 +108,8 @@ def face_normal(frame: Frame, index: np.ndarray) -> np.ndarray:
 
 
 def surface_normal(frame: Frame, place: int) -> np.ndarray:
-    """The normal of the isosurface, in the volume's box, at a ``place`` of the G-buffer; (3,)
-    float64.
+    """Return the normal of the isosurface at a ``place`` of the G-buffer, in the volume's box;
+    (3,) float64.
     """
     gbuffer = frame.gbuffer
     normals = np.empty((1, 3), np.float32)
@@ -114,8 +118,8 @@ def surface_normal(frame: Frame, place: int) -> np.ndarray:
 
 
 def wall_normal(frame: Frame, index: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """The normal, in the volume's box, of the side of a wall with these ``edges`` (2, 3) that the
-    camera sees.
+    """Return the normal of the side of a wall with ``edges`` (2, 3) that the camera sees, in
+    the volume's box.
     """
     normal = np.cross(*edges)
     towards = np.subtract(frame.gbuffer.eye, index) * frame.gbuffer.spacing
