@@ -1,9 +1,8 @@
-"""Shine: rays of a microfacet lobe from the points of a picture; what they bring, and what is seen
-where they end.
+"""Shine: rays of a microfacet lobe from the points of a picture, and the light where they end.
 
-A shiny surface mirrors light to the eye alone: light that it sends to other places of the scene is
-diffuse, as in the texels. So shine needs nothing baked, and what a ray sees of the surface is what
-its texels, or paths from there, show.
+A shiny surface mirrors light to the eye alone; light that it sends to other places of the scene is
+diffuse, as texels have it. So shine needs no bake, and a ray takes the light of the surface that it
+meets from texels, or from paths that start there.
 """
 
 from dataclasses import dataclass, replace
@@ -44,27 +43,31 @@ from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
 
 PLASTIC = 0.04
-"""What plastic mirrors head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of 1.5."""
+"""Reflectance of plastic head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of
+1.5.
+"""
 
 ASIDE = 0.5
 ROUGH = 0.4
-"""Share of the rays that are drawn towards lights from this roughness on; of smoother lobes the
-less, as their own rays find lights better.
+"""Share of the rays that are drawn towards lights from this roughness on. Smoother lobes have a
+smaller share, as their rays find lights better.
 """
 
 WAYS = 8
-"""Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then
-worth several.
+"""Candidates of which each ray is chosen if there are lights to aim at: one ray then tells as
+much as several.
 """
 
 LOW_WORD = np.uint64(0xFFFFFFFF)
-"""What of a ray's sequence names the sequence of a path in the open from its end."""
+"""Bits of the sequence of a ray that become the sequence of the path from its end, if the path
+is in the open.
+"""
 
 RAYS_TOGETHER = 1 << 14
 PATHS_TOGETHER = 256
 RAYS_OF_PATHS = 1 << 17
-"""Rays that are cast together, paths from their ends, and rays whose ends are kept together where
-all send paths.
+"""Rays that are cast together; paths that are traced together from their ends; and rays whose
+ends are kept together if all of them send paths.
 """
 
 NO_ROOM = Room(
@@ -78,15 +81,15 @@ NO_ROOM = Room(
 
 @lru_cache(maxsize=64)
 def energy_of(alpha: float) -> np.ndarray:
-    """The table of ``fill_energy``."""
+    """Return the table of ``fill_energy`` for a lobe's ``alpha``."""
     energy = np.empty((ENERGY_STEPS + 1, 2))
     fill_energy(alpha, energy)
     return energy
 
 
 def lobe_of(light: RotatedLight) -> ShineLobe:
-    """The lobe of the surface in a ``light``; metal mirrors its albedo head on. A surface without
-    shine has none.
+    """Return the lobe of the surface under a ``light``; metal mirrors by its albedo. A surface
+    without shine has a lobe that mirrors nothing.
     """
     shine = light.shine or DULL
     albedo = light.albedo
@@ -97,12 +100,13 @@ def lobe_of(light: RotatedLight) -> ShineLobe:
 
 
 def lights_of(light: RotatedLight, ways: int) -> ShineLights:
-    """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of
-    so many ``ways``.
+    """Return the lights that rays of shine may be drawn towards, and those that they may meet,
+    under a rotated ``light``. Each ray is chosen of ``ways`` candidates.
     """
     around = light.surroundings
     room = light.spec.prepared.scene.lighting.room
     kinds, places, edges, colours = around.lamps
+    # Sort the lamps: discs of lobes, areas, and those without an extent.
     discs = (kinds == DIRECTIONAL) & edges.any(axis=(1, 2))
     flat = kinds == AREA
     sharp = (kinds != AREA) & ~discs
@@ -110,6 +114,7 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     lit = np.array([any(wall.radiance) for wall in room.walls], bool)
     twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[lit]
     given = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)[lit]
+    # Areas and luminous walls are panels. A lamp's radiance is π times its colour.
     panels = Panels(
         np.concatenate([places[flat], room.corners[lit]]),
         np.concatenate([edges[flat], room.edges[lit]]),
@@ -119,14 +124,15 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     )
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
+    # Without a light to aim at, more candidates are of no use.
     several = len(around.table[0]) or len(panels.corners) or len(far.towards)
     ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)
     return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
 
 
 def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-    """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32.
-    Raises Cancelled.
+    """Return the share of diffuse light that shine leaves at each point of a G-buffer; (m, 3)
+    float32. Raises Cancelled.
     """
     lobe = lobe_of(light)
     shown = gbuffer.shown(tiles)
@@ -141,12 +147,13 @@ def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class ShineRays:
-    """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have
-    ``brought`` (rays, 3).
+    """Rays of shine from the points of a G-buffer, ``each`` from every point, in order.
 
-    ``ends`` are of the h rays that end on something lit, ascending. Random numbers there belong to
-    ``seeds`` (h,). ``hits`` shows what these rays see, as a picture of one row, which has a
-    ``number`` of its own.
+    - ``brought`` (rays, 3): light that rays bring by themselves.
+    - ``ends``: ends of the h rays that meet the surface or a wall, ascending.
+    - ``seeds`` (h,): random sequences of paths from these ends.
+    - ``hits``: a picture of one row that shows these ends.
+    - ``number``: number of that picture, so that a cache tells it from others.
     """
 
     each: int
@@ -158,18 +165,18 @@ class ShineRays:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         ends = (self.brought, self.ends.weights, *self.ends.points, self.ends.met, self.seeds)
         return sum(each.nbytes for each in ends) + self.hits.nbytes
 
     @property
     def seen(self) -> np.ndarray:
-        """The numbers of the rays that end on something lit; (h,) uint32."""
+        """The numbers of the rays that meet the surface or a wall; (h,) uint32."""
         return np.asarray(self.ends.points.pixels)
 
     def view(self, view: View) -> View:
-        """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse
-        light.
+        """Return a view of ``hits``, diffuse and moving; all else is of the ``view`` that the
+        rays start from.
         """
         row = replace(
             view, width=max(len(self.seen), 1), height=1, strip=(self.number, self.number + 1)
@@ -177,8 +184,8 @@ class ShineRays:
         return replace(row, moving=True, smooth=False, shine=DULL)
 
     def gather(self, light: np.ndarray) -> np.ndarray:
-        """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3)
-        float64.
+        """Return the light of each ray, if ``light`` (h, 3) leaves the points where they end;
+        (points, each, 3) float64.
         """
         total = self.brought.astype(np.float64)
         total[self.seen] += self.ends.weights * light.astype(np.float64)
@@ -186,11 +193,11 @@ class ShineRays:
 
 
 NUMBERS = count()
-"""Numbers of pictures that no two of them share."""
+"""Numbers of pictures, all different."""
 
 
 def room_of(light: RotatedLight) -> Room:
-    """The walls about a surface with its colours, or of the albedo that is seen."""
+    """Return the walls about a surface with its colours, or of the albedo of the view."""
     prepared = light.spec.prepared
     if prepared.scene.many_albedos:
         return prepared.room(light.seen.albedo)
@@ -205,10 +212,10 @@ def cast_rays(
     tiles: Tiles,
     ways: int = WAYS,
 ) -> ShineRays:
-    """Cast rays of shine from each point of a G-buffer: of each of the ``replicas`` the
-    ``samples``.
+    """Cast rays of shine from each point of a G-buffer: the ``samples`` of each of the
+    ``replicas``.
 
-    Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``.
+    Replicas are numbers of independent randomisations; each ray is chosen of ``ways`` candidates.
     Raises Cancelled.
     """
     shown = gbuffer.shown(tiles)
@@ -237,6 +244,8 @@ def cast_rays(
     tiles.run(
         _piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1)
     )
+    # Keep the ends that need light of their own, with random sequences that follow from pixel,
+    # replica and sample.
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
@@ -251,14 +260,12 @@ def cast_rays(
 
 
 def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
-    """The ``ends`` of some rays."""
+    """Return the ``ends`` of some rays."""
     return ShineEnds(ends.brought[rows], ends.weights[rows], ends.points.part(rows), ends.met[rows])
 
 
 def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
-    """The picture of one row that shows where rays end, as a G-buffer beside the one that they
-    start from.
-    """
+    """Return a G-buffer of one row that shows the ``ends`` of rays."""
     met = ends.met
     on = ends.met == MET_ISOSURFACE
     shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
@@ -270,10 +277,10 @@ def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
 def paths_from(
     rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles
 ) -> np.ndarray:
-    """What leaves where rays end that are ``seen``, those in ``rows`` (k,), by one path each; (k,
-    3) float64.
+    """Trace one path of ``bounces`` bounces from each end in ``rows`` (k,) of the rays; return the
+    light that leaves there, (k, 3) float64.
 
-    Paths have so many ``bounces``. Raises Cancelled.
+    Raises Cancelled.
     """
     traced = rays.hits.surface.traced(tiles.run)
     found = np.zeros((len(rows), 3))
@@ -288,6 +295,8 @@ def paths_from(
     met = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run)
     rules = carried
     one = SampleRange(0, 1)
+    # Paths in the open have sequences of their own, and multiply by the albedo at each bounce; all
+    # others carry the albedos that they meet.
     if isinstance(met, Open):
         words = np.column_stack(
             [(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)]
@@ -300,6 +309,7 @@ def paths_from(
         add_glow(found[a:b], light, traced, starts_between(starts, a, b), carried, one)
 
     tiles.run(_piece, len(rows), PATHS_TOGETHER)
+    # Reflect the light by surface or wall, and add what a wall emits.
     room = room_of(light)
     albedos = albedos_at(points.points, light)
     given = np.zeros((len(rows), 3))
@@ -309,7 +319,9 @@ def paths_from(
 
 
 def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:
-    """The albedo of the surface at ``points`` (k, 3) float32 in index space; (k, 3) float64."""
+    """Return the albedo of the surface at ``points`` (k, 3) float32 in index space; (k, 3)
+    float64.
+    """
     if not light.coloured:
         return np.tile(light.albedo, (len(points), 1))
     found = np.empty((len(points), 3), np.float32)
@@ -325,10 +337,10 @@ def trace_shine(
     bounces: int,
     tiles: Tiles,
 ) -> np.ndarray:
-    """Sums of what shine brings to each point, by whole paths: rays of all ``samples``, and a path
-    from each end.
+    """Return sums of the light that shine brings to each point, by whole paths: rays of all
+    ``samples``, and a path from each end; (points, replicas, 3) float64.
 
-    Returns (points, replicas, 3) float64. Raises Cancelled.
+    Raises Cancelled.
     """
     rays = cast_rays(light, gbuffer, replicas, samples, tiles)
     seen = paths_from(rays, np.arange(len(rays.seen)), light, bounces, tiles)
@@ -344,10 +356,10 @@ def add_shine(
     bounces: int,
     tiles: Tiles,
 ) -> None:
-    """Let a surface shine that scatters ``sums`` (points, replicas, 3) of so many samples, in
-    place; see ``Paths.add``.
+    """Let a surface shine whose diffuse light is ``sums`` (points, replicas, 3), in place; see
+    ``Paths.add``.
 
-    Shine takes its share of what is scattered, and adds what it mirrors. Raises Cancelled.
+    Shine takes its share of diffuse light, and adds the light that it mirrors. Raises Cancelled.
     """
     replicas = range(stream, stream + sums.shape[1])
     sums *= light_below(light, gbuffer, tiles)[:, None]

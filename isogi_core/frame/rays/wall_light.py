@@ -1,9 +1,8 @@
-"""The light of walls: what texels on them hold for the isovalue that is shown, as far as time
-allowed.
+"""The light of walls: of the sides that a view sees, about the isovalue that is shown.
 
-The first picture has a few coarse ones, or what lies between the isovalues around that were lit
-before; each step while the view rests then makes them fine, and takes as many paths again. The
-store keeps them.
+The first picture has a few coarse texels on each wall, or light between those isovalues nearby that
+were lit before. Each step while the view rests makes texels fine first, and then doubles their
+paths. The store keeps them.
 """
 
 import threading
@@ -51,11 +50,11 @@ from isogi_core.prepared.prepared_scene import Surface
 
 @dataclass(eq=False)
 class WallLight:
-    """The light of a side of a wall about the ``surface`` that is shown: its ``texels``, as far as
-    they have come.
+    """The light of one side of a wall about the ``surface`` that is shown: its ``texels``, as far
+    as they have converged.
 
-    What is ``lent`` by the isovalues around stands in for texels that err more. Threads wait for
-    each other.
+    Light ``lent`` by isovalues nearby stands in while the texels have a larger error. Only the
+    thread that holds the ``lock`` changes it.
     """
 
     light: RotatedLight
@@ -66,15 +65,15 @@ class WallLight:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes once its texels are fine, or finer if they are."""
+        """The size of its arrays in bytes; texels that are coarse are counted as fine ones."""
         own = self.texels.nbytes * (
             1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
         )
         return own + (self.lent.nbytes if self.lent else 0)
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
-        """The wall's texels where these are final at a ``target``, else the ones with the least
-        error that have light.
+        """Return the wall's texels if they are final at the ``target`` error, else the light with
+        the least error.
 
         Raises Cancelled.
         """
@@ -86,14 +85,15 @@ class WallLight:
                 and not (own.count and own.error <= self.lent.error)
             ):
                 return self.lent
+            # The texels have become better than the light of other isovalues, for good.
             self.lent = None
             if not self.texels.count:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
 
     def grow(self, target: float, tiles: Tiles) -> bool:
-        """Bring its texels a step nearer to a ``target`` error; False if they are final. Raises
-        Cancelled.
+        """Take one step of the texels towards a ``target`` error; return False if they are
+        final. Raises Cancelled.
         """
         with self.lock:
             if self.texels.final(target):
@@ -104,11 +104,11 @@ class WallLight:
 
 @dataclass(eq=False)
 class RoomLight:
-    """The light of all walls in one ``state``, about the ``surface`` that is shown: that of each
-    side that was seen.
+    """The light of all walls in one ``state``, about the ``surface`` that is shown: of each of
+    their ``sides`` that was seen.
 
-    It begins with what the ``store`` kept of it, and with what lies between the isovalues around
-    that it kept.
+    It begins with the light that the ``store`` kept of this state, and of the nearest isovalues on
+    either side.
     """
 
     light: RotatedLight
@@ -120,8 +120,8 @@ class RoomLight:
 
     @classmethod
     def of(cls, light: RotatedLight, surface: Surface, store: WallStore) -> "RoomLight":
-        """The light about a ``surface`` that a ``light`` falls on, as far as a ``store`` kept
-        it.
+        """Return the light of walls about a ``surface`` under a ``light``, as far as the
+        ``store`` kept it.
         """
         found = cls(
             light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store
@@ -136,23 +136,25 @@ class RoomLight:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return sum(each.nbytes for each in list(self.sides.values()))
 
     def is_shown(self, frame: Frame) -> bool:
-        """True: a step from a ``frame`` that is behind takes paths for walls that still need
-        some.
+        """Return True always: if a ``frame`` is older than this light, a step still traces
+        paths for walls that need some.
         """
         return True
 
     def side(self, side: Side) -> WallLight:
-        """The light of one side."""
+        """Return the light of one side of a wall, or begin it."""
         if side not in self.sides:
             self.sides.setdefault(side, WallLight(self.light, self.surface, self._begun(side)))
         return self.sides[side]
 
     def keep(self, grown: Sequence[WallTexels]) -> None:
-        """Have the store keep what of these has ``grown``."""
+        """Keep the texels that have ``grown`` in the store."""
+        # Put the texels of all sides with the same fineness into one lattice, whose planes are
+        # halves of sides.
         for across in sorted({each.across for each in grown if each.fine}):
             shape = 4 * len(self.light.spec.prepared.scene.lighting.room.walls), across, across
             means = np.zeros((*shape, 3))
@@ -168,8 +170,11 @@ class RoomLight:
         return WallTexels.begun(self.light, *side, COARSE_WALL_TEXELS)
 
     def _kept(self, state: WallState, finest: int = MAX_WALL_TEXELS) -> dict[Side, WallTexels]:
-        """What the store kept in a ``state``, no finer than the ``finest``."""
+        """Return the texels that the store kept in a ``state``, as fine as ``finest`` at most,
+        by their sides.
+        """
         kept: dict[int, Planes] = {}
+        # Finer texels were kept only where coarser ones are, too.
         while (across := FINE_WALL_TEXELS << len(kept)) <= finest and (
             planes := self.store.planes(state, across)
         ) is not None:
@@ -183,7 +188,9 @@ class RoomLight:
         return {side: texels for side, texels in found.items() if texels is not None}
 
     def _lent(self) -> dict[Side, WallTexels]:
-        """What lies between the light that was kept at the nearest isovalues around."""
+        """Interpolate the light that was kept at the nearest isovalues on either side, by the
+        sides of walls.
+        """
         around = self.store.around(self.state)
         if around is None:
             return {}
@@ -199,8 +206,8 @@ class RoomLight:
 
 @dataclass(frozen=True, eq=False)
 class WallView:
-    """The walls in a picture, each of which shows one of its ``sides`` (k,) int: 1 its front, -1
-    its back.
+    """The walls in a picture, each seen from one of its ``sides`` (walls,): 1 for its front, -1
+    for its back.
     """
 
     gbuffer: GBuffer
@@ -209,7 +216,7 @@ class WallView:
 
     @classmethod
     def of(cls, gbuffer: GBuffer, light: RotatedLight) -> "WallView":
-        """The walls that a G-buffer shows."""
+        """Return the walls that a G-buffer shows, from the side of its eye."""
         room = light.spec.prepared.room(light.seen.albedo)
         eye = np.multiply(gbuffer.eye, gbuffer.spacing)
         front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
@@ -217,7 +224,9 @@ class WallView:
 
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
-        """The walls that a G-buffer shows, seen from ``sides`` (m,): fronts and backs apart."""
+        """Return the walls that a G-buffer shows, whose points are seen from ``sides`` (m,):
+        fronts and backs apart.
+        """
         count = len(light.spec.prepared.scene.lighting.room.walls)
         walls = gbuffer.walls
         found = [(side, np.flatnonzero(sides == side)) for side in (1, -1)]
@@ -229,7 +238,7 @@ class WallView:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """How many pixels each wall has; (k,)."""
+        """The number of pixels of each wall; (walls,)."""
         return np.bincount(self.gbuffer.walls.numbers, minlength=len(self.sides))
 
     @property
@@ -240,8 +249,8 @@ class WallView:
     def put(
         self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles
     ) -> int:
-        """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels
-        that are not final.
+        """Write the light of ``texels``, of each wall that is seen, into a picture; return the
+        number of pixels that are not final.
 
         Raises Cancelled.
         """
@@ -260,12 +269,13 @@ class WallView:
         return sum(int(self.counts[wall]) for wall, final in finals.items() if not final)
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
-        """The texels as kernels take them, and which walls are final."""
+        """Return the texels as kernels take them, with the state of each wall."""
         light = [each.leaving for each in texels]
         count = len(self.light.spec.prepared.scene.lighting.room.walls)
         firsts, rows, columns = np.zeros((3, count), np.int64)
         states = np.zeros(count, np.uint8)
         ends = np.cumsum([0, *map(len, light)])
+        # The texels of all walls are in one array; the table tells where those of each wall begin.
         for each, first in zip(texels, ends, strict=False):
             k = each.wall
             firsts[k] = first
@@ -279,8 +289,8 @@ class WallView:
         return WallTable(np.concatenate(light), firsts, rows, columns, states)
 
     def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write the walls into a path-traced picture, as many paths from each pixel. Raises
-        Cancelled.
+        """Path-trace the walls in a picture, with as many paths from each pixel as the view
+        asks for. Raises Cancelled.
         """
         walls = self.gbuffer.walls
         plan = self.light.spec.prepared.scene.plan
@@ -307,7 +317,9 @@ class WallView:
         put_noise(framebuffer, walls.pixels, pooled, darkest, target)
 
     def _starts(self, some: slice, replicas: int, isovalue: Isovalue) -> PathStarts:
-        """Where paths of so many ``replicas`` start from some of the pixels that show walls."""
+        """Return the starts of paths of ``replicas`` replicas from ``some`` of the pixels that
+        show walls.
+        """
         walls = self.gbuffer.walls
         shown = np.arange(some.start, some.stop)
         each, replica = (part.ravel() for part in np.indices((len(shown), replicas)))
@@ -317,8 +329,8 @@ class WallView:
         return starts_at(walls.points[each], normals, isovalue, seeds, walls.numbers[each])
 
     def _normals_of(self, numbers: np.ndarray) -> np.ndarray:
-        """The normals of the sides that are seen of the walls with these ``numbers`` (m,); (m,
-        3).
+        """Return the normals, on the sides that are seen, of the walls with these ``numbers``
+        (m,); (m, 3).
         """
         room = self.light.spec.prepared.room(self.light.seen.albedo)
         return np.asarray((self.sides[:, None] * room.normals)[numbers])
@@ -326,8 +338,8 @@ class WallView:
     def put_locally(
         self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles
     ) -> None:
-        """Write the walls into a picture by a local model, whose shadows are those of the surface.
-        Raises Cancelled.
+        """Shade the walls in a picture by a local model, with shadows of the surface. Raises
+        Cancelled.
         """
         walls = self.gbuffer.walls
         gbuffer = self.gbuffer
@@ -346,10 +358,10 @@ class WallView:
 
 
 class ViewWalls(Refinement[RoomLight]):
-    """The walls about a ``volume``, whose light is among what is ``kept`` of views."""
+    """The walls about a ``volume``; renderers keep their light among the results of views."""
 
     def __init__(self, kept: LruCache[Any], volume: Volume, store: WallStore) -> None:
-        """Keep the light of walls where results of views are, and in a ``store``."""
+        """Keep the light of walls in ``kept``, and in a ``store``."""
         self._kept = kept
         self._volume = volume
         self._store = store
@@ -362,13 +374,14 @@ class ViewWalls(Refinement[RoomLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> tuple[int, str]:
-        """Write the walls into a picture; how many of their pixels are not final, and what names
-        the paths taken.
+        """Write the walls into a picture; return the number of their pixels that are not final, and
+        a name of the paths taken.
 
         Raises Cancelled.
         """
         view = light.view
         walls = WallView.of(gbuffer, light)
+        # Walls are shaded as the surface is: by paths, by a local model, or by texels.
         if view.shading == "path_traced":
             walls.put_paths(target, framebuffer, tiles)
         elif view.shading != "gi":
@@ -387,8 +400,8 @@ class ViewWalls(Refinement[RoomLight]):
     def add(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """A ``frame`` with the walls that it shows, which are written into its picture. Raises
-        Cancelled.
+        """Write the walls into a ``frame`` that shows some, and return it with its new state.
+        Raises Cancelled.
         """
         if not len(frame.gbuffer.walls.pixels):
             return frame
@@ -403,8 +416,8 @@ class ViewWalls(Refinement[RoomLight]):
     def put_seen(
         self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles
     ) -> str:
-        """Write what several views see of walls into one picture; what names the paths taken.
-        Raises Cancelled.
+        """Write the walls of several ``views`` into one picture; return a name of the paths
+        taken. Raises Cancelled.
         """
         version = ""
         for walls in views:
@@ -414,22 +427,20 @@ class ViewWalls(Refinement[RoomLight]):
         return version
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> RoomLight:
-        """See ``Refinement``."""
+        """Return the light of the walls in a ``frame``: see ``Refinement``."""
         return self._room(WallView.of(frame.gbuffer, light))
 
     def advance(
         self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Have the walls in a ``frame`` that are not final take as many paths again: see
-        ``Refinement``.
-        """
+        """Double the paths of the walls in a ``frame`` that are not final: see ``Refinement``."""
         return self.grow([WallView.of(frame.gbuffer, found.light)], target, tiles)
 
     def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
-        """Have the walls in some ``views`` of one light, that are not final, take as many paths
-        again.
+        """Take a step of all walls in some ``views`` of one light that are not final; return False
+        if all are.
 
-        The store keeps what they come to, also where this raises Cancelled.
+        The store keeps them, also if this raises Cancelled.
         """
         room = self._room(views[0])
         grown = list[WallTexels]()
@@ -444,13 +455,13 @@ class ViewWalls(Refinement[RoomLight]):
         return bool(grown)
 
     def _best(self, walls: WallView, target: float, tiles: Tiles) -> list[WallTexels]:
-        """The texels of the sides that are seen. Raises Cancelled."""
+        """Return the best texels of the sides that are seen. Raises Cancelled."""
         room = self._room(walls)
         return [room.side(side).best(target, tiles) for side in walls.seen]
 
     def _room(self, walls: WallView) -> RoomLight:
-        """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside
-        views.
+        """Return the light of walls for the isovalue, the albedo and the glow of a view, kept
+        or begun now.
         """
         light = walls.light
         surface = walls.gbuffer.surface
