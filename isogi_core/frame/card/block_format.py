@@ -1,4 +1,6 @@
-"""The layout of blocks in bytes; docs/card.md describes it."""
+"""The layout of blocks: the light of one chunk as bytes for textures of a visitor's graphics
+card; docs/card.md describes it.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -11,7 +13,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, VOID_GRADE
 
 BLOCK_MARK = b"ISOB"
-"""What a block begins with."""
+"""First bytes of a block."""
 
 
 HEADER = np.dtype(
@@ -30,13 +32,13 @@ BRICK = np.dtype([("mask", "<u8"), ("first", "<u4"), ("place", "<u4")])
 FOLDED = 0
 RAW = 1
 CODED = 2
-"""Kinds of blocks: records of light, transfer that a page puts under the light by itself, and such
-in few bits.
+"""Kinds of blocks: records of light; transfer, which a page puts under light by itself; and
+such transfer in few bits.
 """
 
 
 EDGE = 2
-"""Texels along each side of a brick, as a power of two."""
+"""Number of texels along each side of a brick, as a power of two."""
 
 
 CODES = {BURIED_GRADE: 0x80008001, VOID_GRADE: 0x80008002}
@@ -46,16 +48,19 @@ CODES = {BURIED_GRADE: 0x80008001, VOID_GRADE: 0x80008002}
 
 
 FLAT = 0x80008003
-"""The word of a texel with light whose normal is (0, 0, 0)."""
+"""Word of a texel with light whose normal is (0, 0, 0)."""
 
 
 MAX_HALF_FLOAT = float(np.finfo(np.float16).max)
 
 
 class Order(NamedTuple):
-    """The order of records in blocks: the chunk ``owners`` and ``places`` of bricks, their
-    ``masks`` and where in the order each ``begins``, (bricks,); ``texels`` (texels,) lists the
-    numbers of texels, brick by brick.
+    """The order of records in blocks.
+
+    - ``owners``, ``places`` (bricks,): chunk of each brick, and its place there.
+    - ``masks`` (bricks,): a bit for each texel that is there.
+    - ``begins`` (bricks,): position of its first texel in the order.
+    - ``texels`` (texels,): numbers of the texels, brick by brick.
     """
 
     owners: np.ndarray
@@ -66,11 +71,12 @@ class Order(NamedTuple):
 
 
 def order_texels(texels: ViewTexels) -> Order:
-    """Order texels by chunk, then by brick, then by their place in it."""
+    """Sort texels by chunk, then by brick, then by their bit in it."""
     bits = texels.lattice.bits
     z, y, x = (texels.places >> bits * axis & texels.lattice.chunk - 1 for axis in (2, 1, 0))
     bricks = (z >> EDGE) << 16 | (y >> EDGE) << 8 | x >> EDGE
     bit = (z & 3) << 4 | (y & 3) << 2 | x & 3
+    # One key of chunk, brick and bit sorts all at once.
     keys = ((texels.places >> 3 * bits).astype(np.int64) << 24 | bricks) << 6 | bit
     order = np.argsort(keys)
     own, begins = np.unique(keys[order] >> 6, return_index=True)
@@ -79,8 +85,8 @@ def order_texels(texels: ViewTexels) -> Order:
 
 
 def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
-    """Normals (m, 3) of texels with this ``grade`` (m,) as words, or the codes of those without;
-    (m,) uint32.
+    """Encode the normals (m, 3) of texels as words, and texels without light by their ``grade``
+    (m,); (m,) uint32.
 
     A normal is projected onto an octahedron, whose lower half is folded over the upper one (Meyer
     and others, "On Floating-Point Normal Vectors", 2010); x is in the lower 16 bits, y in the upper
@@ -103,10 +109,10 @@ def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
 def with_means(
     order: Order, grade: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The ``grade`` (m,) and ``values`` (m, n) of texels in their order, with the mean of each
+    """Return the ``grade`` (m,) and ``values`` (m, n) of texels in their order, with a mean of each
     brick behind its texels.
 
-    A mean is of the texels with light, or buried or void where there are none.
+    The mean is of texels with light; if there are none, it has the least of their grades.
     """
     grade = grade[order.texels]
     values = values[order.texels]
@@ -125,18 +131,20 @@ def with_means(
 
 
 def halves(values: np.ndarray) -> np.ndarray:
-    """Numbers as half floats, those beyond these at their ends."""
+    """Return numbers as half floats, limited to the largest of these."""
     return np.clip(values, -MAX_HALF_FLOAT, MAX_HALF_FLOAT).astype("<f2")
 
 
 def folded_body(words: np.ndarray, light: np.ndarray) -> bytes:
-    """Records of light (r, 6), direct and reflected linear RGB, with their ``words`` (r,)."""
+    """Return records of ``light`` (r, 6), direct and reflected linear RGB, with their ``words``
+    (r,).
+    """
     return np.column_stack([halves(light).view("<u4"), words]).astype("<u4").tobytes()
 
 
 def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
-    """Records of transfer, ``numbers`` (r, n), after their ``words`` (r,): four numbers of each in
-    every layer.
+    """Return records of transfer, ``numbers`` (r, n), behind their ``words`` (r,): a layer of a
+    texture has four numbers of each record.
     """
     layers = -(-numbers.shape[1] // 4)
     quads = np.pad(halves(numbers), ((0, 0), (0, -numbers.shape[1] % 4))).reshape(
@@ -147,12 +155,12 @@ def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
 
 
 NORMAL_STEPS = 64
-"""Steps of normals in few bits: a tenth of a degree."""
+"""Step of normals in few bits: a tenth of a degree."""
 
 
 def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
-    """Records of transfer in few bits, ``codes`` (r, n), with their ``words`` (r,): byte by byte,
-    for compression.
+    """Return records of transfer in few bits, ``codes`` (r, n), with their ``words`` (r,), byte by
+    byte: similar bytes in a row compress well.
 
     First come all low bytes of words' x, all high ones, and those of y. Codes follow, with their
     signs in bit 0: low bytes of number 0, of number 1, and so on, then all high ones.
@@ -169,8 +177,8 @@ def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
 
 
 def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Parts of normals' ``words`` (m,) as multiples of NORMAL_STEPS, those of words without a
-    normal as they are.
+    """Round parts of normals' ``words`` (m,) to multiples of NORMAL_STEPS; parts of words
+    without a normal stay.
     """
     most = 0x7FFF // NORMAL_STEPS
     rounded = NORMAL_STEPS * np.clip(
@@ -185,15 +193,17 @@ BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
 def pack(
     chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int
 ) -> Iterator[bytes]:
-    """The block of each chunk, of a ``kind``, from the ``normals`` (m, 3) and ``values`` (m, n) of
-    its texels.
+    """Yield the block of each chunk, of a ``kind``, from the ``normals`` (m, 3) and ``values``
+    (m, n) of its texels.
     """
+    # Sort the records of all chunks together, and add the means of bricks.
     order = order_texels(chunks.texels)
     grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
     words = words_of(found[:, :3], grade)
     numbers = found[:, 3:]
     firsts = order.begins + np.arange(len(order.begins))
     owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
+    # Cut out the bricks and records of each chunk; a chunk without texels has none.
     for index, version in zip(chunks.chunks, chunks.versions, strict=True):
         a, b = np.searchsorted(order.owners, [number := owners.get(index, -1), number + 1]).tolist()
         ends = [int(firsts[i]) if i < len(firsts) else len(words) for i in (a, b)]
@@ -214,7 +224,7 @@ def pack(
 def block_of(
     index: Sequence[int], version: bytes, bricks: np.ndarray, records: int, body: bytes, kind: int
 ) -> bytes:
-    """A block: its header, its table of ``bricks``, and its records."""
+    """Return the bytes of a block: its header, its table of ``bricks``, and its records."""
     header = np.zeros(1, HEADER)
     size = HEADER.itemsize + bricks.nbytes + len(body)
     header["mark"] = BLOCK_MARK

@@ -1,7 +1,5 @@
-"""Blocks: the light of one chunk as bytes for textures of a visitor's graphics card; docs/card.md
-has the layout.
-
-Pages without a server get transfer in few bits: whole numbers of steps, as fine as the light asks.
+"""Make blocks: the light of one chunk as bytes for textures of a visitor's graphics card;
+docs/card.md has their layout.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -35,14 +33,14 @@ CHUNKS = 64
 
 
 LEAST_SCATTER = 2.0**-20
-"""What scatter counts as at least, so that its logarithm is a number."""
+"""Least scatter, so that it has a logarithm."""
 
 
 def known_light(
     renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Packed:
-    """``fold_chunks``, of which each is folded once for all that ask for it. Raises as that
-    does.
+    """Return ``fold_chunks`` of ``chunks``, each folded once for all that ask for it. Raises
+    its errors.
     """
     kind = FOLDED, view.light, view.albedo, target
     return known(
@@ -53,8 +51,8 @@ def known_light(
 def known_transfer(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Packed:
-    """``transfer_chunks``, of which each is packed once for all that ask for it. Raises as that
-    does.
+    """Return ``transfer_chunks`` of ``chunks``, each packed once for all that ask for it.
+    Raises its errors.
     """
     return known(
         renderer,
@@ -72,18 +70,18 @@ def known(
     make: Callable[[Sequence[Index]], Packed],
     tiles: Tiles,
 ) -> Packed:
-    """Blocks of a ``kind`` that the renderer knows, or that ``make`` makes."""
+    """Return blocks of a ``kind`` that the renderer keeps, or that ``make`` makes now."""
     return renderer.blocks.find(kind, chunks, renderer.caches.of("gi"), make, tiles.check)
 
 
 def fold_chunks(
     renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Packed:
-    """``chunks`` under the light of a ``view``, filtered where it is grainy; final at the
-    ``target`` error.
+    """Pack ``chunks`` with the light of their texels under the light of a ``view``, filtered if it
+    is grainy; light is final at the ``target`` error.
 
-    Records are those that ``carry_irradiance_ratios`` is given. Raises Cancelled, and what
-    ``Loader.ensure`` does.
+    Records are those that ``carry_irradiance_ratios`` interpolates. Raises Cancelled, and the
+    errors of ``Loader.ensure``.
     """
     light = RotatedLight(renderer.caches.spec("gi"), view)
     with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
@@ -105,10 +103,10 @@ def fold_chunks(
 def transfer_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Packed:
-    """``chunks`` with the ``raw_numbers`` of their texels, which fold to light and filter it
-    wherever they are drawn.
+    """Pack ``chunks`` with the ``raw_numbers`` of their texels, from which a card makes light and
+    filters it by itself.
 
-    Raises as ``fold_chunks``.
+    Raises the errors of ``fold_chunks``.
     """
     found, about, numbers = read_raw(renderer, chunks, target, tiles)
     return Packed(tuple(map(Block, pack(found, about, numbers, RAW), found.versions)))
@@ -117,8 +115,8 @@ def transfer_chunks(
 def packed(
     found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: PreparedScene
 ) -> Packed:
-    """The first ``count`` of some ``blocks`` of light, with the versions of all that it comes
-    from.
+    """Return the first ``count`` of some ``blocks`` of light, with the versions of all chunks
+    that it comes from.
     """
     versions = dict(zip(found.chunks, found.versions, strict=True))
     filtered = bool(found.reading.grainy.any())
@@ -137,8 +135,8 @@ def packed(
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
-    """The blocks of ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises as
-    ``fold_chunks``.
+    """Pack ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises the errors
+    of ``fold_chunks``.
     """
     found, about, numbers = read_raw(renderer, chunks, target, tiles)
     return tuple(pack(found, about, coding.codes(numbers), CODED))
@@ -147,7 +145,7 @@ def coded_chunks(
 def read_raw(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> tuple[ChunkTexels, np.ndarray, np.ndarray]:
-    """The texels of ``chunks``, the normals (m, 3) that they are lit about, and their
+    """Return the texels of ``chunks``, the normals (m, 3) that they are lit about, and their
     ``raw_numbers``.
     """
     with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
@@ -159,10 +157,11 @@ def read_raw(
 def hold_filtering(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """The texels of ``chunks``, and behind them those near by of all chunks that touch one, where
-    some are grainy.
+    """Hold ``chunks`` in the pool while the block runs; if some of their texels are grainy, also
+    those texels of all chunks that touch one which the filter reads. Yield the texels, and the
+    pool.
 
-    They are held in the pool while the block runs. Raises as ``fold_chunks``.
+    Raises the errors of ``fold_chunks``.
     """
     loader = renderer.caches.of("gi")
     more = with_neighbours(chunks, renderer.prepared)
@@ -175,8 +174,8 @@ def hold_filtering(
 
 
 def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
-    """What texels keep, over ``raw_scale``, and their ``noise_numbers``; (m, numbers) float32, 0
-    where unlit.
+    """Return the coefficients of texels over ``raw_scale``, and their ``noise_numbers``; (m,
+    numbers) float32, 0 if they have no light.
     """
     rows = reading.rows
     spec = pool.spec
@@ -186,10 +185,10 @@ def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
 
 
 def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
-    """What the filter reads besides light: log₂ of the scatter, and ±(1 + log₂ of the samples); (m,
-    2) float32.
+    """Return the numbers that a filter needs besides light: log₂ of the scatter, and ±(1 + log₂ of
+    the samples); (m, 2) float32.
 
-    The latter is negative where light is not grainy; both are 0 where there is none.
+    The latter is negative if light is not grainy; both are 0 if there is none.
     """
     lit = reading.lit
     scatter = pool.scatter[reading.rows]
@@ -200,8 +199,8 @@ def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
 
 
 def raw_scale(spec: BakeSpec) -> float:
-    """What transfer is divided by so that half floats hold it: irradiance has met its light, and is
-    as bright.
+    """Return the divisor of transfer that makes it fit half floats: irradiance is in the unit
+    of its light, all other transfer is about 1.
     """
     if spec.plan.representation == "irradiance":
         return spec.unit
@@ -209,5 +208,5 @@ def raw_scale(spec: BakeSpec) -> float:
 
 
 def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
-    """The normals that texels are lit about, (m, 3) float32."""
+    """Return the normals that texels are lit about, (m, 3) float32."""
     return own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)

@@ -1,4 +1,4 @@
-"""All texels of whole chunks, as blocks for a visitor's graphics card need them."""
+"""All texels of whole chunks that hold light, numbered as the texels of a view."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,11 +26,10 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 @dataclass(frozen=True, eq=False)
 class ChunkTexels:
-    """All texels of ``chunks`` that hold light, or are known to have none, and what is read of
-    them.
+    """All texels of ``chunks`` that hold light, or are known to have none, and their ``reading``.
 
-    ``texels`` are of those chunks alone that have any, in the same order; ``versions`` of all, 8
-    bytes each: they say how far each chunk is baked.
+    ``texels`` are those of the chunks that have any, in the same order; ``versions`` are of all
+    chunks, 8 bytes each, and tell how far each is baked.
     """
 
     chunks: tuple[Index, ...]
@@ -40,8 +39,8 @@ class ChunkTexels:
 
 
 class Occupied(NamedTuple):
-    """Chunks that have any texels, their ``slots`` in a pool, and which texels are ``there``,
-    (chunks, texels) bool.
+    """Chunks that have any texels, their ``slots`` in a pool, and a mark for each texel that is
+    ``there``, (chunks, texels) bool.
     """
 
     chunks: tuple[Index, ...]
@@ -57,11 +56,11 @@ def hold_texels(
     tiles: Tiles,
     around: Sequence[Index] = (),
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """The texels of ``chunks``, in the pool that holds them while the block runs; final at the
-    ``target`` error.
+    """Hold ``chunks`` in the pool while the block runs; yield their texels, final at the ``target``
+    error, and the pool.
 
-    Of those ``around`` which chunks are filtered, where any are named, only the texels that the
-    filter reads. Raises what ``Loader.ensure`` does.
+    Of chunks that only the filter reads for those ``around`` which they lie, only the texels within
+    its reach are taken. Raises the errors of ``Loader.ensure``.
     """
     loader.ensure(chunks, tiles.check)
     pool = loader.pool
@@ -88,8 +87,8 @@ def hold_texels(
 def find_occupied(
     pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, near: np.ndarray | None
 ) -> Occupied:
-    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which; of
-    those ``near`` alone.
+    """Find the texels that ``chunks`` in ``slots`` of a pool hold, or those ``near`` alone;
+    slots are -1 if a chunk is absent.
     """
     there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
     if near is not None:
@@ -101,11 +100,13 @@ def find_occupied(
 def near_texels(
     chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene
 ) -> np.ndarray:
-    """Which texels of ``chunks`` the filter reads for the chunks ``around`` which they lie;
-    (chunks, texels) bool.
+    """Mark the texels of ``chunks`` that the filter reads for the chunks ``around`` which they
+    lie; (chunks, texels) bool.
     """
     side = prepared.lattice.chunk
     reach = min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
+    # Along each axis, it reads a margin of the chunk before, all of the chunk, and a margin of the
+    # next.
     parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
     near = np.zeros((len(chunks), side, side, side), np.bool_)
     numbers = {at: number for number, at in enumerate(chunks)}
@@ -117,8 +118,8 @@ def near_texels(
 
 
 def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
-    """The texels that are there, numbered as a view that shows no point of the surface would number
-    them.
+    """Number the texels of ``occupied`` chunks, as those of a view that shows no point of the
+    surface.
     """
     lattice = prepared.lattice
     (chunks, _, there) = occupied
@@ -138,13 +139,13 @@ def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
 
 
 def texel_words(rows: np.ndarray) -> np.ndarray:
-    """Rows (m, n) bool of at most 32 as the bits of words, the first one lowest; (m,) uint32."""
+    """Pack rows (m, n) bool of at most 32 into words, the first in the lowest bit; (m,) uint32."""
     bits = np.packbits(rows, axis=1, bitorder="little")
     return np.pad(bits, ((0, 0), (0, 4 - bits.shape[1]))).view("<u4")[:, 0].astype(np.uint32)
 
 
 def with_neighbours(chunks: Sequence[Index], prepared: PreparedScene) -> tuple[Index, ...]:
-    """The ``chunks``, in their order, and after them all others that touch one of them."""
+    """Return the ``chunks``, in their order, and after them all others that touch one of them."""
     found = dict.fromkeys(chunks)
     for z, y, x in chunks:
         around = ((z + k, y + j, x + i) for k, j, i in product((-1, 0, 1), repeat=3))
@@ -153,5 +154,5 @@ def with_neighbours(chunks: Sequence[Index], prepared: PreparedScene) -> tuple[I
 
 
 def is_inside(index: Index, shape: tuple[int, int, int]) -> bool:
-    """Whether there is a chunk of this ``index`` in a lattice of so many chunks."""
+    """Return True if a lattice of ``shape`` chunks has one with this ``index``."""
     return all(0 <= i < n for i, n in zip(index, shape, strict=True))

@@ -1,4 +1,4 @@
-"""Looks: the chunks that a view reads, for cards that ask for their light."""
+"""Looks: lists of the chunks that a view reads, for cards, which then ask for their light."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,12 +16,12 @@ from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
 
 SEEN_BYTES = 256
-"""Bytes that a chunk in a list of those seen takes in memory."""
+"""Bytes of memory that a chunk in a list takes."""
 
 
 class SeenChunk(NamedTuple):
-    """A chunk that a view reads: its place ``at``, its ``version``, and whether all that is read of
-    it is ``final``.
+    """A chunk that a view reads: its index ``at``, its ``version``, and ``final`` if all of it
+    that the view reads is final.
     """
 
     at: Index
@@ -31,9 +31,9 @@ class SeenChunk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """The chunks that a view reads, those first that most of its pixels do.
+    """The chunks that a view reads, those of most pixels first.
 
-    Where some of them are not final, a ``frame`` that is not drawn says what light it lacks.
+    If some are not final, ``frame`` is one that is not drawn, and tells the light that is lacking.
     """
 
     seen: tuple[SeenChunk, ...]
@@ -41,11 +41,11 @@ class Look:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes where all is final."""
+        """The bytes that it takes if all light is final."""
         return SEEN_BYTES * len(self.seen)
 
     def is_current(self, loader: Loader, tiles: Tiles) -> bool:
-        """Whether nothing was baked on since. Raises what ``Loader.ensure`` does."""
+        """Return True if no chunk was baked on since. Raises the errors of ``Loader.ensure``."""
         chunks = [each.at for each in self.seen]
         loader.ensure(chunks, tiles.check)
         return loader.pool.versions(chunks) == tuple(each.version for each in self.seen)
@@ -54,15 +54,15 @@ class Look:
 def seen_chunks(
     renderer: Renderer, view: View, target: float, tiles: Tiles
 ) -> tuple[SeenChunk, ...]:
-    """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as
+    """Return the chunks that a ``view`` reads, those of most pixels first. Raises the errors of
     ``fold_chunks``.
     """
     return look_at(renderer, view, target, tiles).seen
 
 
 def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look:
-    """What a ``view`` reads; looks at final light are kept for all that ask. Raises as
-    ``fold_chunks``.
+    """Return the look of a ``view``; looks at final light are kept for all that ask. Raises the
+    errors of ``fold_chunks``.
     """
     check = renderer.checks.held(view, target)
     loader = renderer.caches.of("gi")
@@ -78,12 +78,13 @@ def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look
 
 
 def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles: Tiles) -> Look:
-    """What a ``view`` reads, by its rays."""
+    """Find the chunks that a ``view`` reads, by its rays."""
     texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, until, tiles)
         versions = list(map(loader.pool.version, held.slots.tolist()))
+    # Count the pixels that read each chunk.
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
     order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
     seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)

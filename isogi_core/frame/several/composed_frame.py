@@ -1,4 +1,6 @@
-"""Add up the frames of the sides of several surfaces to one frame, and its quality."""
+"""Add up the frames of the sides of several surfaces to one frame; combine their errors and
+states.
+"""
 
 import hashlib
 import math
@@ -25,13 +27,13 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side
 
 MIN_SHOWN_LUMINANCE = 1e-30
-"""Luminance below which relative errors are of nothing."""
+"""Luminance that stands for zero in a divisor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a picture shows of a ``side``, or of WALLS_SIDE: its ``layers``, their tall ``frame``,
-    and the ``caches`` of its light.
+    """The share of a picture that one ``side`` of a surface has, or all walls as WALLS_SIDE:
+    its ``layers``, their ``frame`` as one tall picture, and the ``caches`` of its light.
     """
 
     side: Side
@@ -41,17 +43,17 @@ class Part:
 
     @property
     def weight(self) -> float:
-        """The sum of the squares of what its points count in their pixels."""
+        """The sum of the squares of the weights of its points in their pixels."""
         return float((self.layers.weights.astype(np.float64) ** 2).sum())
 
     def seen(self, values: np.ndarray) -> np.ndarray:
-        """The ``values`` of a tall picture at its points."""
+        """Return the ``values`` of a tall picture at its points."""
         return np.asarray(values.reshape(-1, *values.shape[2:])[self.layers.gbuffer.pixels])
 
     @property
     def measured(self) -> TotalError | None:
-        """The total error by control pixels; walls have no control pixels, and report their
-        noise.
+        """The total error by control pixels; None if there are none. Walls have none, and
+        report their noise.
         """
         noise = self.frame.noise
         if self.side == WALLS_SIDE:
@@ -64,8 +66,8 @@ class SurfacesQuality(Quality):
     """The quality of a frame that is composed of ``parts``, one for each side of a surface that is
     seen.
 
-    Pixels have the least state of what they show, and errors add up by weight. ``aim`` is the
-    target of the picture.
+    A pixel has the least state of all that it shows; errors add up by their weights. ``aim`` is the
+    target of the picture; None if it is not checked.
     """
 
     parts: tuple[Part, ...] = ()
@@ -73,35 +75,37 @@ class SurfacesQuality(Quality):
 
     @property
     def target(self) -> float | None:
-        """See ``Quality``."""
+        """The total error that control pixels must show before the frame is final; None if they
+        do not check it.
+        """
         return self.aim
 
     @property
     def given_up(self) -> bool:
-        """See ``Quality``: whether each part is final, or its check ended."""
+        """True if each part is final, or its check has ended."""
         return bool(self.parts) and all(
             part.frame.quality.given_up or part.frame.final for part in self.parts
         )
 
     @property
     def outdated(self) -> bool:
-        """See ``Quality``."""
+        """True if controls of a part were drawn when its texels were to have fewer samples."""
         return any(part.frame.quality.outdated for part in self.parts)
 
     @property
     def own(self) -> int:
-        """See ``Quality``."""
+        """The number of pixels that have light of their own, in all parts."""
         return sum(part.frame.quality.own for part in self.parts)
 
     @property
     def demands(self) -> tuple[Demand, ...]:
-        """The light that was not final on the outer side of the surface that slides."""
+        """The light that is not final on the outer side of the surface that slides."""
         return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final: first of the side with the
-        largest error.
+        """All light that must be baked until the picture is final, the side with the largest
+        error first.
         """
         return tuple(
             replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
@@ -110,19 +114,25 @@ class SurfacesQuality(Quality):
         )
 
     def layers(self, frame: Frame) -> Iterator[Layer]:
-        """See ``Frame.layers``: of each side layer by layer."""
+        """Yield the layers of all sides in a ``frame``, and the faces of its window; see
+        ``Frame.layers``.
+        """
         for part in self.parts:
             for rows, pixels in part.layers.each:
                 yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
         yield frame.gbuffer.faces.pixels, frame.gbuffer.faces.points, 1.0
 
     def checkable(self, frame: Frame) -> bool:
-        """See ``Frame.checkable``."""
+        """Return True if a step of a check can improve the ``frame``: all surfaces have their
+        light, and some part is not at its target.
+        """
         lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS_SIDE)
         return lit and not frame.final and any(part.frame.checkable for part in self.parts)
 
     def walls_lag(self, frame: Frame) -> bool:
-        """See ``Frame.walls_lag``: more wrong than the side with the largest error."""
+        """Return True if walls are coarse, or not final with a larger error than the side with
+        the largest one.
+        """
         walls = [
             part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting
         ]
@@ -132,14 +142,16 @@ class SurfacesQuality(Quality):
         )
 
     def true_mean(self, frame: Frame) -> float:
-        """The mean luminance of the pixels that show something."""
+        """Return the mean luminance of the pixels that show something."""
         return float(
             (frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()
         ) / max(frame.surface, 1)
 
     def measured(self, frame: Frame) -> TotalError | None:
-        """The total relative RMSE by the control pixels of all sides, whose errors count as
-        independent of each other; None before each side has some.
+        """Return the total relative RMSE by the control pixels of all sides; None before each side
+        has some.
+
+        The errors of different sides count as independent.
         """
         found = [part.measured for part in self.parts]
         if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
@@ -154,18 +166,20 @@ class SurfacesQuality(Quality):
         )
 
     def tail(self, frame: Frame) -> None:
-        """None: control pixels of one side tell nothing of how the errors of two in one pixel add
-        up.
+        """Return None: control pixels of one side do not tell how errors of two in one pixel
+        add up.
         """
 
     def total_error(self, frame: Frame) -> np.ndarray:
-        """See ``Frame.total_error``."""
+        """Return the relative error of each pixel, whatever its causes; (h, w) float32."""
         return summed_errors(
             [(part, part.frame.total_error) for part in self.parts], frame.radiance
         )
 
     def _sum(self, frame: Frame, errors: Sequence[float]) -> float:
-        """The relative RMSE of a ``frame`` by the ``errors`` of its parts."""
+        """Return the relative RMSE of a ``frame`` from the relative ``errors`` of its parts,
+        which are independent.
+        """
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
         return min(
@@ -175,22 +189,23 @@ class SurfacesQuality(Quality):
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
-    """The parts that a frame is composed of; none of a frame of one surface."""
+    """Return the parts that a frame is composed of; none for a frame of one surface."""
     if isinstance(frame.quality, SurfacesQuality):
         return frame.quality.parts
     return ()
 
 
 def wrong_of(part: Part) -> float:
-    """The error of a part in the picture, as far as is known."""
+    """Return the absolute error of a part in the picture, as far as it is known."""
     return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
-    """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall
-    pictures.
+    """Return the relative errors (h, w) of a picture with this ``radiance``, from those of the
+    tall pictures of its parts; float32.
     """
     squares = np.zeros(radiance.shape[0] * radiance.shape[1])
+    # Sum the squares of weight · luminance · relative error over all layers of a pixel.
     for part, error in errors:
         light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE_WEIGHTS
         own = (part.layers.weights * light * part.seen(error)) ** 2
@@ -205,8 +220,8 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
 
 
 def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
-    """Linear light (h, w, 3) float32 and states (h, w) uint8 of a view's pixels, of all that they
-    show together.
+    """Add up the light of the ``parts`` of a view, by the weights of their layers; return
+    linear light (h, w, 3) float32, and the least state of each pixel, (h, w) uint8.
     """
     count = view.width * view.height
     radiance = np.zeros((count, 3))
@@ -225,8 +240,8 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
 def compose(
     view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
 ) -> Frame:
-    """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window
-    are painted.
+    """Compose the frame of a ``view`` of a ``scene`` from the frames of its sides, and paint
+    the faces of its window.
     """
     lit, state = summed(view, parts)
     error = summed_errors([(part, part.frame.error) for part in parts], lit)
@@ -237,6 +252,7 @@ def compose(
             Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)),
         )
     checked = view.shading == "gi" and not view.moving
+    # Name the picture by the versions of its parts.
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
     frames = [part.frame for part in parts]
     chunks = sum(each.chunks_needed for each in frames), sum(each.chunks_final for each in frames)

@@ -36,8 +36,8 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN = 2
 HELD = 6
-"""Isovalues whose views of pinned surfaces are kept, and those whose light is: two levels of each,
-and it itself.
+"""Number of isovalues whose views of pinned surfaces are kept, and of those whose light is: two
+levels for each, and the isovalue itself.
 """
 
 
@@ -47,9 +47,9 @@ class Composer:
     def __init__(
         self, own: SurfaceRenderer, side: Callable[..., SurfaceRenderer], kept: LruCache[Any]
     ) -> None:
-        """The scene's ``own`` renderer lights the outer side of the surface that slides, and a
-        ``side`` made by caches and levels each of the others. Peels are among what is ``kept`` of
-        views.
+        """Light the outer side of the surface that slides by the scene's renderer, ``own``, and
+        each other side by a renderer that ``side`` makes of caches and levels. Keep peels in
+        ``kept``.
         """
         self._caches = own.caches
         self._own = own
@@ -63,14 +63,14 @@ class Composer:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that the other sides take."""
+        """The bytes of memory that all other sides take."""
         with self._lock:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
             return views + sum(each.nbytes for each in self._held.values())
 
     def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError
-        where the light of one view takes more than the budget.
+        """Render a view with the light that is there now. Raises Cancelled, and NoRoomError if
+        the light of this view alone takes more than the budget.
         """
         try:
             return self._drawn(view, until, tiles, watch)
@@ -81,10 +81,12 @@ class Composer:
             return self._drawn(view, until, tiles, watch)
 
     def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view, where its light has room beside what is held."""
+        """Render a view, with the light of other isovalues in memory."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
         parts = []
+        # Render each side as a tall picture of its layers, by its renderer; the walls are lit by
+        # the scene's.
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
             if side == WALLS_SIDE:
@@ -94,17 +96,18 @@ class Composer:
                 frame = renderer.draw_on(layers.gbuffer, tall, until, tiles, watch)
                 self._check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
+        # Add up all sides by the weights of their layers.
         with watch.stage("compose"):
             return compose(view, peels, parts, watch, until.target, self._scene)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
-        """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
+        """Return a ``frame`` that was drawn with more samples at its edges. Raises Cancelled."""
         glow = EyeGlow.of(self._caches.prepared, frame.view.glow)
         exposure = self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
     def _peeler(self, view: View, tiles: Tiles) -> Peeler:
-        """What casts rays of a view at all surfaces."""
+        """Return the peeler that casts rays of a view at all surfaces and walls."""
         every = surfaces_of(self._scene, view.isovalue)
         surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
         clears = np.array([each.clear for each in every])
@@ -112,19 +115,21 @@ class Composer:
         return Peeler.of(view, surfaces, clears, tiles, walls)
 
     def peels(self, view: View, tiles: Tiles) -> Peels:
-        """All that a view shows, layer behind layer. Raises Cancelled."""
+        """Return all that a view shows, layer behind layer, kept or peeled now. Raises
+        Cancelled.
+        """
         return self._kept.get((Peels, surface_key(view)), lambda: self._peels(view, tiles))
 
     def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring the picture of a view whose light is final a step nearer to the ``target``; whether
-        there was one.
+        """Take one step of the picture of a view, whose light is final, towards the ``target``;
+        return False if there is no step to take.
 
-        The side with the largest known error comes first. Sides have no finer texels, whatever the
-        ``prices``.
+        Sides have no finer texels, whatever the ``prices``.
         """
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
+        # The side with the largest known error takes the step.
         waiting = [
             part
             for part in parts_of(frame)
@@ -139,13 +144,15 @@ class Composer:
         )
 
     def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
-        """The renderer of a ``side``, or of WALLS_SIDE, where the surface that slides shows the
-        isovalue ``shown``.
+        """Return the renderer of a ``side``, or of WALLS_SIDE, while the surface that slides
+        shows the isovalue ``shown``.
         """
         if side in (OUTER, WALLS_SIDE):
             return self._own
         key = side, shown if side.number else None
         with self._lock:
+            # Light of pinned surfaces depends on the isovalue that slides. It is kept at levels of
+            # that; views mix the two around it.
             if key not in self._sides:
                 if side.number:
                     levels = self._levels(shown)
@@ -160,23 +167,21 @@ class Composer:
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
 
     def _levels(self, shown: float) -> tuple[tuple[float, float], ...]:
-        """The levels whose light is mixed where an isovalue is ``shown``, and their shares."""
+        """Return the levels whose light is mixed at an isovalue ``shown``, and their shares."""
         return levels_around(
             self._scene.levels, [each.isovalue for each in self._scene.surfaces.pinned], shown
         )
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
-        """Caches of a side's light where the isovalue ``shown`` is: a level, or what is between
-        two.
-        """
+        """Return the caches of a side's light for the isovalue ``shown``, kept or made now."""
         key = side, shown if side.number else None
         if key not in self._held:
             self._held[key] = self._made(side, shown)
         return newest(self._held, key, HELD * len(sides_of(self._scene)))
 
     def _made(self, side: Side, shown: float) -> Caches:
-        """New caches of a side's light; what was worked out of the volume for other sides serves it
-        too.
+        """Make caches of a side's light. They share all that other sides have worked out of the
+        volume.
         """
         scene = scene_of_side(self._scene, side, shown)
         if not side.inner:
@@ -188,7 +193,7 @@ class Composer:
         return Caches(prepared, self._caches.store, self._caches.budget, makes=False)
 
     def _check_room(self) -> None:
-        """Raise NoRoomError where the light of other sides takes more than the budget together."""
+        """Raise NoRoomError if the light of all other sides takes more than the budget."""
         with self._lock:
             taken = sum(each.nbytes for each in self._held.values())
         if taken > self._caches.budget:
@@ -199,13 +204,13 @@ class Composer:
             )
 
     def _let_go(self) -> None:
-        """Let go of the light of all other sides, and of what draws them."""
+        """Drop the light of all other sides, and their renderers."""
         with self._lock:
             self._sides.clear()
             self._held.clear()
 
     def _view_of(self, side: Side, view: View, layers: int) -> View:
-        """The view of a side's tall picture."""
+        """Return the view of a side's tall picture."""
         isovalue = surfaces_of(self._scene, view.isovalue)[side.number].isovalue
         return replace(
             view,
@@ -217,7 +222,7 @@ class Composer:
         )
 
     def _peels(self, view: View, tiles: Tiles) -> Peels:
-        """All that a view shows."""
+        """Peel a view, and sort the hits by sides and walls."""
         every = surfaces_of(self._scene, view.isovalue)
         (hits, left) = self._peeler(view, tiles).whole(view, tiles)
         first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
@@ -236,8 +241,8 @@ Kept = TypeVar("Kept")
 
 
 def newest(kept: OrderedDict[Any, Kept], key: Any, most: int) -> Kept:
-    """What is ``kept`` by a ``key``, which is now its newest; the oldest beyond the ``most`` are
-    let go.
+    """Return the entry of ``kept`` by ``key``, make it the newest, and drop the oldest beyond
+    ``most``.
     """
     kept.move_to_end(key)
     while len(kept) > most:

@@ -1,4 +1,6 @@
-"""Smooth the edges in pictures of several surfaces."""
+"""Smooth the edges in pictures of several surfaces: samples are peeled as pixels are, and each
+layer borrows light of the same layer nearby.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,8 +26,8 @@ from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE
 def smooth_surfaces(
     frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None
 ) -> Frame:
-    """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows.
-    Raises Cancelled.
+    """Return the ``frame`` with more samples at the edges that it has at its ``exposure``, and
+    with the ``glow``. Raises Cancelled.
     """
     pixels, count = find_edges(
         lit(frame.radiance, frame.state, exposure, marked=False), frame.state
@@ -39,6 +41,7 @@ def smooth_surfaces(
     on = np.zeros(len(places), np.bool_)
     found = dict[int, Hits]()
 
+    # Peel the rays of samples, and add up the light of all layers that they meet.
     def _piece(a: int, b: int) -> None:
         hits, left[a:b] = peeler.through(*places[a:b].T)
         on[a:b][hits.pixels] = True
@@ -48,6 +51,7 @@ def smooth_surfaces(
         found[a] = hits
 
     tiles.run(_piece, len(places), TILE_RAYS)
+    # Glow in front of each layer, and behind all, adds to the samples.
     if glow is not None:
         layers = by_layer(Hits.joined(list(found.values())))
         light += glow.lit(glow.before_layers(*rays_through(frame, places), layers, tiles))
@@ -58,8 +62,8 @@ def smooth_surfaces(
 
 
 def pictures_of(frame: Frame) -> dict[int, Shown]:
-    """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that
-    with its faces.
+    """Return the tall picture of each side in a ``frame``, by the number of the side in
+    ``Peeled``; and the picture with the faces of its window.
     """
     whole = shown_by(frame)
     tall = {part.side.peeled: shown_by(part.frame) for part in parts_of(frame)}
@@ -69,10 +73,12 @@ def pictures_of(frame: Frame) -> dict[int, Shown]:
 
 
 def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The ``hits`` of rays, layer behind layer: rays, each of them once, points, and weights."""
+    """Yield the ``hits`` of rays, layer behind layer: rays, each once, points, and weights."""
     order = np.argsort(hits.pixels, kind="stable")
     rays = hits.pixels[order]
     first = np.searchsorted(rays, rays)
+    # A stable sort keeps the hits of each ray in their order; the place of a hit after its ray's
+    # first is its layer.
     depth = np.arange(len(rays)) - first
     for layer in range(int(depth.max(initial=-1)) + 1):
         rows = order[depth == layer]
@@ -82,14 +88,16 @@ def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 def add_light(
     hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray
 ) -> None:
-    """Add what rays through ``places`` (n, 2; x, y) meet of a ``side`` to their ``light`` (n, 3).
+    """Add the light of all ``hits`` on a ``side`` to the ``light`` (n, 3) of rays through
+    ``places`` (n, 2; x, y).
 
-    It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of
-    the hit.
+    It is borrowed from pixels around in the same layer of the side's tall ``picture``, and counts
+    by the weight of the hit.
     """
     some = np.flatnonzero(np.minimum(hits.sides, FIRST_WALL_SIDE) == side)
     rays = hits.pixels[some]
     down = np.array([0.0, height], np.float32)
+    # Layer k of a tall picture lies k heights below.
     there = places[rays] + hits.ranks[some][:, None] * down
     found = np.zeros((len(some), 3), np.float32)
     borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)
