@@ -41,11 +41,11 @@ class Demand:
         texels.
         """
         offsets = np.union1d(self.offsets, other.offsets)
-        each = len(offsets) / (len(self.offsets) + len(other.offsets))
-        sums = (
-            each * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True)
+        # Texels that both views demand are counted twice in the sum of the efforts.
+        share = len(offsets) / (len(self.offsets) + len(other.offsets))
+        unlit, *rest = (
+            share * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True)
         )
-        unlit, *rest = sums
         seen = most_seen(
             offsets, (self.offsets, self.footprints), (other.offsets, other.footprints)
         )
@@ -71,7 +71,7 @@ def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.
     each given as (offsets, footprints); (m,) float32.
     """
     seen = np.zeros(len(offsets), np.float32)
-    for own, footprints in views:
-        at = np.searchsorted(offsets, own)
+    for offsets_of_view, footprints in views:
+        at = np.searchsorted(offsets, offsets_of_view)
         seen[at] = np.maximum(seen[at], footprints)
     return seen

@@ -126,15 +126,17 @@ def sample_edges(
     # Samples that meet nothing may show glow in front of the background.
     airy = np.zeros_like(on)
     if glow is not None:
-        beside = np.flatnonzero(~on)
-        light[beside] = glow.through(frame, places[beside], tiles)
-        on[beside] = airy[beside] = light[beside].any(axis=1)
-    each = len(pixels), count
-    if glow is not None:
-        alone = airy.reshape(each)
-    else:
-        alone = None
-    return EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), alone)
+        misses = np.flatnonzero(~on)
+        light[misses] = glow.through(frame, places[misses], tiles)
+        airy[misses] = light[misses].any(axis=1)
+        on |= airy
+    shape = len(pixels), count
+    return EdgeSamples(
+        pixels,
+        light.reshape(*shape, 3),
+        on.reshape(shape),
+        None if glow is None else airy.reshape(shape),
+    )
 
 
 def shown_by(frame: Frame) -> Shown:
@@ -146,12 +148,11 @@ def shown_by(frame: Frame) -> Shown:
     rows = gbuffer.rows
     points = gbuffer.points
     # Number the points of walls and faces after those of the surface.
-    for beside in (gbuffer.walls, gbuffer.faces):
-        if len(beside.pixels):
-            rows.flat[beside.pixels] = np.arange(
-                len(points), len(points) + len(beside.pixels), dtype=np.int32
-            )
-            points = np.concatenate([points, beside.points])
+    for others in (gbuffer.walls, gbuffer.faces):
+        count = len(others.pixels)
+        if count:
+            rows.flat[others.pixels] = np.arange(len(points), len(points) + count, dtype=np.int32)
+            points = np.concatenate([points, others.points])
     pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)

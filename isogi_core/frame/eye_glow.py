@@ -75,9 +75,8 @@ class EyeGlow:
         """
         height, width = frame.gbuffer.shape
         y, x = np.divmod(np.arange(height * width), width)
-        return self.before_layers(
-            *rays_through(frame, np.column_stack([x + 0.5, y + 0.5])), frame.layers, tiles
-        )
+        eye, directions = rays_through(frame, np.column_stack([x + 0.5, y + 0.5]))
+        return self.before_layers(eye, directions, frame.layers, tiles)
 
     def before_layers(
         self, eye: Vector, directions: np.ndarray, layers: Iterable[Layer], tiles: Tiles
@@ -104,9 +103,9 @@ class EyeGlow:
         """Return the linear RGB (n, 3) float32 of rays through the ``places`` (n, 2; x, y) of a
         frame that meet nothing. Raises Cancelled.
         """
-        return self.lit(
-            self.along(*rays_through(frame, places), np.full(len(places), math.inf), tiles)
-        )
+        eye, directions = rays_through(frame, places)
+        reaches = np.full(len(places), math.inf)
+        return self.lit(self.along(eye, directions, reaches, tiles))
 
 
 def rays_through(frame: Frame, places: np.ndarray) -> tuple[Vector, np.ndarray]:
@@ -139,9 +138,8 @@ def with_glow(
     if glow is None:
         return frame
     with watch.stage("glow"):
-        return add_seen(
-            frame, glow.lit(kept.get((EyeGlow, *key), lambda: glow.before(frame, tiles)))
-        )
+        gathered = kept.get((EyeGlow, *key), lambda: glow.before(frame, tiles))
+        return add_seen(frame, glow.lit(gathered))
 
 
 def add_seen(frame: Frame, seen: np.ndarray) -> Frame:

@@ -99,12 +99,13 @@ def develop(
     their samples.
     """
     clear = background == "transparent"
-    # Where surfaces let light pass, the background shows through.
-    if frame.left is None:
-        left = None
-    else:
+    ground: tuple[float, ...] = BACKGROUND
+    if not clear:
+        ground = ground_of(background)
+    # The share of the background that shows through each pixel, if surfaces let light pass.
+    left = None
+    if frame.left is not None:
         left = np.where(frame.state > 0, frame.left, np.float32(1.0))
-    ground = BACKGROUND if clear else ground_of(background)
     # Develop the light of the pixels, with errors or marks over it.
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
@@ -175,10 +176,10 @@ def averaged(
     # all others.
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
+        # Samples on surfaces that let light pass show the background behind.
         if edges.left is not None:
-            behind = np.where(edges.on, edges.left, np.float32(0.0))[..., None] * np.array(
-                ground, np.float32
-            )
+            left = np.where(edges.on, edges.left, np.float32(0.0))
+            behind = left[..., None] * np.array(ground, np.float32)
             shown = np.minimum(shown + behind, np.float32(1.0))
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)

@@ -114,11 +114,14 @@ def glowing_points(prepared: PreparedScene) -> np.ndarray:
     for middle, half, ball, values in zip(
         glowing.middles, glowing.halves, glowing.round, glowing.ranges, strict=True
     ):
+        # A range of values is bounded by the isosurfaces at its finite ends.
         ends = [
             outermost_points(prepared.field, volume.normalise_isovalue(volume.file_value(end)))
             for end in values
             if np.isfinite(end)
         ]
+        # Otherwise the whole region of the glow counts, of which corners or directions stand for
+        # all.
         if ends:
             region = np.clip(np.concatenate(ends) * spacing, middle - half, middle + half)
         else:
@@ -172,10 +175,10 @@ def needed_around(points: np.ndarray, stand: Stand, depth: float) -> float:
     height = points[:, 2]
     # The largest distance of each point for the left and right edges of the picture, for its top,
     # and for its bottom.
-    beside = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
+    across_most = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
     above = radius * abs(depth * cosine - sine / up) + height * (depth * sine + cosine / up)
     below = radius * abs(depth * cosine + sine / up) + height * (depth * sine - cosine / up)
-    return float(max(each.max() for each in (beside, above, below)))
+    return float(max(each.max() for each in (across_most, above, below)))
 
 
 def needed_from(points: np.ndarray, stand: Stand, depth: float) -> float:

@@ -1,5 +1,5 @@
-"""A frame: the picture that answers a view, and its quality: how large its error is known to
-be, and what must still happen until it is final.
+"""A frame: the picture that answers a view, and its quality: the size of its error, as far as
+it is known, and the work that is left until it is final.
 """
 
 import hashlib
@@ -36,8 +36,8 @@ from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
-"""Part of what pixels show: picture indices (n,), the points (n, 3) in index space that these
-pixels show, and the shares (n,) of their light that come from there.
+"""Part of the content of pixels: picture indices (n,), the points (n, 3) in index space that
+these pixels show, and the shares (n,) of their light that come from there.
 """
 
 UNREACHABLE = 4
@@ -390,9 +390,8 @@ class Frame:
         found = self.gbuffer.positions(first, last)
         if self.view.orientation.placed:
             on = self.state[first:last] > 0
-            on &= self.glow is None or found.any(
-                axis=-1
-            )  # what glows beside the surface is nowhere
+            # Pixels that show glow alone have no position.
+            on &= self.glow is None or found.any(axis=-1)
             found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
         return found
 
@@ -439,10 +438,13 @@ class Frame:
         """The number of surface pixels in each state. While the whole picture may still
         improve, final pixels count as converging.
         """
-        settled = 0 if self.improving else self.settled
-        converging = int(self._tally[0][CONVERGING]) + self.settled - settled
+        if self.improving:
+            final = 0
+        else:
+            final = self.settled
+        converging = int(self._tally[0][CONVERGING]) + self.settled - final
         return {
-            "final": settled,
+            "final": final,
             "converging": converging,
             "provisional": int(self._tally[0][PROVISIONAL]),
         }
@@ -528,7 +530,9 @@ class Frame:
         float64.
         """
         known = self.quality.known
-        return self._shown_at(known.controls.places if known else np.empty(0, np.int64))
+        if known is None:
+            return np.empty(0)
+        return self._shown_at(known.controls.places)
 
     def _shown_at(self, places: np.ndarray) -> np.ndarray:
         """Return the luminance that the picture shows of the surface points in rows ``places``

@@ -37,44 +37,44 @@ def frame_of(
 ) -> Frame:
     """Make the frame of a view from its framebuffer, and paint the faces of its window into it.
 
-    ``texels`` and their ``reading`` are those that it was made from, if any; ``checked`` is what
-    the check of its picture knows; ``rays`` names the rays of shine, or through glass, that it
-    shows.
+    ``texels`` and their ``reading`` are those that it was made from, if any; ``checked`` is the
+    state of its picture's check; ``rays`` names the rays of shine, or through glass, that it shows.
     """
     scene = light.spec.prepared.scene
     # Faces of a window show the values of the volume, or the colours of its labels.
     if len(gbuffer.faces.pixels):
-        labelled = scene.surfaces.colours is not None and bool(scene.surfaces.colours.scale.labels)
-        paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours if labelled else None)
-    # Texels know the light that the picture still lacks.
+        colours = scene.surfaces.colours
+        if colours is not None and colours.scale.labels:
+            paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours)
+        else:
+            paint_faces(gbuffer, scene, framebuffer)
+
+    # Texels tell how much light the picture still lacks, and how far they are projected.
+    lacking = None
+    projection = None
+    needed = 0
+    short = 0
     if texels and reading:
         lacking = Lacking(texels, reading, framebuffer)
-    else:
-        lacking = None
-    if texels and isinstance(reading, ProjectedReading):
-        projection = Projection(texels, reading, framebuffer)
-    else:
-        projection = None
-    if lacking:
-        needed = len(lacking.texels.chunks)
-        short = int(lacking.reading.short.sum())
-    else:
-        needed = 0
-        short = 0
+        needed = len(texels.chunks)
+        short = int(reading.short.sum())
+        if isinstance(reading, ProjectedReading):
+            projection = Projection(texels, reading, framebuffer)
+    expected = 0.0
     if texels and light.view.shading == "gi":
         expected = expected_error(scene, gbuffer.isovalue)
-    else:
-        expected = 0.0
-    # The version of a picture names all that it depends on besides scene, light and view.
-    read = (reading.version if reading else b"") + (checked.version if checked else b"") + rays
+
+    # Name all that the picture depends on besides scene, light and view.
+    read = b""
+    if reading:
+        read += reading.version
+    if checked:
+        read += checked.version
+    read += rays
     if light.view.window:
         read += repr(light.view.window).encode()
-    else:
-        read += b""
     if light.view.glow != 1.0:
         read += repr(light.view.glow).encode()
-    else:
-        read += b""
     return Frame(
         view=light.view,
         radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
@@ -112,13 +112,11 @@ def paint_faces(
     faces = gbuffer.faces
     volume = scene.volume
     values = values_at(volume, faces.points)
-    share = (values - volume.core[0]) / max(
-        volume.core[1] - volume.core[0], np.finfo(np.float64).tiny
-    )
+    low, high = volume.core
+    share = (values - low) / max(high - low, np.finfo(np.float64).tiny)
+    greys = np.interp(255.0 * share, np.arange(256), linear_greys())
     # Divide by the exposure, so that values look the same at any brightness of the light.
-    light = (
-        np.interp(255.0 * share, np.arange(256), linear_greys()) * PAPER / scene.default_exposure
-    )
+    light = greys * PAPER / scene.default_exposure
     painted = np.repeat(light[:, None], 3, axis=1)
     if labels is not None:
         albedos = np.empty((len(light), 3), np.float32)

@@ -28,7 +28,7 @@ POINTS = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class PointsBeside:
+class OtherPoints:
     """Points where rays of a camera meet something other than the isosurface.
 
     - ``pixels`` (m,) uint32: picture indices, ascending.
@@ -42,13 +42,13 @@ class PointsBeside:
     numbers: np.ndarray
 
     @classmethod
-    def none(cls) -> "PointsBeside":
+    def none(cls) -> "OtherPoints":
         """Return no points."""
         return cls(np.empty(0, np.uint32), np.empty((0, 3), np.float32), np.empty(0, np.int8))
 
-    def part(self, some: np.ndarray) -> "PointsBeside":
+    def part(self, some: np.ndarray) -> "OtherPoints":
         """Return the points in ``some`` rows."""
-        return PointsBeside(self.pixels[some], self.points[some], self.numbers[some])
+        return OtherPoints(self.pixels[some], self.points[some], self.numbers[some])
 
     @property
     def nbytes(self) -> int:
@@ -76,8 +76,8 @@ class GBuffer:
     surface: Surface
     pixels: np.ndarray
     points: np.ndarray
-    walls: PointsBeside = field(default_factory=PointsBeside.none)
-    faces: PointsBeside = field(default_factory=PointsBeside.none)
+    walls: OtherPoints = field(default_factory=OtherPoints.none)
+    faces: OtherPoints = field(default_factory=OtherPoints.none)
     _shown: SurfacePoints | None = field(default=None, repr=False)
     _albedos: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -88,8 +88,8 @@ class GBuffer:
         and the ``eye`` are in index space.
         """
         pixels = np.arange(len(points), dtype=np.uint32)
-        places = np.ascontiguousarray(points, np.float32)
-        return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
+        points = np.ascontiguousarray(points, np.float32)
+        return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, points)
 
     @property
     def isovalue(self) -> Isovalue:
@@ -152,28 +152,21 @@ class GBuffer:
         """
         return self.of_these(self.shown(tiles).part(places))
 
-    def of_these(self, shown: SurfacePoints, walls: PointsBeside | None = None) -> "GBuffer":
+    def of_these(self, shown: SurfacePoints, walls: OtherPoints | None = None) -> "GBuffer":
         """Return a G-buffer of the points ``shown``, whose pixels ascend, and of ``walls``; all
         else is as here.
         """
-        place = (self.shape, self.spacing, self.eye, self.surface)
-        beside = walls or PointsBeside.none()
-        return GBuffer(*place, shown.pixels, shown.points, beside, _shown=shown)
+        view = (self.shape, self.spacing, self.eye, self.surface)
+        walls = walls or OtherPoints.none()
+        return GBuffer(*view, shown.pixels, shown.points, walls, _shown=shown)
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes; normals are counted before they are found."""
-        if self._albedos is None:
-            albedos = 0
-        else:
-            albedos = self._albedos.nbytes
-        return (
-            self.pixels.nbytes
-            + 2 * self.points.nbytes
-            + albedos
-            + self.walls.nbytes
-            + self.faces.nbytes
-        )
+        size = self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes + self.faces.nbytes
+        if self._albedos is not None:
+            size += self._albedos.nbytes
+        return size
 
     @property
     def position(self) -> np.ndarray:
@@ -190,9 +183,8 @@ class GBuffer:
         rows = np.zeros(((last - first) * width, 3), np.float32)
         for each in (self, self.walls, self.faces):
             a, b = np.searchsorted(each.pixels, (first * width, last * width))
-            rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(
-                self.spacing, np.float32
-            )
+            points = each.points[a:b] * np.array(self.spacing, np.float32)
+            rows[each.pixels[a:b] - first * width] = points
         return rows.reshape(last - first, width, 3)
 
 
@@ -255,13 +247,13 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
         pixels = np.empty((2, b - a), np.uint32)
         points = np.empty((2, b - a, 3), np.float32)
         numbers = np.empty(b - a, np.int8)
-        count, beside = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
+        hits, others = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
         found[a] = (
-            pixels[0, :count],
-            points[0, :count],
-            pixels[1, :beside],
-            points[1, :beside],
-            numbers[:beside],
+            pixels[0, :hits],
+            points[0, :hits],
+            pixels[1, :others],
+            points[1, :others],
+            numbers[:others],
         )
 
     tiles.run(_piece, view.width * view.height, TILE_RAYS)
@@ -269,7 +261,7 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     pixels, points, *others = (
         np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True)
     )
-    seen = PointsBeside(*others)
+    seen = OtherPoints(*others)
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
     if view.window is None:
         return GBuffer(*shown, walls=seen)
@@ -281,5 +273,5 @@ def surface_key(view: View) -> tuple[Any, ...]:
     """Return the part of a cache key that names the surface in a picture: all that its G-buffer
     depends on.
     """
-    part = view.strip, view.columns
-    return view.isovalue, view.camera, view.width, view.height, *part, view.window
+    size = view.width, view.height, view.strip, view.columns
+    return view.isovalue, view.camera, *size, view.window

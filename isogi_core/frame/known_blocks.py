@@ -53,12 +53,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Block(Part):
-    """A block of a chunk at a ``version``. ``beside`` holds the versions of the chunks around
+    """A block of a chunk at a ``version``. ``around`` holds the versions of the chunks around
     it that its light was filtered by.
     """
 
     version: bytes = b""
-    beside: Mapping[Index, bytes] = field(default_factory=dict)
+    around: Mapping[Index, bytes] = field(default_factory=dict)
 
 
 class Packed(NamedTuple):
@@ -76,7 +76,7 @@ class Packed(NamedTuple):
         """True if the version of each block alone identifies it: filtered blocks depend on the
         chunks around them, too.
         """
-        return not any(each.beside for each in self.blocks)
+        return not any(each.around for each in self.blocks)
 
 
 class KnownBlocks:
@@ -111,18 +111,15 @@ class KnownBlocks:
             # Collect the blocks that are kept, and all chunks that these depend on.
             held = ((at, self._kept.held((kind, at))) for at in dict.fromkeys(chunks))
             known: dict[Index, Block] = {at: block for at, block in held if block is not None}
-            around = tuple(
-                dict.fromkeys(
-                    [*chunks, *chain.from_iterable(each.beside for each in known.values())]
-                )
-            )
+            others = chain.from_iterable(block.around for block in known.values())
+            around = tuple(dict.fromkeys([*chunks, *others]))
             loader.ensure(around, check)
             # Keep those that no bake has outdated.
             now = dict(zip(around, loader.pool.versions(around), strict=True))
             found = {
-                at: self._keep((kind, at), each)
-                for at, each in known.items()
-                if is_current(at, each, now)
+                at: self._keep((kind, at), block)
+                for at, block in known.items()
+                if is_current(at, block, now)
             }
             # Make all others together.
             lacking = [at for at in dict.fromkeys(chunks) if at not in found]
@@ -141,4 +138,4 @@ def is_current(at: Index, block: Block, now: Mapping[Index, bytes]) -> bool:
     """Return True if a ``block`` of the chunk ``at`` shows the present light of all chunks that
     it depends on, whose versions are ``now``.
     """
-    return block.version == now[at] and block.beside.items() <= now.items()
+    return block.version == now[at] and block.around.items() <= now.items()

@@ -47,11 +47,11 @@ def scatter_at(
     relative to the deviation of single paths, which falls with the albedo, too.
     """
     now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
+    # The part of the variance that reflected light has falls as the mean square of its paths.
     variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
-    return np.asarray(
-        scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)),
-        np.float32,
-    )
+    # Scatter is relative to the root of the mean square of all paths.
+    ratio = np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)
+    return np.asarray(scatter * np.sqrt(variance * ratio), np.float32)
 
 
 def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
@@ -75,13 +75,16 @@ def reflected_weights(spec: BakeSpec) -> np.ndarray:
     colours R_c that luminance mixes with w_c, it is Σ w_c w_d (R_c R_d)^k.
     """
     mix = LUMINANCE_WEIGHTS * np.array(spec.albedo)
-    nodes = spec.plan.nodes
     mix = mix / max(float(mix.sum()), 1e-30)
     pairs = [(c, d) for c in range(3) for d in range(3)]
+    weights = np.array([mix[c] * mix[d] for c, d in pairs])
+    # The light of each product of albedos, as mixed of the albedos that texels keep it for.
+    nodes = spec.plan.nodes
     products = [
         mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs
     ]
-    return np.array([0.0, *np.array([mix[c] * mix[d] for c, d in pairs]) @ products])
+    # Direct light is the first term, and reflects nothing.
+    return np.array([0.0, *weights @ products])
 
 
 def all_weights(spec: BakeSpec) -> np.ndarray:
@@ -100,7 +103,7 @@ own, and thus no key light.
 """
 
 KEY_LIGHT_SHARE = 0.6
-"""Share of the key light in its light, if the rest is taken to come from everywhere."""
+"""Share of a light that comes from its own direction; the rest is taken to come from everywhere."""
 
 PHONG_STRENGTH = 0.3
 PHONG_EXPONENT = 32.0
@@ -150,9 +153,12 @@ class RotatedLight:
         (3, n²) float64 linear RGB.
         """
         term = self.seen.term_of(layer)
-        return rotated_by(
-            self.spec.light[:, : term.order**2] if layer.nodes else term.light, self.matrix
-        )
+        # Layers of nodes are mixed to the albedo of the view by themselves: see ``colours_of``.
+        if layer.nodes:
+            light = self.spec.light[:, : term.order**2]
+        else:
+            light = term.light
+        return rotated_by(light, self.matrix)
 
     def colours_of(self, layer: Layer, light: np.ndarray) -> np.ndarray:
         """Return light (…, channels, n²) of a ``layer`` in the three colours that the surface
@@ -226,10 +232,13 @@ class RotatedLight:
         """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ
         n²,) float64.
         """
-        squares = [
-            self.glow**2 * term.square if term.glows else term.square for term in self.seen.terms
-        ]
-        return np.concatenate([rotated_by(square[None], self.matrix)[0] for square in squares])
+        squares = []
+        for term in self.seen.terms:
+            square = term.square
+            if term.glows:
+                square = self.glow**2 * square
+            squares.append(rotated_by(square[None], self.matrix)[0])
+        return np.concatenate(squares)
 
     @property
     def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
@@ -270,13 +279,13 @@ class RotatedLight:
         """
         # A colour of lamps that the middle of the volume sees nothing of counts as the brightest
         # there: ratios to nothing are of no use.
-        shining = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0) & (
-            self.mean == 0.0
-        )
-        mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
+        lamps = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0)
+        hidden = lamps & (self.mean == 0.0)
+        mean = self.albedo * np.where(hidden, self.mean.max() or 1.0, self.mean) / self.spec.unit
         quadric = quadric_of(self.sky.lobe * self.sky.light)
         return Unshadowed(
-            *(np.ascontiguousarray(each, np.float32) for each in (quadric, MIN_UNSHADOWED * mean))
+            np.ascontiguousarray(quadric, np.float32),
+            np.ascontiguousarray(MIN_UNSHADOWED * mean, np.float32),
         )
 
     @cached_property
@@ -297,17 +306,21 @@ class RotatedLight:
 
         ``depths`` are those of fog; ``albedo`` (3,) replaces that of the surface if it is given.
         """
-        albedo = self.albedo if albedo is None else albedo
+        if albedo is None:
+            albedo = self.albedo
         key, sun, ambient = self.key_light()
+        # Fog, highlight and shadow follow from the name of the model.
+        near, far = (0.0, 0.0)
         if shading.endswith("fog"):
             near, far = depths
-        else:
-            near, far = (0.0, 0.0)
+        highlight = 0.0
+        if shading.startswith("phong"):
+            highlight = PHONG_STRENGTH
         return LocalModel(
             key=key,
             sun=triple(albedo * sun),
             ambient=triple(albedo * ambient),
-            shine=PHONG_STRENGTH if shading.startswith("phong") else 0.0,
+            shine=highlight,
             exponent=PHONG_EXPONENT,
             shadow=shading.endswith("shadow"),
             fog_near=near,
@@ -328,36 +341,32 @@ class RotatedLight:
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE_WEIGHTS
-        # There are lamps: take the strongest.
+        # Case 1: take the strongest lamp.
         if strengths.any():
             best = int(strengths.argmax())
-            rest = (irradiances.sum(axis=0) - irradiances[best]) / (
-                4.0 * math.pi
-            ) + scene.lighting.environment.mean()
+            towards = triple(directions[best])
+            others = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
+            rest = others + scene.lighting.environment.mean()
             key = irradiances[best] / math.pi
             if scene.lighting.room.any:
-                return (
-                    triple(directions[best]),
-                    KEY_LIGHT_SHARE * key,
-                    (1.0 - KEY_LIGHT_SHARE) * key + rest,
-                )
-            return triple(directions[best]), key, rest
-        # Band 1 points to the side where the environment is brightest (coefficients x, y, z).
-        first = np.array(
-            [self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)]
-        )
-        pull = first @ LUMINANCE_WEIGHTS
+                return towards, KEY_LIGHT_SHARE * key, (1.0 - KEY_LIGHT_SHARE) * key + rest
+            return towards, key, rest
+        # The coefficients of band 1 for x, y and z point to the brightest side. The sum of their
+        # squares for a directional light D is D² · 3 / 4π.
+        band_1 = np.zeros((3, 3))
+        if self.around.shape[1] > 1:
+            band_1 = np.ascontiguousarray(self.around[:, [3, 1, 2]].T)
+        pull = band_1 @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE_WEIGHTS)
+        # Case 3: the environment is even, or nearly so.
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            return (
-                shoulder_light(self.view.camera),
-                KEY_LIGHT_SHARE * self.mean,
-                (1.0 - KEY_LIGHT_SHARE) * self.mean,
-            )
+            ambient = (1.0 - KEY_LIGHT_SHARE) * self.mean
+            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, ambient
+        # Case 2: the directional light has a share of all light, which is 4π times the mean.
         share = min(strength / (4.0 * math.pi * mean), 0.9)
-        towards = pull / np.linalg.norm(pull)
-        return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
+        direction = pull / np.linalg.norm(pull)
+        return triple(direction), 4.0 * share * self.mean, (1.0 - share) * self.mean
 
 
 def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -403,8 +412,8 @@ def disc(towards: tuple[float, float, float], cosine: float) -> np.ndarray:
     """Return two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle
     has this ``cosine``.
     """
-    aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
-    east = aside / np.linalg.norm(aside)
+    normal = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
+    east = normal / np.linalg.norm(normal)
     return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])
 
 

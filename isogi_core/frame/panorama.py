@@ -24,9 +24,7 @@ this small.
 
 
 DARKEST_SHARE = 1e-4
-"""Share of the mean as which darker light counts where the middle is sought: black has no
-logarithm.
-"""
+"""Share of the mean to which darker light is raised before its logarithm is taken."""
 
 
 GLARE = 0.02
@@ -55,9 +53,11 @@ def paint_panorama(
         overview = environment
     else:
         overview = environment.turned(turn.T)
+    # Resample, spread glare, and compress the brightness.
     picture = tone(glare(resample(overview.overview, width // 2, width)))
     directions = pixel_directions(*picture.shape[:2]) @ (np.eye(3) if turn is None else turn)
     far = lamps.arrays.kinds == DIRECTIONAL
+    # Mark directional lights, at least one pixel each.
     for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
         if colour.any():
             away = np.arccos(np.clip(directions @ towards, -1.0, 1.0))
@@ -89,6 +89,7 @@ def tone(radiance: np.ndarray) -> np.ndarray:
     mean = float((shares * luminance).sum())
     if mean <= 0.0:
         return np.zeros_like(radiance)
+    # The geometric mean over the sphere, in which each pixel counts by its solid angle.
     middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST_SHARE * mean))).sum())
     factor = MIDDLE_BRIGHTNESS / (middle + MIDDLE_BRIGHTNESS * luminance)
     return np.asarray(np.minimum(radiance * factor[..., None], 1.0))

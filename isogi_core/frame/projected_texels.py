@@ -142,6 +142,8 @@ class ProjectedReading(Reading):
         """
         base = self.base
         until = (self.target, self.enough)
+        # Where light has only begun, all texels get their first samples; those to be projected get
+        # no more.
         unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
         rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (
@@ -244,6 +246,7 @@ class Projection:
         projected = self.reading.on_surface
         unreachable = self.reading.unreachable
         pending = self.reading.wanted & ~projected
+        # All texels that are in no other state are near enough.
         near = ~(projected | unreachable | pending)
         total = max(len(projected), 1)
         counts = {

@@ -229,7 +229,7 @@ def unlit_frame(
     cache. Raises Cancelled once ``cancelled`` is set, and the errors of ``Renderer.render``.
     """
     scene = renderer.prepared.scene
-    # Such a frame is worth it only if all light is missing, and asked for in one stage.
+    # Skip the picture only if all light is missing, and is asked for in one stage.
     staged = scene.surfaces.several or scene.surfaces.material.refracts
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None

@@ -94,6 +94,7 @@ def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Frameb
     camera = (gbuffer.eye, gbuffer.spacing)
     seen = np.empty(len(gbuffer.pixels), np.bool_)
 
+    # Cast shadow rays towards the key light if the model has shadows, and shade the points.
     def _piece(a: int, b: int) -> None:
         some = points.part(slice(a, b))
         if model.shadow:
@@ -213,10 +214,10 @@ def changed_scatter(
     """Return the scatter of the ``rows`` of a pool, rescaled to another albedo; (all rows of
     the pool,) float32, of which all other rows are undefined.
     """
-    own = rows[rows >= 0]
+    lit = rows[rows >= 0]
     found = np.empty_like(pool.scatter)
-    kept = pool.transfer[own[:, None], 0, spec.firsts]
-    found[own] = scatter_at(change, pool.scatter[own], pool.reflected[own], kept)
+    band_0 = pool.transfer[lit[:, None], 0, spec.firsts]
+    found[lit] = scatter_at(change, pool.scatter[lit], pool.reflected[lit], band_0)
     return found
 
 
@@ -224,11 +225,12 @@ def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) ->
     """Return the standard deviation of the luminance of the lit texels around each surface
     point, in ``BakeSpec.unit``; (m,).
     """
-    fit = np.isin(reading.grade, (CONVERGING, FINAL))
-    own = np.zeros(len(lit))
-    own[fit] = lit[fit, :3] @ LUMINANCE_WEIGHTS
-    known = fit[texels.corners]
-    light = own[texels.corners]
+    has_light = np.isin(reading.grade, (CONVERGING, FINAL))
+    luminance = np.zeros(len(lit))
+    luminance[has_light] = lit[has_light, :3] @ LUMINANCE_WEIGHTS
+    # Take the spread of the eight texels around each point, as far as they have light.
+    known = has_light[texels.corners]
+    light = luminance[texels.corners]
     count = np.maximum(known.sum(axis=1), 1)
     mean = light.sum(axis=1) / count
     return np.asarray(
@@ -293,10 +295,10 @@ def filter_texel_light(
     found = replace(reading, grade=grade)
     # Texels that are still without light have that of any neighbour; its error is as large as the
     # light.
-    lent, light_lent = lend_light(texels, found, filtered)
-    unsure = grade != lent.grade
-    light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE_WEIGHTS
-    return lent, light_lent
+    found, filled = lend_light(texels, found, filtered)
+    borrowed = grade != found.grade
+    filled[borrowed, 3] = filled[borrowed, :3] @ LUMINANCE_WEIGHTS
+    return found, filled
 
 
 def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.ndarray:
@@ -308,6 +310,7 @@ def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.
         before = records
         after = np.empty_like(records)
 
+        # Each pass reads the records of the pass before.
         def _piece(a: int, b: int) -> None:
             numbering = texels.numbering
             bits = texels.lattice.bits
@@ -325,9 +328,9 @@ def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[R
     if not (reading.grade == UNBAKED_GRADE).any():
         return reading, lit
     grade = reading.grade.copy()
-    lent = lit.copy()
-    lend_texels(texels.corners, reading.grade, lit, grade, lent)
-    return replace(reading, grade=grade), lent
+    filled = lit.copy()
+    lend_texels(texels.corners, reading.grade, lit, grade, filled)
+    return replace(reading, grade=grade), filled
 
 
 def noise_in_pixels(values: np.ndarray, column: int, texels: ViewTexels) -> np.ndarray:
@@ -361,6 +364,7 @@ def carry_irradiance_ratios(
     unshadowed = light.unshadowed
     unit = np.float32(light.spec.unit)
 
+    # Mix the ratios at the eight corners of each point, by distance and by normals, and multiply.
     def _piece(a: int, b: int) -> None:
         carry_ratios(
             lattice, points.part(slice(a, b)), corners[a:b], records, unshadowed, unit, framebuffer
@@ -391,6 +395,7 @@ def carry_texel_light(
     sky = light.sky
     unit = np.float32(light.spec.unit)
 
+    # Mix the light at the eight corners of each point, by distance.
     def _piece(a: int, b: int) -> None:
         carry_light(
             lattice,

@@ -136,18 +136,19 @@ class SurfaceRenderer:
         light = self._light(frame.view)
         # Walls come first; shine and the check of pixels wait until walls are final, as they see
         # them.
-        (walls, *others) = self._refinements
-        waiting = (
-            [walls] if frame.quality.waiting else others
-        )  # shine and pixels wait until walls are final
-        return any(each.step(frame, light, target, tiles, prices) for each in waiting)
+        walls, *others = self._refinements
+        if frame.quality.waiting:
+            return walls.step(frame, light, target, tiles, prices)
+        return any(each.step(frame, light, target, tiles, prices) for each in others)
 
     def _light(self, view: View) -> RotatedLight:
         """Return the lights of a ``view``, rotated; a view that moves goes without some of the
         lobes.
         """
         spec = self.caches.spec(view.shading)
-        return RotatedLight(spec.moving if view.moving else spec, view)
+        if view.moving:
+            spec = spec.moving
+        return RotatedLight(spec, view)
 
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
@@ -158,11 +159,9 @@ class SurfaceRenderer:
         target = until.target
         # The check of this picture knows how many samples its texels need. A caller that asks for
         # all samples there can be wants no check.
-        checked = is_checked(light.view) and until.enough < MAX_SAMPLES
-        if checked:
+        known = None
+        if is_checked(light.view) and until.enough < MAX_SAMPLES:
             known = self.checks.check(light, gbuffer, target).known
-        else:
-            known = None
         # Find the texels around the surface points, read their light, and carry it to the pixels.
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
@@ -199,12 +198,14 @@ class SurfaceRenderer:
         tiles = tiles or self.tiles
         view = light.view
 
+        # Starts of shadow rays do not depend on the light, and are kept for the surface.
         def make() -> LobeLight:
             starts = self._kept.get(
                 (ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles)
             )
             return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
 
+        # Light is kept for the albedo of the spec, and tinted for that of the view.
         return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(
             light.tint
         )

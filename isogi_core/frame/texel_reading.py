@@ -237,10 +237,11 @@ class Lacking:
         corners = texels.corners[state[texels.gbuffer.pixels] == PROVISIONAL]
         read = np.unique(texels.places[corners[samples[corners] == 0]] >> 3 * texels.lattice.bits)
         if len(read):
+            # Chunks without any light come first.
             unlit = read[np.maximum.reduceat(samples, texels.bounds[:-1])[read] == 0]
-        else:
-            unlit = read
-        return frozenset(texels.chunks[i] for i in (unlit if len(unlit) else read).tolist())
+            if len(unlit):
+                read = unlit
+        return frozenset(texels.chunks[i] for i in read.tolist())
 
     @cached_property
     def _weights(self) -> list[float]:
@@ -273,16 +274,17 @@ class Lacking:
         sums = efforts(
             chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], *until
         )
-        # Projected texels without light are expected to need what they need on their own
-        # isosurfaces.
+        # Projected texels without light are expected to need as many samples as the same texels on
+        # their own isosurfaces.
         if like is not None:
             rows, chunks = (each[reading.samples[rows] == 0] for each in (rows, chunks))
             known = like.error[rows], like.samples[rows]
             sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, *until)
 
         def _demand(i: int) -> Demand:
-            own = slice(*reading.bounds[i : i + 2].tolist())
-            some = slice(None) if wanted is None else wanted[own]
+            some: slice | np.ndarray = slice(None)
+            if wanted is not None:
+                some = wanted[reading.bounds[i] : reading.bounds[i + 1]]
             offsets = texels.offsets[i][some]
             seen = texels.footprints[i][some]
             effort = Effort(*sums[i].tolist())
@@ -311,8 +313,8 @@ def grade_rows(
     grade += CONVERGING
     grade[samples == 0] = PARTIAL_GRADE
     if (rows < 0).any():
-        for row, own in GRADES.items():
-            grade[rows == row] = own
+        for row, grade_of_row in GRADES.items():
+            grade[rows == row] = grade_of_row
     return grade
 
 
@@ -333,7 +335,7 @@ class MixedReading(Reading):
     """A reading of the same texels at several levels, ``parts``, as one; each with the caches of
     its light.
 
-    ``rows`` only tell which texels hold light at some level, not where.
+    ``rows`` are 0 for texels that hold light at some level, and UNLIT_ROW for all others.
     """
 
     parts: tuple[tuple[Reading, Caches], ...] = ()
@@ -372,8 +374,8 @@ def mixed(
     grades = np.stack([reading.grade for reading in readings])
     empty = (grades == BURIED_GRADE) | (grades == UNBAKED_GRADE)
     # Distribute the shares of levels without light over the others.
-    own = np.where(empty, 0.0, np.array([[level.share] for level in levels])).astype(np.float32)
-    shares = own / np.maximum(own.sum(axis=0), np.float32(1e-6))
+    kept = np.where(empty, 0.0, np.array([[level.share] for level in levels])).astype(np.float32)
+    shares = kept / np.maximum(kept.sum(axis=0), np.float32(1e-6))
     # Light is a weighted mean; its errors are independent, so their squares add up.
     light = np.einsum("lt,ltc->tc", shares, np.stack(lights))
     light[:, NOISE] = np.sqrt(

@@ -83,11 +83,9 @@ class StandIn:
         # Borrow only light that was baked by the same plan.
         caches = self._whole()
         waiting = reading.grade == UNBAKED_GRADE
-        if (
-            caches is None
-            or not waiting.any()
-            or caches.spec(light.view.shading).plan != light.spec.plan
-        ):
+        if caches is None or not waiting.any():
+            return reading, lit
+        if caches.spec(light.view.shading).plan != light.spec.plan:
             return reading, lit
         loader = caches.of(light.view.shading)
         loader.ensure(texels.chunks, tiles.check)
@@ -95,19 +93,16 @@ class StandIn:
             other = read_texels(
                 texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles
             )
-            # Fit for borrowing is light of texels that wait for their own and are far from the cut.
-            fit = (
-                waiting
-                & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
-                & self._is_far(texels, caches)
-            )
+            # Borrow for texels without light that are far from the cut, if the whole has light
+            # there, or is known to be dark.
+            known = np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
+            fit = waiting & known & self._is_far(texels, caches)
             rows = np.where(fit, other.rows, -1).astype(np.int32)
             borrowed = light_sources(((rows, loader.pool),), light, tiles)
         version = hashlib.sha256(other.version + fit.tobytes()).digest()
         grade = np.where(fit, np.uint8(PARTIAL_GRADE), reading.grade)
-        return replace(reading, grade=grade, version=reading.version + version), np.where(
-            fit[:, None], borrowed, lit
-        )
+        found = replace(reading, grade=grade, version=reading.version + version)
+        return found, np.where(fit[:, None], borrowed, lit)
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
         """Mark texels that are far from the faces of the cut; (texels,) bool."""
@@ -116,17 +111,17 @@ class StandIn:
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """The light of a view's texels after filtering, ``lit`` (texels, LIGHT_NUMBERS); ``lent``
+    """The light of a view's texels after filtering, ``lit`` (texels, LIGHT_NUMBERS); ``borrowed``
     (texels,) marks texels that have light of their neighbours only.
     """
 
-    lent: np.ndarray
+    borrowed: np.ndarray
     lit: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        return self.lent.nbytes + self.lit.nbytes
+        return self.borrowed.nbytes + self.lit.nbytes
 
 
 class TexelShading:
@@ -202,19 +197,19 @@ class TexelShading:
             view.glow,
             view.moving,
             wanted,
+            reading.version,
         )
 
         def make() -> FilteredLight:
             with watch.stage("normals"):
                 about = self._texel_normals(view, texels, reading, tiles)
             with watch.stage("filter"):
-                found, calm = filter_texel_light(texels, reading, lit, about, light, tiles)
-            return FilteredLight(found.grade != reading.grade, calm)
+                found, smooth = filter_texel_light(texels, reading, lit, about, light, tiles)
+            return FilteredLight(found.grade != reading.grade, smooth)
 
-        filtered = self._kept.get((*key, reading.version), make)
-        return replace(
-            reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)
-        ), filtered.lit
+        filtered = self._kept.get(key, make)
+        grade = np.where(filtered.borrowed, np.uint8(CONVERGING), reading.grade)
+        return replace(reading, grade=grade), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
         """Return True if the texels of a view are to be filtered: global illumination that is

@@ -134,10 +134,9 @@ class ViewChecks(Refinement[PictureCheck]):
         """
         check = self.held(frame.view, target)
         if check and check.ahead is not None:
+            growing = 0.0
             if check.growing:
                 growing = check.growing.left
-            else:
-                growing = 0.0
             ahead = check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
         if frame.quality.target is None or frame.quality.lacking is None:
@@ -166,12 +165,10 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     # Try all rungs: more samples of texels leave fewer pixels that need light of their own.
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED_NOISE_RATIO
-        own = foreseen_paths(
-            points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort
-        )
-        ways.append(
-            PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times)
-        )
+        error = math.hypot(noise, frame.quality.expected)
+        pixels = controls + foreseen_paths(points, error, target, PIXELS * effort)
+        texels = float(rung - FIRST_LEVEL) * len(reading.samples)
+        ways.append(PathsLeft(pixels, texels, times))
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)
 
 

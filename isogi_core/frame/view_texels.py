@@ -147,10 +147,9 @@ def reads_coarsely(view: View, gbuffer: GBuffer, lattice: Lattice) -> bool:
         return False
     # Estimate the area of a pixel on the surface, in squares of the lattice, by the median distance
     # of points in neighbouring pixels: each square has READ texels about it.
-    here = gbuffer.pixels[:-1:EACH]
-    beside = gbuffer.pixels[1::EACH]
+    are_neighbours = gbuffer.pixels[1::EACH] - gbuffer.pixels[:-1:EACH] == 1
     steps = gbuffer.points[1::EACH] - gbuffer.points[:-1:EACH]
-    squares = ((steps * np.array(lattice.density, np.float32)) ** 2).sum(axis=1)[beside - here == 1]
+    squares = ((steps * np.array(lattice.density, np.float32)) ** 2).sum(axis=1)[are_neighbours]
     return len(squares) > 0 and READ * float(np.median(squares)) > 1.0
 
 

@@ -79,9 +79,10 @@ def order_texels(texels: ViewTexels) -> Order:
     # One key of chunk, brick and bit sorts all at once.
     keys = ((texels.places >> 3 * bits).astype(np.int64) << 24 | bricks) << 6 | bit
     order = np.argsort(keys)
-    own, begins = np.unique(keys[order] >> 6, return_index=True)
+    # Texels of one brick have equal keys but for the bit.
+    distinct, begins = np.unique(keys[order] >> 6, return_index=True)
     masks = np.bitwise_or.reduceat(np.uint64(1) << bit[order].astype(np.uint64), begins)
-    return Order(own >> 24, own & 0xFFFFFF, masks, begins, order)
+    return Order(distinct >> 24, distinct & 0xFFFFFF, masks, begins, order)
 
 
 def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
@@ -92,17 +93,19 @@ def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
     and others, "On Floating-Point Normal Vectors", 2010); x is in the lower 16 bits, y in the upper
     ones.
     """
+    # Project the normal onto the octahedron |x| + |y| + |z| = 1, and fold the lower half.
     size = np.abs(normals).sum(axis=1)
     x, y, z = (normals / np.maximum(size, 1e-30)[:, None]).T
     u = np.where(z < 0.0, (1.0 - np.abs(y)) * np.where(x >= 0.0, 1.0, -1.0), x)
     v = np.where(z < 0.0, (1.0 - np.abs(x)) * np.where(y >= 0.0, 1.0, -1.0), y)
+    # Quantise both coordinates to 16 bits each.
     low, high = (
         np.rint(32767.0 * each).astype(np.int16).view(np.uint16).astype(np.uint32)
         for each in (u, v)
     )
     words = np.where(size > 0.0, low | high << 16, FLAT).astype(np.uint32)
-    for each, code in CODES.items():
-        words[grade == each] = code
+    for unlit, code in CODES.items():
+        words[grade == unlit] = code
     return words
 
 
@@ -116,18 +119,17 @@ def with_means(
     """
     grade = grade[order.texels]
     values = values[order.texels]
-    bricks = np.arange(len(order.begins))
-    ends = np.append(order.begins[1:], len(grade))
-    fit = (grade >= PARTIAL_GRADE) & (grade <= FINAL)
-    if not len(bricks):
+    if not len(order.begins):
         return grade, values
-    count = np.add.reduceat(fit, order.begins, dtype=np.int64)
-    means = (
-        np.add.reduceat(np.where(fit[:, None], values, 0.0), order.begins)
-        / np.maximum(count, 1)[:, None]
-    )
-    kinds = np.where(count > 0, FINAL, np.minimum.reduceat(grade, order.begins))
-    return np.insert(grade, ends, kinds), np.insert(values, ends, means, axis=0)
+    # Average the texels with light over each brick.
+    has_light = (grade >= PARTIAL_GRADE) & (grade <= FINAL)
+    count = np.add.reduceat(has_light, order.begins, dtype=np.int64)
+    sums = np.add.reduceat(np.where(has_light[:, None], values, 0.0), order.begins)
+    means = sums / np.maximum(count, 1)[:, None]
+    grades = np.where(count > 0, FINAL, np.minimum.reduceat(grade, order.begins))
+    # Insert each mean behind the last texel of its brick.
+    ends = np.append(order.begins[1:], len(grade))
+    return np.insert(grade, ends, grades), np.insert(values, ends, means, axis=0)
 
 
 def halves(values: np.ndarray) -> np.ndarray:
@@ -165,14 +167,14 @@ def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
     First come all low bytes of words' x, all high ones, and those of y. Codes follow, with their
     signs in bit 0: low bytes of number 0, of number 1, and so on, then all high ones.
     """
-    x = (words & 0xFFFF).astype(np.uint16)
-    y = (words >> 16).astype(np.uint16)
+    x = coarse((words & 0xFFFF).astype(np.uint16), words)
+    y = coarse((words >> 16).astype(np.uint16), words)
+    # Small numbers of either sign become small codes: 0, -1, 1, -2, … are 0, 1, 2, 3, …
     signed = np.rint(codes.T).astype(np.int32)
     folded = (signed << 1 ^ signed >> 31).astype(np.uint16)
-    planes = [
-        each >> shift & 0xFF for each in (coarse(x, words), coarse(y, words)) for shift in (0, 8)
-    ]
-    body = np.vstack([*planes, folded & 0xFF, folded >> 8]).astype(np.uint8).tobytes()
+    planes = [x & 0xFF, x >> 8, y & 0xFF, y >> 8, folded & 0xFF, folded >> 8]
+    body = np.vstack(planes).astype(np.uint8).tobytes()
+    # Blocks end at multiples of 8 bytes.
     return body + bytes(-len(body) % 8)
 
 
@@ -181,9 +183,8 @@ def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
     without a normal stay.
     """
     most = 0x7FFF // NORMAL_STEPS
-    rounded = NORMAL_STEPS * np.clip(
-        np.rint(parts.view(np.int16) / NORMAL_STEPS), -most, most
-    ).astype(np.int16)
+    steps = np.clip(np.rint(parts.view(np.int16) / NORMAL_STEPS), -most, most)
+    rounded = NORMAL_STEPS * steps.astype(np.int16)
     return np.where(np.isin(words, (*CODES.values(), FLAT)), parts, rounded.view(np.uint16))
 
 
@@ -204,21 +205,17 @@ def pack(
     firsts = order.begins + np.arange(len(order.begins))
     owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
     # Cut out the bricks and records of each chunk; a chunk without texels has none.
+    ends = np.append(firsts, len(words)).tolist()
     for index, version in zip(chunks.chunks, chunks.versions, strict=True):
-        a, b = np.searchsorted(order.owners, [number := owners.get(index, -1), number + 1]).tolist()
-        ends = [int(firsts[i]) if i < len(firsts) else len(words) for i in (a, b)]
+        number = owners.get(index, -1)
+        a, b = np.searchsorted(order.owners, [number, number + 1]).tolist()
+        first, last = ends[a], ends[b]
         bricks = np.zeros(b - a, BRICK)
-        bricks["mask"], bricks["place"] = order.masks[a:b], order.places[a:b]
-        bricks["first"] = firsts[a:b] - ends[0]
-        some = slice(*ends)
-        yield block_of(
-            index,
-            version,
-            bricks,
-            ends[1] - ends[0],
-            BODIES[kind](words[some], numbers[some]),
-            kind,
-        )
+        bricks["mask"] = order.masks[a:b]
+        bricks["place"] = order.places[a:b]
+        bricks["first"] = firsts[a:b] - first
+        body = BODIES[kind](words[first:last], numbers[first:last])
+        yield block_of(index, version, bricks, last - first, body, kind)
 
 
 def block_of(

@@ -84,20 +84,19 @@ def fold_chunks(
     errors of ``Loader.ensure``.
     """
     light = RotatedLight(renderer.caches.spec("gi"), view)
+    # Read the light of the texels, and filter it about their normals, as for a picture.
     with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
         lit = light_sources(found.reading.sources(pool), light, tiles)
     about = normals_of(renderer, found.texels, tiles)
     reading = found.reading
     if reading.grainy.any():
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
+    # Pack direct and reflected light.
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
-    values = np.column_stack(
-        [
-            records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3],
-            records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3],
-        ]
-    )
-    return packed(found, pack(found, about, values, FOLDED), len(chunks), renderer.prepared)
+    direct = records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3]
+    reflected = records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]
+    blocks = pack(found, about, np.column_stack([direct, reflected]), FOLDED)
+    return packed(found, blocks, len(chunks), renderer.prepared)
 
 
 def transfer_chunks(
@@ -120,16 +119,14 @@ def packed(
     """
     versions = dict(zip(found.chunks, found.versions, strict=True))
     filtered = bool(found.reading.grainy.any())
-    return Packed(
-        tuple(
-            Block(
-                data,
-                versions[at],
-                {n: versions[n] for n in with_neighbours([at], prepared)[1:]} if filtered else {},
-            )
-            for at, data in zip(found.chunks[:count], blocks, strict=False)
-        )
-    )
+    some = []
+    for at, data in zip(found.chunks[:count], blocks, strict=False):
+        # Filtered light depends on all chunks around.
+        around = {}
+        if filtered:
+            around = {other: versions[other] for other in with_neighbours([at], prepared)[1:]}
+        some.append(Block(data, versions[at], around))
+    return Packed(tuple(some))
 
 
 def coded_chunks(
@@ -164,11 +161,12 @@ def hold_filtering(
     Raises the errors of ``fold_chunks``.
     """
     loader = renderer.caches.of("gi")
-    more = with_neighbours(chunks, renderer.prepared)
     with hold_texels(loader, chunks, target, tiles) as held:
         if not held[0].reading.grainy.any():
             yield held
             return
+    # The filter reads texels of the chunks around, too.
+    more = with_neighbours(chunks, renderer.prepared)
     with hold_texels(loader, more, target, tiles, around=chunks) as held:
         yield held
 

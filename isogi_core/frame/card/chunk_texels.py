@@ -67,12 +67,14 @@ def hold_texels(
     prepared = loader.chunk_store.spec.prepared
     with pool.hold(chunks) as held:
         versions = tuple(map(pool.version, held.slots.tolist()))
+        # Chunks that are held for the filter alone give only the texels that it reads.
         if around:
             near = near_texels(chunks, around, prepared)
         else:
             near = None
         occupied = find_occupied(pool, tuple(chunks), held.slots, near)
         texels = number_texels(occupied, prepared)
+        # Look up the light of the texels while their chunks are held.
         yield (
             ChunkTexels(
                 tuple(chunks),
@@ -123,6 +125,7 @@ def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
     """
     lattice = prepared.lattice
     (chunks, _, there) = occupied
+    # Number texels as ``find_texels`` does: a bit for each, and a running sum of the bits.
     read = texel_words(there.reshape(-1, lattice.chunk))
     first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
@@ -130,6 +133,7 @@ def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
     slots[tuple(np.array(chunks, np.int64).reshape(-1, 3).T)] = np.arange(len(chunks))
     places = np.flatnonzero(there).astype(np.uint32)
     bounds = first[:: lattice.rows].copy()
+    # No points are shown, so no texel is a corner of any; the G-buffer only gives an isovalue.
     corners = np.empty((0, 8), np.uint32)
     nowhere = np.empty((0, 3), np.float32)
     points = GBuffer.of_points(prepared.surface(prepared.scene.isovalue), (0.0, 0.0, 0.0), nowhere)

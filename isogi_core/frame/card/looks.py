@@ -64,14 +64,20 @@ def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look
     """Return the look of a ``view``; looks at final light are kept for all that ask. Raises the
     errors of ``fold_chunks``.
     """
+    # Light counts as final once it has the samples that a check of the picture asks for.
     check = renderer.checks.held(view, target)
     loader = renderer.caches.of("gi")
-    until = Until(target, check.known.enough if check else FIRST_LEVEL)
+    if check:
+        until = Until(target, check.known.enough)
+    else:
+        until = Until(target, FIRST_LEVEL)
+    # A kept look is used until one of its chunks has been baked on.
     known: Look | None = renderer.looks.held((view, until))
     if known is not None and known.is_current(loader, tiles):
         return known
     renderer.looks.drop((view, until))
     look = new_look(renderer, view, until, loader, tiles)
+    # Looks at light that is still to be baked change soon, and are not kept.
     if look.frame:
         return look
     return renderer.looks.get((view, until), lambda: look)
@@ -88,6 +94,6 @@ def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
     order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
     seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
-    return Look(
-        seen, undrawn_frame(renderer, view, texels, reading) if reading.short.any() else None
-    )
+    if not reading.short.any():
+        return Look(seen, None)
+    return Look(seen, undrawn_frame(renderer, view, texels, reading))

@@ -140,14 +140,11 @@ def spread_errors(
     """
     classes = classes_of(uncertainty, controls)
     # Scale the uncertainty so that its mean square in each class is 1.
-    means = np.bincount(classes, uncertainty**2, BINS) / np.maximum(
-        np.bincount(classes, minlength=BINS), 1
-    )
+    counts = np.maximum(np.bincount(classes, minlength=BINS), 1)
+    means = np.bincount(classes, uncertainty**2, BINS) / counts
     shares = uncertainty / np.sqrt(np.maximum(means, 1e-300))[classes]
-    return np.asarray(
-        np.where(means[classes] > 0.0, shares, 1.0)
-        * np.sqrt(squares_of(classes, controls, shown))[classes]
-    )
+    shares = np.where(means[classes] > 0.0, shares, 1.0)
+    return np.asarray(shares * np.sqrt(squares_of(classes, controls, shown))[classes])
 
 
 def draw_places(
@@ -161,28 +158,26 @@ def draw_places(
     """
     # Sort the points along Morton's curve, so that points near on the curve are near in the
     # picture.
-    order = np.argsort(
-        interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1])
-    )
+    width = gbuffer.shape[1]
+    order = np.argsort(interleaved(gbuffer.pixels % width, gbuffer.pixels // width))
     reached = np.cumsum(chances(uncertainty)[order])
     # Draw one point from each of ``count`` strata of equal chance: the controls cover the whole
     # picture.
-    strata = (
-        np.arange(count) + np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)
-    ) / count
-    return np.asarray(
-        order[np.minimum(np.searchsorted(reached, strata * reached[-1]), len(order) - 1)]
-    )
+    random = np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)
+    strata = (np.arange(count) + random) / count
+    drawn = np.searchsorted(reached, strata * reached[-1])
+    return np.asarray(order[np.minimum(drawn, len(order) - 1)])
 
 
 def chances(uncertainty: np.ndarray) -> np.ndarray:
     """Return the chance of each point to be drawn, by its ``uncertainty``; (m,), of the sum 1."""
     total = float(uncertainty.sum())
+    count = len(uncertainty)
     if total > 0.0:
         uneven = uncertainty / total
     else:
-        uneven = np.full(len(uncertainty), 1.0 / len(uncertainty))
-    return np.asarray(EVENLY_DRAWN / len(uncertainty) + (1.0 - EVENLY_DRAWN) * uneven)
+        uneven = np.full(count, 1.0 / count)
+    return np.asarray(EVENLY_DRAWN / count + (1.0 - EVENLY_DRAWN) * uneven)
 
 
 def interleaved(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -217,20 +212,20 @@ def trace_controls(
     Each ``stream`` has random numbers of its own. Raises Cancelled.
     """
     # A point that was drawn more than once is traced once: it would draw the same random numbers.
-    distinct, each = np.unique(places, return_inverse=True)
+    distinct, rows = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
     paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, 0, paths)
-    return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[each])
+    return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[rows])
 
 
 def bounces_of_truth(light: RotatedLight) -> int:
-    """Return the number of bounces after which no light of importance is left: what is cut off
-    is at most the share CUT. If the scene gives the number of bounces itself, return that.
+    """Return the number of bounces of control paths: those cut off would bring at most the
+    share CUT of the light. If the scene gives the number of bounces itself, return that.
     """
     plan = light.spec.prepared.scene.plan
-    chosen = "bounces" in dict(plan.errors)
-    if chosen:
+    # A plan that chose the bounces lists the error of those cut off.
+    if "bounces" in dict(plan.errors):
         return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces)
     return plan.bounces
 
@@ -296,18 +291,13 @@ def measure_total(squares: np.ndarray, mean: float) -> TotalError:
         worst = float(squares.any())
         return TotalError(worst, worst, worst, count)
     # A few large errors make most of the mean, so the interval is symmetric about its logarithm.
-    # Estimates of squares may be negative, and their mean then says nothing but its standard error.
+    # Estimates of squares may be negative; if their mean is, only its standard error is known.
     if square > 0.0:
         factor = math.exp(min(CONTROL_STANDARD_ERRORS * spread / square, FARTHEST))
+        ends = (square / factor, square, square * factor)
     else:
-        factor = 1.0
-    if square > 0.0:
-        above = square * factor
-    else:
-        above = CONTROL_STANDARD_ERRORS * spread
-    low, likely, high = (
-        min(math.sqrt(max(each, 0.0)) / mean, 1.0) for each in (square / factor, square, above)
-    )
+        ends = (square, square, CONTROL_STANDARD_ERRORS * spread)
+    low, likely, high = (min(math.sqrt(max(each, 0.0)) / mean, 1.0) for each in ends)
     return TotalError(likely, low, high, count)
 
 

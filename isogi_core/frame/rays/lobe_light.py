@@ -1,8 +1,10 @@
 """Direct light of lobes at the points of a view, by shadow rays.
 
-Lobes have an extent, so shadows have soft edges. Rays to the middles of lobes find shadows in an
-interlaced order: a point between equal neighbours needs no ray. Rays to the rims then find points
-in half-shadow, starting at the edges, and only those cast many rays, which neighbours share.
+Lobes have an extent, so shadows have soft edges. Rays to the middles of lobes find the shadows.
+Points are asked in SAMPLING_TURNS turns, from a coarse grid of pixels to the finest: a point
+between neighbours that agree needs no ray. Rays to the rims of lobes then find points in
+half-shadow, starting at the edges of shadows. Only these points cast many rays, and share them with
+their neighbours.
 """
 
 from dataclasses import dataclass
@@ -101,15 +103,18 @@ def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
     """Prepare the points of a G-buffer for shadow rays. Raises Cancelled."""
     points = gbuffer.shown(tiles)
     m = len(gbuffer.points)
-    ends = np.empty(SAMPLING_TURNS + 1, np.int64)
-    places = (
+    picture = ShadowPoints(
+        points,
+        gbuffer.rows,
         np.empty((m, 3)),
         np.empty((m, 4), np.int32),
         np.empty(m, np.bool_),
         np.empty(m, np.int32),
     )
-    picture = ShadowPoints(points, gbuffer.rows, *places)
+    ends = np.empty(SAMPLING_TURNS + 1, np.int64)
     traced = gbuffer.surface.traced(tiles.run)
+    # Find the origins of rays and the neighbours of each point, then the order in which points are
+    # asked.
     tiles.run(lambda a, b: prepare_points(traced, picture, (a, b)), m, LOBE_POINTS)
     sort_by_turn(gbuffer.pixels, gbuffer.shape[1], picture.order, ends)
     return ShadowStarts(picture, ends)
@@ -193,21 +198,24 @@ class Shadows:
         found = [halves]
         # Follow half-shadows over the coarse grid, as far as they reach.
         while len(halves):
-            found.append(halves := self._ask_about(halves, 0, seen, asked))
+            halves = self._ask_about(halves, 0, seen, asked)
+            found.append(halves)
         # Fill the points between, turn by turn.
         for turn in range(1, SAMPLING_TURNS):
             found.append(self._ask_about(np.concatenate(found), turn, seen, asked))
         halves = np.concatenate(found)
         # Look for the ends of half-shadows, as far as the coarse grid may have missed them.
         for _ in range(FIRST_TURN_STRIDE):
-            found.append(halves := self._ask_about(halves, ANY_TURN, seen, asked))
+            halves = self._ask_about(halves, ANY_TURN, seen, asked)
+            found.append(halves)
         return np.sort(np.concatenate(found))
 
     def _ask(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Cast rays to rims for ``pairs``, put the results into ``seen``, and return the pairs
         in half-shadow.
         """
-        seen.reshape(-1)[pairs] = sees = self._rims(pairs)
+        sees = self._rims(pairs)
+        seen.reshape(-1)[pairs] = sees
         return pairs[sees == LOBE_HALF_SEEN]
 
     def _ask_about(
@@ -237,30 +245,20 @@ class Shadows:
         find_sides(self.picture, pairs, seen, sides)
         # The more neighbours are in half-shadow, too, the fewer rays a point needs: they share
         # theirs.
-        rays, own, shares = (
-            np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)],
-            *np.empty((2, len(pairs), 2)),
-        )
+        rays = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)]
+        traced = np.empty((len(pairs), 2))
         for count in np.unique(rays).tolist():
-            own[rays == count] = self._shares(pairs[rays == count], count)
+            traced[rays == count] = self._shares(pairs[rays == count], count)
 
         # Mix the rays of each pair with those of its neighbours, lobe by lobe.
-        for first, last in pairwise(
-            np.searchsorted(pairs, self.points * np.arange(len(seen) + 1)).tolist()
-        ):
+        shares = np.empty((len(pairs), 2))
+        bounds = np.searchsorted(pairs, self.points * np.arange(len(seen) + 1)).tolist()
+        for first, last in pairwise(bounds):
             places[pairs[first:last] % self.points] = np.arange(first, last)
 
             def _piece(a: int, b: int, first: int = first) -> None:
-                share_rays(
-                    self.picture,
-                    self.lamps,
-                    pairs,
-                    sides,
-                    places,
-                    own,
-                    (first + a, first + b),
-                    shares,
-                )
+                part = first + a, first + b
+                share_rays(self.picture, self.lamps, pairs, sides, places, traced, part, shares)
 
             self.tiles.run(_piece, last - first, LOBE_POINTS)
         return shares

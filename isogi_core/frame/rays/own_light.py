@@ -1,8 +1,9 @@
 """Light of pixels' own: choose the pixels that get light from paths of their own, trace it, and
 write it into the picture.
 
-Pixels whose texels have the largest error get it, so many of them that the picture's error comes to
-its target with the fewest paths. Traced light is filtered; see ``pixel_filter``.
+The pixels whose texels have the largest errors get it. Their number is the one at which the
+picture's error comes to its target with the fewest paths. Traced light is filtered; see
+``pixel_filter``.
 """
 
 import math
@@ -93,17 +94,17 @@ class PixelLight:
         Cancelled.
         """
         means = estimate.means
-        buffer = paths.gbuffer
+        gbuffer = paths.gbuffer
         tiles = paths.tiles
         # Divide by the colours of the surface, which the filter must not blur.
-        tints = tints_of(paths.light, buffer, tiles)
+        tints = tints_of(paths.light, gbuffer, tiles)
         grey = (tints @ LUMINANCE_WEIGHTS) ** 2
-        variance = pooled_variance(variance_of_mean(means), buffer)
+        variance = pooled_variance(variance_of_mean(means), gbuffer)
         bare = means / tints[:, None]
         # Filter the probes along with the light, so that they keep the distribution of its noise.
         probes = bare @ LUMINANCE_WEIGHTS @ CONTRASTS.T / REPLICAS
         found = np.column_stack([bare.mean(axis=1), probes])
-        found, variance = filter_pixels(found, variance / grey, buffer, tiles)
+        found, variance = filter_pixels(found, variance / grey, gbuffer, tiles)
         light = found[:, :3] * tints
         probes = found[:, 3:] * np.sqrt(grey)[:, None]
         return cls(places, estimate, light, variance * grey, probes, expected)
@@ -116,11 +117,8 @@ class PixelLight:
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        held = (
-            *(self.places, self.estimate, self.light),
-            *(self.variance, self.probes, self.expected),
-        )
-        return sum(each.nbytes for each in held)
+        arrays = (self.places, self.light, self.variance, self.probes, self.expected)
+        return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
     def grown(
         self,
@@ -164,23 +162,24 @@ class PixelLight:
         if not len(self.places):
             return
         pixels = gbuffer.pixels
-        own = gbuffer.pixels[self.places]
+        traced = gbuffer.pixels[self.places]
         # Divide all light by the colours of the surface, correct it, and multiply again.
         tints = tints_of(light, gbuffer, tiles)
         some = tints[self.places]
         grey = (some @ LUMINANCE_WEIGHTS) ** 2
-        given = NoisyPixels(
+        light_of_pixels = NoisyPixels(
             self.light / some, self.variance / grey, self.probes / np.sqrt(grey)[:, None]
         )
         expected = self.expected / (tints @ LUMINANCE_WEIGHTS)
         texels = framebuffer.radiance[pixels] / tints
-        whole, square = correct(texels, expected, self.places, given, gbuffer, tiles)
-        framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
+        corrected, square = correct(texels, expected, self.places, light_of_pixels, gbuffer, tiles)
+        framebuffer.radiance[pixels] = np.clip(corrected * tints, 0.0, np.finfo(np.float32).max)
+        # Pixels with traced light are final, with the error of the mixture.
         shown = np.maximum(
-            framebuffer.radiance[own] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
+            framebuffer.radiance[traced] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
         )
-        framebuffer.state[own] = FINAL
-        framebuffer.error[own] = np.minimum(np.sqrt(square * grey) / shown, 1.0)
+        framebuffer.state[traced] = FINAL
+        framebuffer.error[traced] = np.minimum(np.sqrt(square * grey) / shown, 1.0)
 
 
 def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
@@ -288,26 +287,25 @@ def choose_points(
     - ``own`` (k,): rows of the points that have such light already; they keep it.
     """
     # Points with the largest errors come first, after those that have light already.
-    rest = np.ones(len(errors), bool)
-    rest[own] = False
-    others = np.flatnonzero(rest)
+    is_other = np.ones(len(errors), bool)
+    is_other[own] = False
+    others = np.flatnonzero(is_other)
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     # For each number of points, the errors of all others leave ``room`` for the noise of the chosen
     # ones. The more points are chosen, the fewer paths each needs.
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
-    noise = (
-        FILTERED_VARIANCE_SHARE * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
-    )
+    variances = np.append(0.0, variance[order].cumsum())[len(own) :]
+    noise = FILTERED_VARIANCE_SHARE * variances / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
     # Take the number of points with the smallest product of points and paths.
     costs = np.where(room > 0.0, many * counts, np.inf)
-    costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
+    # All points are a choice even if no error is allowed, as in the dark.
+    costs[-1] = many[-1] * counts[-1]
     best = int(np.argmin(costs))
-    return Choice(
-        np.sort(order[: many[best]]), float(room[best]), float(counts[best]), np.sqrt(errors)
-    )
+    places = np.sort(order[: many[best]])
+    return Choice(places, float(room[best]), float(counts[best]), np.sqrt(errors))
 
 
 SHARES = 64
@@ -315,13 +313,14 @@ SHARES = 64
 
 
 def foreseen_paths(points: int, error: float, target: float, effort: float) -> float:
-    """Predict the paths that pixels of a picture with so many ``points`` will need for light of
+    """Predict the paths that pixels of a picture with ``points`` points will need for light of
     their own, before anything is measured.
 
     The squares of their errors, whose root mean square is ``error``, are taken to be exponentially
     distributed: the share x of the points with the largest errors leaves 1 - x + x ln x of the sum
     to the others. A point takes ``effort`` / e^RATE paths to a relative error e.
     """
+    # The target leaves some variance to the chosen points of each share, none if it is too small.
     share = np.arange(1, SHARES + 1) / SHARES
     variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))
     taken = share * points * effort * times_as_many(share, variance)

@@ -41,7 +41,7 @@ from isogi_core.frame.rays.own_light import (
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
-    OwnLight,
+    PixelLightCost,
     Plan,
     Prices,
     by_finer,
@@ -59,8 +59,8 @@ STRICTER = 0.9
 
 
 DOUBTFUL = 0.5
-"""Share of the target below which no attempt aims: a smaller measured error says that the
-controls are in doubt, not the light.
+"""Share of the target below which no attempt aims. If the measured error is smaller than that,
+the controls are in doubt, not the light.
 """
 
 
@@ -202,6 +202,7 @@ class PictureCheck:
         """
         known = self.known
         before = len(self.known.controls.places)
+        # Predict the number that decides, within the most that are worth their paths.
         if measured.likely <= known.target:
             most = MAX_CONTROLS
         else:
@@ -259,7 +260,8 @@ class PictureCheck:
         noise = frame.pixel_noise**2
         variance = variance_of_halves(uncertainty, known.controls)
         aim = self._aim(measured)
-        own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
+        allowed = (aim * frame.true_mean) ** 2
+        pixels = PixelLightCost(variance, known.paths, known.own.places, allowed)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
         # Few controls may find an error below the noise that is known to be there: scale all errors
         # up to it.
@@ -277,10 +279,12 @@ class PictureCheck:
             chunks = 0
         # Weigh all numbers of rungs, for these texels and for finer ones.
         plans = by_rungs(
-            own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
+            pixels, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
         )
         if texels and not (known.attempt or self.declined):
-            plans += by_finer(own, errors, noise, texels, chunks, self._rung(frame), known.target)
+            plans += by_finer(
+                pixels, errors, noise, texels, chunks, self._rung(frame), known.target
+            )
         return min(plans, key=lambda plan: plan.cost(prices))
 
     def _by_regions(
@@ -297,8 +301,8 @@ class PictureCheck:
         return found[:, 1], found[:, 0]
 
     def _aim(self, measured: TotalError) -> float:
-        """Return the relative error that the next attempt aims at: below the target, and lower
-        with each attempt, but not far below what was measured.
+        """Return the relative error that the next attempt aims at: below the target, lower with
+        each attempt, and not far below the ``measured`` error.
         """
         target = self.known.target
         return min(
@@ -313,8 +317,8 @@ class PictureCheck:
         return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
 
     def _rung(self, frame: Frame) -> int:
-        """Return the present rung: all texels of the ``frame`` that need it have so many
-        samples.
+        """Return the present rung: the samples that all texels of the ``frame`` have that need
+        more.
         """
         lacking = frame.quality.lacking
         if lacking:
@@ -334,6 +338,7 @@ class PictureCheck:
         count = growth.next
         if count > MOST_PATHS:
             return False
+        # Count the paths of this step apart, so that other threads see its progress.
         self.growing = Growth(growth.choice, growth.light)
         begun = time.perf_counter()
         light = growth.light.grown(
@@ -341,6 +346,8 @@ class PictureCheck:
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)
+        # The light is good enough: show it, and drop the controls, which measured the picture
+        # without it.
         if count == MOST_PATHS or self.growing.enough:
             known = self.known
             self.known = PictureState(

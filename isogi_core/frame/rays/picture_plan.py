@@ -108,11 +108,8 @@ class Plan:
         """
         if not self.rungs:
             return Ahead(last, times=1)
-        return Ahead(
-            self.choice.paths + self.rungs * first + last,
-            self.texel_paths - self.next,
-            self.rungs + 1,
-        )
+        pixels = self.choice.paths + self.rungs * first + last
+        return Ahead(pixels, self.texel_paths - self.next, self.rungs + 1)
 
 
 class Ahead(NamedTuple):
@@ -127,7 +124,7 @@ class Ahead(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnLight:
+class PixelLightCost:
     """What is known about the cost of light of pixels' own: ``paths`` paths leave the
     ``variance`` (m,) of each point's luminance, the points in rows ``own`` have such light, and
     ``allowed`` is the mean squared error that the picture may have.
@@ -138,7 +135,7 @@ class OwnLight:
     own: np.ndarray
     allowed: float
 
-    def beside(self, errors: np.ndarray) -> Choice:
+    def choose(self, errors: np.ndarray) -> Choice:
         """Choose the pixels that are to have such light if texels leave the squared ``errors``
         (m,).
         """
@@ -191,23 +188,28 @@ def rungs_above(rung: int, target: float) -> Iterator[int]:
 
 
 def by_rungs(
-    own: OwnLight, errors: np.ndarray, noise: np.ndarray, climbs: Sequence[float], chunks: int
+    pixels: PixelLightCost,
+    errors: np.ndarray,
+    noise: np.ndarray,
+    climbs: Sequence[float],
+    chunks: int,
 ) -> list[Plan]:
     """Return the plans that use the present texels of a picture, one for each number of rungs.
 
     ``errors`` (m,) are the squared errors of its points, of which ``noise`` (m,) falls with each
     rung. Each rung is a task for each of ``chunks`` chunks.
     """
-    # A rung leaves the share QUIETER of the noise, and nothing less of all other errors.
-    left = [errors - (1.0 - QUIETER**rungs) * noise for rungs in range(len(climbs))]
-    return [
-        Plan(own.beside(each), rungs, climbs[rungs], climbs[min(rungs, 1)], rungs * chunks)
-        for rungs, each in enumerate(left)
-    ]
+    # Each rung leaves the share QUIETER of the noise, and all of the other errors.
+    plans = []
+    for rungs, paths in enumerate(climbs):
+        left = errors - (1.0 - QUIETER**rungs) * noise
+        first = climbs[min(rungs, 1)]
+        plans.append(Plan(pixels.choose(left), rungs, paths, first, rungs * chunks))
+    return plans
 
 
 def by_finer(
-    own: OwnLight,
+    pixels: PixelLightCost,
     errors: np.ndarray,
     noise: np.ndarray,
     texels: int,
@@ -221,21 +223,15 @@ def by_finer(
     Of the squared ``errors`` (m,) at the present ``rung``, ``noise`` (m,) falls with each doubling
     of the samples of finer texels, which begin at the first rung; the rest falls once, by CLOSER.
     """
-    apart = CLOSER * np.maximum(errors - noise, 0.0)
+    interpolation = CLOSER * np.maximum(errors - noise, 0.0)
     paths = FINER_TEXELS_FACTOR * texels
     plans = []
     for rungs, level in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=1):
-        left = apart + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
-        plans.append(
-            Plan(
-                own.beside(left),
-                rungs,
-                paths * level,
-                paths * FIRST_LEVEL,
-                FINER_TEXELS_FACTOR * rungs * chunks,
-                True,
-            )
-        )
+        # Samples double from the present rung to this level, or halve: the noise follows.
+        left = interpolation + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
+        tasks = FINER_TEXELS_FACTOR * rungs * chunks
+        choice = pixels.choose(left)
+        plans.append(Plan(choice, rungs, paths * level, paths * FIRST_LEVEL, tasks, finer=True))
     return plans
 
 

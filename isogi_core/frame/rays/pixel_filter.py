@@ -65,11 +65,11 @@ class Surroundings:
         """The width of a voxel in the picture, in pixels: the median over neighbouring pixels
         that show the surface.
         """
-        beside = np.flatnonzero(np.diff(self.gbuffer.pixels.astype(np.int64)) == 1)
-        if not len(beside):
+        neighbours = np.flatnonzero(np.diff(self.gbuffer.pixels.astype(np.int64)) == 1)
+        if not len(neighbours):
             return 1.0
-        ways = np.diff(self.gbuffer.points.astype(np.float64), axis=0)[beside]
-        return 1.0 / max(float(np.median(np.linalg.norm(ways, axis=1))), 1e-3)
+        steps = np.diff(self.gbuffer.points.astype(np.float64), axis=0)[neighbours]
+        return 1.0 / max(float(np.median(np.linalg.norm(steps, axis=1))), 1e-3)
 
     def means(
         self, values: np.ndarray, variance: np.ndarray, step: int = 1
@@ -105,8 +105,9 @@ def filter_pixels(
         means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
         mean = means[:, :-2]
         noise = means[:, -2]
-        square = means[:, -1]
-        kept = beyond_noise(square - (mean[:, :3] @ LUMINANCE_WEIGHTS) ** 2, noise)
+        # The mean square less the square of the mean is the spread of the pixels around.
+        spread = means[:, -1] - (mean[:, :3] @ LUMINANCE_WEIGHTS) ** 2
+        kept = beyond_noise(spread, noise)
         light = mean + kept[:, None] * (light - mean)
         variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
     return light, variance
@@ -203,20 +204,23 @@ def blended_error(
     # Average all that the formula needs over the pixels near: V, cov(O, C), var(C), x n for each
     # probe, and x².
     noise = own.probes - carried
-    both = (own.probes * carried).mean(axis=1)
-    values = [own.variance, both, (carried**2).mean(axis=1), apart[:, None] * noise, apart**2]
+    covariance = (own.probes * carried).mean(axis=1)
+    left = (carried**2).mean(axis=1)
+    values = [own.variance, covariance, left, apart[:, None] * noise, apart**2]
     means, _ = near.means(np.column_stack(values), own.variance)
-    (variance, common, left), square = means[:, :3].T, means[:, -1]
+    variance, covariance, left = means[:, :3].T
+    square = means[:, -1]
     kept = beyond_noise(square, variance)
+    # Noise of the share itself: V / M² · mean(x n)².
     floor = np.maximum(square, 1e-300)
-    followed = (means[:, 3:-1] ** 2).mean(axis=1) / floor * (variance / floor)
+    noise_of_share = (means[:, 3:-1] ** 2).mean(axis=1) / floor * (variance / floor)
     # The unbiased estimate of each pixel's error, averaged over pixels near.
-    risk = np.where(kept > 0.0, kept * variance + 4.0 * followed, square - variance)
-    risk = (risk + 2.0 * (1.0 - kept) * common)[:, None]
+    risk = np.where(kept > 0.0, kept * variance + 4.0 * noise_of_share, square - variance)
+    risk = (risk + 2.0 * (1.0 - kept) * covariance)[:, None]
     for step, _ in FILTER_PASSES:
         risk, _ = near.means(risk, own.variance, step)
     # It cannot be below the noise that the mixture keeps.
     least = kept**2 * variance + (1.0 - kept) * (
-        2.0 * kept * np.maximum(common, 0.0) + (1.0 - kept) * left
+        2.0 * kept * np.maximum(covariance, 0.0) + (1.0 - kept) * left
     )
     return kept, np.maximum(risk[:, 0], least)

@@ -100,19 +100,22 @@ class Paths:
         number of paths that each piece traced. If the surface shines, as many rays of shine are
         traced. Raises Cancelled.
         """
-        buffer = self.gbuffer
-        alone = self.light.shine is None and not self.light.coloured
+        gbuffer = self.gbuffer
         prepared = self.light.spec.prepared
         replicas = range(stream, stream + sums.shape[1])
         # Colours and shine change the light of the new paths, so it is summed apart: the light in
         # ``sums`` has been changed already.
-        own = sums if alone else np.zeros_like(sums)
-        refracts = prepared.scene.surfaces.material.refracts
-        if refracts:
-            points = sight_lines(buffer)
+        changed = self.light.shine is not None or self.light.coloured
+        if changed:
+            new = np.zeros_like(sums)
         else:
-            points = buffer.shown(self.tiles)
-        traced = buffer.surface.traced(self.tiles.run)
+            new = sums
+        # Through glass, paths start on the eye's rays just before the surface.
+        if prepared.scene.surfaces.material.refracts:
+            points = sight_lines(gbuffer)
+        else:
+            points = gbuffer.shown(self.tiles)
+        traced = gbuffer.surface.traced(self.tiles.run)
         around = self.light.surroundings
         met = prepared.met(self.light.seen.albedo, traced.cells, self.tiles.run)
         rules = PathRules(self.weights, self.survival)
@@ -121,7 +124,7 @@ class Paths:
         # Trace all replicas of some points together.
         def _piece(a: int, b: int) -> None:
             starts = path_starts(traced, points.part(slice(a, b)), replicas)
-            here = own[a:b].reshape(-1, 3)
+            here = new[a:b].reshape(-1, 3)
             if isinstance(met, Open):
                 added = here
             else:
@@ -139,12 +142,13 @@ class Paths:
         )
         # Reflect by the colours of the surface, and let it shine.
         if self.light.coloured:
-            own *= buffer.albedos(self.light.spec.prepared.colours, self.tiles)[: len(own), None]
+            new *= gbuffer.albedos(prepared.colours, self.tiles)[: len(new), None]
         if self.light.shine is not None:
-            given = range(first, first + count), len(self.weights) - 1
-            add_shine(own, self.light, buffer, stream, *given, self.tiles)
-        if not alone:
-            sums += own
+            numbers = range(first, first + count)
+            bounces = len(self.weights) - 1
+            add_shine(new, self.light, gbuffer, stream, numbers, bounces, self.tiles)
+        if changed:
+            sums += new
 
     def prepare(self) -> None:
         """Do all that comes before the first paths, by tracing one: find normals, map active
@@ -198,7 +202,9 @@ def pooled_variance(
     to 96 % of the pixels of frames of 8 to 256 paths (engine under uffizi and grace, CT head under
     noon_grass, MNI under constant light).
     """
-    pixels = gbuffer.pixels if shown is None else shown
+    pixels = shown
+    if pixels is None:
+        pixels = gbuffer.pixels
     height, width = gbuffer.shape
     pooled = np.empty(len(pixels))
     rows = max(POOLED_PIXELS // width, 1)

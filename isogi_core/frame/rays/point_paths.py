@@ -58,9 +58,10 @@ def add_glow(
     if not prepared.scene.lighting.glowing.any:
         return
     radiances = light.glow * prepared.scene.lighting.glowing.radiances
-    own = np.zeros((len(sums), radiances.size))
-    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, own)
-    sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)
+    # Paths gather each glow as if of radiance 1, so that its strength and colour come last.
+    gathered = np.zeros((len(sums), radiances.size))
+    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, gathered)
+    sums += np.einsum("gkc,kc->gc", gathered.reshape(-1, *radiances.shape), radiances)
 
 
 HALVES = 2

@@ -14,7 +14,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.files.vector import triple
-from isogi_core.frame.gbuffer import GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import GBuffer, OtherPoints
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
@@ -47,7 +47,7 @@ PLASTIC = 0.04
 1.5.
 """
 
-ASIDE = 0.5
+TOWARDS_LIGHTS = 0.5
 ROUGH = 0.4
 """Share of the rays that are drawn towards lights from this roughness on. Smoother lobes have a
 smaller share, as their rays find lights better.
@@ -94,9 +94,14 @@ def lobe_of(light: RotatedLight) -> ShineLobe:
     shine = light.shine or DULL
     albedo = light.albedo
     metal = shine.kind == "metal"
-    aside = ASIDE * min(1.0, shine.roughness / ROUGH)
-    facing = triple(albedo if metal else np.full(3, PLASTIC))
-    return ShineLobe(shine.alpha, facing, shine.strength, metal, aside, energy_of(shine.alpha))
+    towards_lights = TOWARDS_LIGHTS * min(1.0, shine.roughness / ROUGH)
+    # The colour that is mirrored head on.
+    if metal:
+        facing = triple(albedo)
+    else:
+        facing = triple(np.full(3, PLASTIC))
+    energy = energy_of(shine.alpha)
+    return ShineLobe(shine.alpha, facing, shine.strength, metal, towards_lights, energy)
 
 
 def lights_of(light: RotatedLight, ways: int) -> ShineLights:
@@ -111,23 +116,25 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     flat = kinds == AREA
     sharp = (kinds != AREA) & ~discs
     squares = (edges[discs, 0] ** 2).sum(axis=1)[:, None]
-    lit = np.array([any(wall.radiance) for wall in room.walls], bool)
-    twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[lit]
-    given = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)[lit]
-    # Areas and luminous walls are panels. A lamp's radiance is π times its colour.
+    luminous = np.array([any(wall.radiance) for wall in room.walls], bool)
+    twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[luminous]
+    radiances = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)
+    # Areas and luminous walls are panels. The radiance of an area is π times its colour.
     panels = Panels(
-        np.concatenate([places[flat], room.corners[lit]]),
-        np.concatenate([edges[flat], room.edges[lit]]),
-        np.concatenate([np.pi * colours[flat], given]),
+        np.concatenate([places[flat], room.corners[luminous]]),
+        np.concatenate([edges[flat], room.edges[luminous]]),
+        np.concatenate([np.pi * colours[flat], radiances[luminous]]),
         np.concatenate([np.zeros(int(flat.sum())), twofold]),
-        np.concatenate([np.ones(int(flat.sum())), np.zeros(int(lit.sum()))]),
+        np.concatenate([np.ones(int(flat.sum())), np.zeros(int(luminous.sum()))]),
     )
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
-    # Without a light to aim at, more candidates are of no use.
-    several = len(around.table[0]) or len(panels.corners) or len(far.towards)
+    # If there is no light to aim at, all candidates are alike, and one is enough.
+    if not (len(around.table[0]) or len(panels.corners) or len(far.towards)):
+        ways = 1
+    # Rays that end on a surface are expected to bring the mean radiance of the environment.
     ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)
-    return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
+    return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways)
 
 
 def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
@@ -229,33 +236,28 @@ def cast_rays(
     points = SurfacePoints(here, around, np.arange(total, dtype=np.uint32))
     ends = ShineEnds(brought, weights, points, np.empty(total, np.int8))
 
+    # Cast all rays of some points together: a random sequence for each pixel and replica.
     def _piece(a: int, b: int) -> None:
         some = shown.part(slice(a, b))
-        own = slice(a * each, b * each)
+        rays = slice(a * each, b * each)
         point, replica, sample = (
             part.ravel() for part in np.indices((b - a, len(replicas), len(samples)))
         )
-        seeds = seeds_of(
-            np.column_stack([some.pixels[point], streams.SHINE_STREAM + replicas.start + replica])
-        )
+        stream = streams.SHINE_STREAM + replicas.start + replica
+        seeds = seeds_of(np.column_stack([some.pixels[point], stream]))
         draws = ShineDraws(point, seeds, samples.start + sample)
-        cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
+        cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, rays))
 
-    tiles.run(
-        _piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1)
-    )
+    count = len(shown.pixels)
+    tiles.run(_piece, count, max(min(RAYS_TOGETHER // each, tiles.even(count)), 1))
     # Keep the ends that need light of their own, with random sequences that follow from pixel,
     # replica and sample.
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [
-        shown.pixels[point],
-        streams.SHINE_STREAM + replicas.start + replica,
-        samples.start + sample,
-    ]
+    stream = streams.SHINE_STREAM + replicas.start + replica
+    seeds = seeds_of(np.column_stack([shown.pixels[point], stream, samples.start + sample]))
     kept = some_of(ends, seen)
-    seeds = seeds_of(np.column_stack(words))
     return ShineRays(each, brought, kept, seeds, seen_by(kept, gbuffer), next(NUMBERS))
 
 
@@ -269,7 +271,7 @@ def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
     met = ends.met
     on = ends.met == MET_ISOSURFACE
     shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
-    walls = PointsBeside(shown.pixels[~on], shown.points[~on], met[~on])
+    walls = OtherPoints(shown.pixels[~on], shown.points[~on], met[~on])
     row = GBuffer.of_points(gbuffer.surface, gbuffer.eye, shown.points)
     return row.of_these(shown.part(on), walls)
 
@@ -283,39 +285,41 @@ def paths_from(
     Raises Cancelled.
     """
     traced = rays.hits.surface.traced(tiles.run)
-    found = np.zeros((len(rows), 3))
     ends = some_of(rays.ends, rows)
-    on = ends.met == MET_ISOSURFACE
     points = ends.points
-    survival = survival_for(light.reflecting, bounces)
-    walls = np.where(on, NO_WALL, ends.met)
+    on_surface = ends.met == MET_ISOSURFACE
+    walls = np.where(on_surface, NO_WALL, ends.met)
     starts = starts_at(points.points, points.normals, traced.isovalue, rays.seeds[rows], walls)
-    own = starts
-    carried = PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    survival = survival_for(light.reflecting, bounces)
     met = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run)
-    rules = carried
     one = SampleRange(0, 1)
-    # Paths in the open have sequences of their own, and multiply by the albedo at each bounce; all
-    # others carry the albedos that they meet.
+    # Paths of glow, and paths among walls or colours, carry the albedos that they meet. Paths in
+    # the open have sequences of their own, and the albedo's powers as weights.
+    glow_rules = PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    light_starts = starts
+    light_rules = glow_rules
     if isinstance(met, Open):
         words = np.column_stack(
             [(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)]
         )
-        own = starts._replace(seeds=seeds_of(words))
-        rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
+        light_starts = starts._replace(seeds=seeds_of(words))
+        light_rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
+    arrived = np.zeros((len(rows), 3))
 
     def _piece(a: int, b: int) -> None:
-        add_paths(met, starts_between(own, a, b), one, rules, light.surroundings, found[a:b])
-        add_glow(found[a:b], light, traced, starts_between(starts, a, b), carried, one)
+        some = starts_between(light_starts, a, b)
+        add_paths(met, some, one, light_rules, light.surroundings, arrived[a:b])
+        add_glow(arrived[a:b], light, traced, starts_between(starts, a, b), glow_rules, one)
 
     tiles.run(_piece, len(rows), PATHS_TOGETHER)
     # Reflect the light by surface or wall, and add what a wall emits.
     room = room_of(light)
     albedos = albedos_at(points.points, light)
-    given = np.zeros((len(rows), 3))
-    albedos[~on] = room.albedos[ends.met[~on]]
-    given[~on] = room.radiances[ends.met[~on]]
-    return np.asarray(given + albedos * found)
+    emitted = np.zeros((len(rows), 3))
+    on_wall = ~on_surface
+    albedos[on_wall] = room.albedos[ends.met[on_wall]]
+    emitted[on_wall] = room.radiances[ends.met[on_wall]]
+    return np.asarray(emitted + albedos * arrived)
 
 
 def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:

@@ -39,7 +39,7 @@ from isogi_core.model.material import DULL
 
 MIN_RAYS = 8
 MAX_RAYS = 1 << 12
-"""Rays of each half from a point: at least so many, as fewer may miss a highlight; and at most."""
+"""Rays of each half from a point, at least and at most; fewer may miss a highlight."""
 
 STEP_RAYS = 1 << 20
 ENDS_TOGETHER = 1 << 18
@@ -91,13 +91,8 @@ class ShineLight:
     def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
         """Cast the first rays of a view's shine. Raises Cancelled."""
         rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
-        return cls(
-            light,
-            gbuffer,
-            light_below(light, gbuffer, tiles),
-            rays,
-            Estimate.none(len(gbuffer.points)),
-        )
+        below = light_below(light, gbuffer, tiles)
+        return cls(light, gbuffer, below, rays, Estimate.none(len(gbuffer.points)))
 
     @property
     def nbytes(self) -> int:
@@ -206,21 +201,21 @@ class ViewShine(Refinement[ShineLight]):
     ) -> bytes:
         """Add shine to a picture; return a name of the rays, and of the light where they end."""
         shine = self._of(light, gbuffer, tiles)
+        # Rays that were cast later have their light in their sums.
         if shine.count:
-            ends = None
-        else:
-            ends = self._ends(shine.rays, light, target, tiles)
+            shine.put(None, framebuffer, tiles)
+            return shine.version
+        ends = self._ends(shine.rays, light, target, tiles)
         shine.put(ends, framebuffer, tiles)
-        return shine.version + (ends.version if ends else b"")
+        return shine.version + ends.version
 
     def of(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles
     ) -> ShineLight | None:
         """Return the shine in a ``frame``, None if it has none: see ``Refinement``."""
-        shines = light.shine is not None and len(frame.gbuffer.pixels) > 0
-        if shines:
-            return self._of(light, frame.gbuffer, tiles)
-        return None
+        if light.shine is None or not len(frame.gbuffer.pixels):
+            return None
+        return self._of(light, frame.gbuffer, tiles)
 
     def advance(
         self, found: ShineLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
@@ -303,6 +298,7 @@ def add_lobes_seen(
     if not light.spec.lobes:
         return
     hits = rays.hits
+    # Random points on lobes belong to the sequences of the rays.
     lamps = light.lobes
     shown = hits.shown(tiles)
     seeds = rays.seeds[hits.pixels]

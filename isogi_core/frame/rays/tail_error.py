@@ -99,12 +99,12 @@ def tail_of(
     """Return the tail of a picture that shows the luminance ``shown`` (k,) at its ``controls``; see
     ``measure_tail``.
 
-    ``uncertainty`` (m,) of all points is what the controls were drawn by; errors are relative to
-    the true ``mean`` luminance.
+    The controls were drawn by the ``uncertainty`` (m,) of all points; errors are relative to the
+    true ``mean`` luminance.
     """
     # A pixel that was drawn more than once has the same paths each time: it is one control, with
     # the sum of the weights.
-    places, first, each = np.unique(controls.places, return_index=True, return_inverse=True)
+    places, first, rows = np.unique(controls.places, return_index=True, return_inverse=True)
     # In the dark any error is as large as can be.
     if not len(places) or mean <= 0.0:
         worst = float(controls.squares(shown).any())
@@ -112,7 +112,8 @@ def tail_of(
     wrong = (shown[:, None] - controls.halves)[first] / mean
     classes = classes_of(uncertainty, controls)[places]
     expected = spread_errors(uncertainty, controls, shown) / mean
-    return measure_tail(wrong, np.bincount(each, controls.weights), classes, expected)
+    weights = np.bincount(rows, controls.weights)
+    return measure_tail(wrong, weights, classes, expected)
 
 
 def measure_tail(
@@ -131,7 +132,8 @@ def measure_tail(
     # all pixels above it, and find the error at which that share, and the ends of its interval,
     # come down to 1 %.
     above = shares_above(seen, counts, shares_of(expected))
-    low, likely, high = (falls_below(TAIL_SHARE, each, ERRORS) for each in bounds(above, counts))
+    shares = bounds(above, counts)
+    low, likely, high = (falls_below(TAIL_SHARE, each, ERRORS) for each in shares)
     return TailError(likely, low / INTERVAL_MARGIN, min(high * INTERVAL_MARGIN, 1.0))
 
 
@@ -139,9 +141,10 @@ def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
     """Return the variance of the mean of each control's halves, (k,): the mean of its class,
     weighted by TRUSTED, and its two halves.
     """
-    each = (wrong[:, 0] - wrong[:, 1]) ** 2 / 4.0
-    pooled = np.bincount(classes, each) / np.maximum(np.bincount(classes), 1)
-    return np.asarray((TRUSTED * pooled[classes] + each) / (TRUSTED + 1.0))
+    # The mean of two independent halves has a quarter of the variance of their difference.
+    single = (wrong[:, 0] - wrong[:, 1]) ** 2 / 4.0
+    pooled = np.bincount(classes, single) / np.maximum(np.bincount(classes), 1)
+    return np.asarray((TRUSTED * pooled[classes] + single) / (TRUSTED + 1.0))
 
 
 def likelihoods(wrong: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -160,10 +163,9 @@ def shares_of(expected: np.ndarray) -> np.ndarray:
     """Return the prior: the share of pixels whose error is each of ERRORS, if pixels have
     normal errors of the scales ``expected`` (m,); (errors,).
     """
-    of_scale = np.bincount(np.searchsorted(BORDERS, expected), minlength=len(ERRORS)) / len(
-        expected
-    )
-    return np.asarray(ODD / len(ERRORS) + (1.0 - ODD) * (normal_shares() @ of_scale))
+    scales = np.bincount(np.searchsorted(BORDERS, expected), minlength=len(ERRORS))
+    normal = normal_shares() @ (scales / len(expected))
+    return np.asarray(ODD / len(ERRORS) + (1.0 - ODD) * normal)
 
 
 @cache
@@ -199,15 +201,15 @@ def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarra
     interval: low, likely and high, (errors,) each.
     """
     likely = counts @ above
-    # The variance of a weighted count is the sum of its squared weights. If it is uncertain which
-    # controls are above, fewer of them tell: the variance grows by Σ w²p / Σ w²p².
-    known = counts**2 @ above
-    variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
+    # The variance of a weighted count is the sum of the squared weights. A control that is above
+    # with a chance p counts as less than one: the variance grows by Σ w²p / Σ w²p².
+    squares = counts**2 @ above
+    variance = squares**2 / np.maximum(counts**2 @ above**2, 1e-300)
     # The upper end allows for one more control above, of the mean weight.
-    one = 1.0 / len(counts)
+    mean = 1.0 / len(counts)
     square = float((counts**2).mean())
     low = gamma_quantile(likely, variance, -TAIL_STANDARD_ERRORS)
-    high = gamma_quantile(likely + one, variance + square, TAIL_STANDARD_ERRORS)
+    high = gamma_quantile(likely + mean, variance + square, TAIL_STANDARD_ERRORS)
     return low, likely, np.asarray(np.maximum(high, likely))
 
 

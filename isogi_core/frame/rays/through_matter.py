@@ -15,7 +15,7 @@ import numpy as np
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
-from isogi_core.frame.gbuffer import GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import GBuffer, OtherPoints
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
@@ -48,8 +48,8 @@ one tree of each half from a point, at most as many as there are.
 
 MIN_TREES = 8
 MAX_TREES = 1 << 12
-"""Trees of each half that all points have before some may have more than others, as fewer say
-too little of one point; and at most.
+"""Trees of each half that all points have before some points get more than others, as the noise
+of a point is not known from fewer; and at most.
 """
 
 SURE = 0.25
@@ -108,7 +108,7 @@ class SeenThrough:
     sky: np.ndarray
     weights: np.ndarray
     rows: np.ndarray
-    walls: PointsBeside
+    walls: OtherPoints
     sides: np.ndarray
     cut: np.ndarray
 
@@ -127,23 +127,25 @@ class SeenThrough:
         traced = gbuffer.surface.traced(tiles.run)
         starts = np.repeat(gbuffer.points, trees.each, axis=0)
         (seeds, samples, deep) = trees.chances(gbuffer.pixels)
-        weights, points = np.empty((2, count * trees.breadth, 3), np.float32)
-        met, sides = np.empty((2, count * trees.breadth), np.int8)
+        # Each tree has room for as many places as it may see.
+        room = count * trees.breadth
+        weights, points = np.empty((2, room, 3), np.float32)
+        met, sides = np.empty((2, room), np.int8)
         sky = np.empty((count, 3), np.float32)
         cut = np.empty(count, np.float32)
 
         def _piece(a: int, b: int) -> None:
-            own = slice(a * trees.breadth, b * trees.breadth)
+            rows = slice(a * trees.breadth, b * trees.breadth)
             chances = Chances(seeds[a:b], samples[a:b], deep)
-            leaves = Leaves(sky[a:b], weights[own], points[own], met[own], sides[own], cut[a:b])
+            leaves = Leaves(sky[a:b], weights[rows], points[rows], met[rows], sides[rows], cut[a:b])
             see_through(
                 traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves
             )
 
         tiles.run(_piece, count, TILE_PLACES // trees.breadth)
-        # Keep the places that are on walls; trees have room for more than they see.
+        # Keep the places that are on walls.
         seen = np.flatnonzero(met >= 0)
-        walls = PointsBeside(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
+        walls = OtherPoints(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
         return cls(
             sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut
         )
@@ -162,6 +164,7 @@ class SeenThrough:
         light = self.sky.astype(np.float64)
         brought = self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
         np.add.at(light, self.rows, brought)
+        # A place adds its weighted error to that of its tree, without squares.
         wrong = np.bincount(
             self.rows, (brought @ LUMINANCE_WEIGHTS) * lit.error[: len(self.rows)], len(self.sky)
         )
@@ -204,8 +207,9 @@ class SurfaceSeen:
         A pixel has the least state of all that it shows, and is not final before its noise is
         allowed.
         """
+        # Read the sums once: another thread may replace them meanwhile.
         sums = self.sums
-        pixels = self.gbuffer.pixels  # another thread may add to the sums meanwhile
+        pixels = self.gbuffer.pixels
         shown, wrong = self.shown(sums, lit, tiles)
         light = np.minimum(shown.light, np.finfo(np.float32).max)
         state = self.first.states(lit)
@@ -235,16 +239,18 @@ class SurfaceSeen:
         """Return the rows of the points that are to have more trees than in ``sums``, so that
         the light ``shown`` comes to its ``target``.
         """
-        allowed = (
-            (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0)
-            * target
-            * float((shown.light @ LUMINANCE_WEIGHTS).mean())
-        )
         count = sums.most
         if count >= MAX_TREES:
             return np.empty(0, np.int64)
-        found = sums.noisy(shown.variance, allowed if count else SURE * allowed)
-        # Few trees say too little of one point: until then all points have as many.
+        # Where walls are seen, their noise has the rest of the target.
+        share = 1.0
+        if len(self.first.rows):
+            share = SEEN_NOISE_SHARE
+        allowed = share * target * float((shown.light @ LUMINANCE_WEIGHTS).mean())
+        if not count:
+            allowed = SURE * allowed
+        found = sums.noisy(shown.variance, allowed)
+        # The noise of a point is not known from few trees: until then all points have as many.
         if count >= MIN_TREES or not len(found):
             return found
         return np.arange(len(shown.light))
@@ -272,9 +278,9 @@ class ViewThrough(Refinement[SurfaceSeen]):
             rays = seen.put(lit, target, framebuffer, tiles)
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
-                more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
-                waiting = waiting + more
-                version = version + own
+                more, paths = self.walls.put(gbuffer, light, target, framebuffer, tiles)
+                waiting += more
+                version += paths
         frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
         return replace(
             frame,
@@ -295,9 +301,8 @@ class ViewThrough(Refinement[SurfaceSeen]):
         """
         gbuffer = frame.gbuffer
         light = found.light
-        if self.walls.grow(
-            [WallView.of(gbuffer, light), *found.first.views(gbuffer, light)], target, tiles
-        ):
+        views = [WallView.of(gbuffer, light), *found.first.views(gbuffer, light)]
+        if self.walls.grow(views, target, tiles):
             return True
         lit, _ = self._lit(found.first, gbuffer, light, target, tiles)
         places = found.noisy(found.sums, found.shown(found.sums, lit, tiles)[0], target)
@@ -310,6 +315,7 @@ class ViewThrough(Refinement[SurfaceSeen]):
         final, take a step of these instead. Return False if nothing was taken. Raises
         Cancelled.
         """
+        # Draw as many trees as a step has places for, some points after the other.
         numbers = seen.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places)))
         trees = Trees(BREADTH, range(HALVES), numbers)
         added = np.zeros((len(places), HALVES, 3))
@@ -318,6 +324,7 @@ class ViewThrough(Refinement[SurfaceSeen]):
             rows = places[a : a + some]
             found = SeenThrough.of(seen.gbuffer.part(rows, tiles), seen.light, trees, tiles)
             lit, _ = self._lit(found, seen.gbuffer, seen.light, target, tiles)
+            # Sums must not hold light of walls that will still change.
             if (lit.state[: len(found.rows)] < FINAL).any():
                 return self.walls.grow(found.views(seen.gbuffer, seen.light), target, tiles)
             added[a : a + some] = found.gather(lit)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)

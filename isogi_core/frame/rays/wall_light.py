@@ -53,23 +53,26 @@ class WallLight:
     """The light of one side of a wall about the ``surface`` that is shown: its ``texels``, as far
     as they have converged.
 
-    Light ``lent`` by isovalues nearby stands in while the texels have a larger error. Only the
-    thread that holds the ``lock`` changes it.
+    Light ``interpolated`` between the nearest isovalues that were lit before stands in while the
+    texels have a larger error; None if there is none. Only the thread that holds the ``lock``
+    changes it.
     """
 
     light: RotatedLight
     surface: Surface
     texels: WallTexels
-    lent: WallTexels | None = None
+    interpolated: WallTexels | None = None
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes; texels that are coarse are counted as fine ones."""
-        own = self.texels.nbytes * (
-            1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
-        )
-        return own + (self.lent.nbytes if self.lent else 0)
+        size = self.texels.nbytes
+        if not self.texels.fine:
+            size *= (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
+        if self.interpolated:
+            size += self.interpolated.nbytes
+        return size
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
         """Return the wall's texels if they are final at the ``target`` error, else the light with
@@ -78,15 +81,12 @@ class WallLight:
         Raises Cancelled.
         """
         with self.lock:
-            own = self.texels
-            if (
-                self.lent
-                and not own.final(target)
-                and not (own.count and own.error <= self.lent.error)
-            ):
-                return self.lent
-            # The texels have become better than the light of other isovalues, for good.
-            self.lent = None
+            if self.interpolated and not self.texels.final(target):
+                better = self.texels.count and self.texels.error <= self.interpolated.error
+                if not better:
+                    return self.interpolated
+            # From now on the texels are better than the light of other isovalues.
+            self.interpolated = None
             if not self.texels.count:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
@@ -126,12 +126,11 @@ class RoomLight:
         found = cls(
             light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store
         )
-        own = found._kept(found.state)
-        lent = found._lent()
-        for side in {*own, *lent}:
-            found.sides[side] = WallLight(
-                light, surface, own.get(side) or found._begun(side), lent.get(side)
-            )
+        kept = found._kept(found.state)
+        interpolated = found._interpolated()
+        for side in {*kept, *interpolated}:
+            texels = kept.get(side) or found._begun(side)
+            found.sides[side] = WallLight(light, surface, texels, interpolated.get(side))
         return found
 
     @property
@@ -159,11 +158,11 @@ class RoomLight:
             shape = 4 * len(self.light.spec.prepared.scene.lighting.room.walls), across, across
             means = np.zeros((*shape, 3))
             counts = np.zeros(shape, np.int64)
-            for each in (each for each in grown if each.across == across):
-                rows, columns = each.settled.shape
-                own = planes_of((each.wall, each.side)), slice(rows), slice(columns)
-                means[own] = np.moveaxis(each.means, 2, 0)
-                counts[own] = each.count * each.asked
+            for texels in (each for each in grown if each.across == across):
+                rows, columns = texels.settled.shape
+                there = planes_of((texels.wall, texels.side)), slice(rows), slice(columns)
+                means[there] = np.moveaxis(texels.means, 2, 0)
+                counts[there] = texels.count * texels.asked
             self.store.keep(self.state, (means, counts))
 
     def _begun(self, side: Side) -> WallTexels:
@@ -179,15 +178,16 @@ class RoomLight:
             planes := self.store.planes(state, across)
         ) is not None:
             kept[across] = planes
-        sides = (
-            product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1))
-            if kept
-            else ()
-        )
-        found = {side: WallTexels.restored(self.light, side, kept) for side in sides}
+        if not kept:
+            return {}
+        walls = self.light.spec.prepared.scene.lighting.room.walls
+        found = {
+            side: WallTexels.restored(self.light, side, kept)
+            for side in product(range(len(walls)), (1, -1))
+        }
         return {side: texels for side, texels in found.items() if texels is not None}
 
-    def _lent(self) -> dict[Side, WallTexels]:
+    def _interpolated(self) -> dict[Side, WallTexels]:
         """Interpolate the light that was kept at the nearest isovalues on either side, by the
         sides of walls.
         """
@@ -195,6 +195,7 @@ class RoomLight:
         if around is None:
             return {}
         low, high = (self._kept(each, FINE_WALL_TEXELS) for each in around)
+        # A side must be known at both isovalues.
         share = (self.state.isovalue - around[0].isovalue) / (
             around[1].isovalue - around[0].isovalue
         )
@@ -219,6 +220,7 @@ class WallView:
         """Return the walls that a G-buffer shows, from the side of its eye."""
         room = light.spec.prepared.room(light.seen.albedo)
         eye = np.multiply(gbuffer.eye, gbuffer.spacing)
+        # A wall shows its front if the eye is on the side of its normal.
         front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
         return cls(gbuffer, light, np.where(front, 1, -1))
 
@@ -256,6 +258,7 @@ class WallView:
         """
         walls = self.gbuffer.walls
         prepared = self.light.spec.prepared
+        # All texels of a side of a wall share one state.
         finals = {each.wall: each.final(target) for each in texels}
         table = self._table(texels, finals)
         darkest = np.float32(MIN_LIGHT * self.light.spec.unit)
@@ -347,6 +350,7 @@ class WallView:
         traced = gbuffer.surface.traced(tiles.run)
         normals = self._normals_of(walls.numbers).astype(np.float32)
         shown = SurfacePoints(walls.points, normals, walls.pixels)
+        # Each wall has its own albedo, and so its own model.
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)
             model = self.light.local_model(shading, depths, np.array(room.walls[number].albedo))
@@ -385,6 +389,7 @@ class ViewWalls(Refinement[RoomLight]):
         if view.shading == "path_traced":
             walls.put_paths(target, framebuffer, tiles)
         elif view.shading != "gi":
+            # There is no vicinity shading of walls: Lambert's model stands in.
             if view.shading == "vicinity":
                 shading = "lambert"
             else:
@@ -445,6 +450,7 @@ class ViewWalls(Refinement[RoomLight]):
         room = self._room(views[0])
         grown = list[WallTexels]()
         try:
+            # A wall that several views see takes one step.
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
                 if lit.grow(target, tiles):

@@ -66,6 +66,7 @@ def light_starts(
     def _piece(a: int, b: int) -> None:
         some = starts_between(starts, a, b)
         add_paths(met, some, samples, rules, light.surroundings, sums[a:b])
+        # No glow is gathered in scenes of matter that light passes.
         if not isinstance(met, Through):
             add_glow(sums[a:b], light, traced, some, rules, samples)
 
@@ -82,8 +83,8 @@ class WallTexels:
     - ``means`` (rows, columns, 2, 3): E/π by two halves of ``count`` paths; rows are along the
       second edge of the wall.
     - ``across``: number of texels along the longest edge of any wall.
-    - ``settled`` (rows, columns): variance by interpolation, ``unsharp``, that coarser texels had
-      where they were fine enough; no paths start there. NaN elsewhere.
+    - ``settled`` (rows, columns): NaN for texels that paths start from, which are ``asked``. All
+      others are interpolated from coarser texels; it is the variance that interpolation had there.
     - ``made_of``: name of the texels that these were mixed of, from two other isovalues; empty if
       they have paths of their own.
     - ``moved`` (rows, columns): variance that mixing adds, as light changes between the isovalues;
@@ -130,15 +131,15 @@ class WallTexels:
         for across, (means, counts) in sorted(kept.items()):
             begun = cls.begun(light, *side, across)
             rows, columns = begun.settled.shape
-            own = planes_of(side), slice(rows), slice(columns)
-            asked = counts[own][0] > 0
+            there = planes_of(side), slice(rows), slice(columns)
+            asked = counts[there][0] > 0
             # The coarsest texels must be complete; finer ones may be in parts.
             if not asked.any() or (found is None and not asked.all()):
                 break
             if found is not None:
                 begun = found.finer(light, asked)
-            some = np.where(asked[..., None, None], np.moveaxis(means[own], 0, 2), begun.means)
-            found = replace(begun, means=some, count=int(counts[own].max()))
+            some = np.where(asked[..., None, None], np.moveaxis(means[there], 0, 2), begun.means)
+            found = replace(begun, means=some, count=int(counts[there].max()))
         return found
 
     @property
@@ -219,9 +220,16 @@ class WallTexels:
     @property
     def error(self) -> float:
         """The relative error of all texels together, by noise, interpolation and mixing."""
-        return self.relative(
-            self.variance + self.unsharp + (0.0 if self.moved is None else self.moved)
-        )
+        return self.relative(self._all_variance)
+
+    @property
+    def _all_variance(self) -> np.ndarray:
+        """Variance of the luminance of each texel by noise, interpolation and mixing; (rows,
+        columns).
+        """
+        if self.moved is None:
+            return self.variance + self.unsharp
+        return self.variance + self.unsharp + self.moved
 
     def final(self, target: float) -> bool:
         """Return True if their error is within a ``target``, or as small as it can become."""
@@ -255,6 +263,7 @@ class WallTexels:
         """Return the texels a step nearer to a ``target``: fine ones, more paths, or twice as
         fine ones. Raises Cancelled.
         """
+        # Begin fine texels first, then reduce noise, then interpolation.
         if not self.fine:
             return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(
                 light, surface, tiles
@@ -266,11 +275,10 @@ class WallTexels:
         )
 
     def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
-        """Mark which of twice as many texels along each axis paths are to start from; (2 rows, 2
-        columns) bool, about.
+        """Mark the finer texels, twice as many along each axis, that paths are to start from; (2
+        rows, 2 columns) bool, about.
 
-        They are so many that interpolation of all others has less than a quarter of the ``target``
-        error.
+        All others stay interpolated: their errors together are below a quarter of the ``target``.
         """
         # Sort the errors; the smallest ones, whose sum is allowed, may stay interpolated.
         least = np.sort(self.unsharp, axis=None)
@@ -280,8 +288,8 @@ class WallTexels:
         return np.asarray(self.unsharp[self._near(finer)] >= few)
 
     def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
-        """Return twice as many texels along each axis: dark where they are ``asked``,
-        interpolated from these elsewhere.
+        """Return twice as many texels along each axis: dark if they are ``asked``, else
+        interpolated from these.
         """
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
         settled = np.where(asked, np.nan, self.unsharp[self._near(finer)])
@@ -289,7 +297,9 @@ class WallTexels:
         return replace(finer, means=known, settled=settled)
 
     def _places(self, finer: "WallTexels") -> list[np.ndarray]:
-        """Return where the rows and the columns of ``finer`` texels lie between those of these."""
+        """Return the positions of the rows and the columns of ``finer`` texels, counted in
+        those of these.
+        """
         sizes = zip(finer.settled.shape, self.settled.shape, strict=True)
         return [(np.arange(a) + 0.5) * b / a - 0.5 for a, b in sizes]
 
@@ -322,12 +332,14 @@ class WallTexels:
         plan = light.spec.plan
         asked = self.asked
         count = self.count + more
+        # Trace more samples of the same sequences, from the texels that are asked alone.
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         starts = self._starts(light, surface)
         samples = SampleRange(self.count, more)
         added = light_starts(light, surface, starts, rules, samples, tiles).reshape(-1, 2, 3)
         means = self.means.copy()
         layer = wall_layer(light.spec.prepared.scene)
+        # Update the running means, rounded as if they had been read from the store.
         means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[
             ..., 0
         ]
@@ -338,11 +350,13 @@ class WallTexels:
         room = light.spec.prepared.room(light.seen.albedo)
         (rows, columns) = self.settled.shape
         row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
+        # Start in the middle of each texel, on the side that is seen.
         edges = room.edges[self.wall]
         points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
+        # The random sequence of a half of a texel is named by wall, side, row, column and half.
         words = np.column_stack(
             [
                 np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)),
@@ -361,15 +375,13 @@ class WallTexels:
         light = np.minimum(
             self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max
         )
-        variance = (self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))[
-            ..., None
-        ]
-        return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
+        leaving = np.concatenate([light, self._all_variance[..., None]], axis=2, dtype=np.float32)
+        return leaving.reshape(-1, 4)
 
 
 def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate ``values`` (h, w, …) linearly at places between ``rows`` and ``columns``;
-    beyond the ends the values there.
+    """Interpolate ``values`` (h, w, …) linearly at positions between ``rows`` and ``columns``;
+    beyond the ends, return the values at the ends.
     """
     for axis, places in enumerate((rows, columns)):
         first = np.clip(np.floor(places).astype(int), 0, values.shape[axis] - 2)

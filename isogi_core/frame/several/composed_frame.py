@@ -107,11 +107,16 @@ class SurfacesQuality(Quality):
         """All light that must be baked until the picture is final, the side with the largest
         error first.
         """
-        return tuple(
-            replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
-            for part in sorted(self.parts, key=wrong_of, reverse=True)
-            for stage in part.frame.stages
-        )
+        stages = []
+        for part in sorted(self.parts, key=error_of, reverse=True):
+            for stage in part.frame.stages:
+                # The light of the outer side is in the scene's caches, which None stands for.
+                if part.side == OUTER:
+                    caches = None
+                else:
+                    caches = stage.caches or part.caches
+                stages.append(replace(stage, caches=caches))
+        return tuple(stages)
 
     def layers(self, frame: Frame) -> Iterator[Layer]:
         """Yield the layers of all sides in a ``frame``, and the faces of its window; see
@@ -136,9 +141,9 @@ class SurfacesQuality(Quality):
         walls = [
             part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting
         ]
-        worst = max((wrong_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
+        worst = max((error_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
         return any(
-            part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls
+            part.frame.quality.walls_coarse(part.frame) or error_of(part) > worst for part in walls
         )
 
     def true_mean(self, frame: Frame) -> float:
@@ -153,17 +158,18 @@ class SurfacesQuality(Quality):
 
         The errors of different sides count as independent.
         """
+        # All sides must be measured: the error of one says nothing about the others.
         found = [part.measured for part in self.parts]
         if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
             return None
-        every = [each for each in found if each is not None]
-        likely, low, high = (
-            self._sum(frame, [getattr(each, of) for each in every])
-            for of in ("likely", "low", "high")
+        errors = [each for each in found if each is not None]
+        total = TotalError(
+            self._sum(frame, [each.likely for each in errors]),
+            self._sum(frame, [each.low for each in errors]),
+            self._sum(frame, [each.high for each in errors]),
+            sum(each.controls for each in errors),
         )
-        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(
-            frame.noise
-        )
+        return total.at_least(frame.noise)
 
     def tail(self, frame: Frame) -> None:
         """Return None: control pixels of one side do not tell how errors of two in one pixel
@@ -182,10 +188,8 @@ class SurfacesQuality(Quality):
         """
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
-        return min(
-            math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, MIN_SHOWN_LUMINANCE),
-            1.0,
-        )
+        error = math.sqrt(squares / max(frame.surface, 1))
+        return min(error / max(frame.true_mean, MIN_SHOWN_LUMINANCE), 1.0)
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
@@ -195,7 +199,7 @@ def parts_of(frame: Frame) -> tuple[Part, ...]:
     return ()
 
 
-def wrong_of(part: Part) -> float:
+def error_of(part: Part) -> float:
     """Return the absolute error of a part in the picture, as far as it is known."""
     return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
 
@@ -208,15 +212,12 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
     # Sum the squares of weight · luminance · relative error over all layers of a pixel.
     for part, error in errors:
         light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE_WEIGHTS
-        own = (part.layers.weights * light * part.seen(error)) ** 2
+        added = (part.layers.weights * light * part.seen(error)) ** 2
         for rows, pixels in part.layers.each:
-            squares[pixels] += own[rows]
+            squares[pixels] += added[rows]
     light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE_WEIGHTS
-    return (
-        np.minimum(np.sqrt(squares) / np.maximum(light, MIN_SHOWN_LUMINANCE), 1.0)
-        .astype(np.float32)
-        .reshape(radiance.shape[:2])
-    )
+    errors_of_pixels = np.minimum(np.sqrt(squares) / np.maximum(light, MIN_SHOWN_LUMINANCE), 1.0)
+    return errors_of_pixels.astype(np.float32).reshape(radiance.shape[:2])
 
 
 def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
@@ -224,14 +225,16 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
     linear light (h, w, 3) float32, and the least state of each pixel, (h, w) uint8.
     """
     count = view.width * view.height
+    # States begin above all real ones, so that the least of a pixel's layers remains.
     radiance = np.zeros((count, 3))
     state = np.full(count, FINAL + 1, np.uint8)
     for part in parts:
         light = part.layers.weights[:, None] * part.seen(part.frame.radiance)
-        own = part.seen(part.frame.state)
+        states = part.seen(part.frame.state)
         for rows, pixels in part.layers.each:
             radiance[pixels] += light[rows]
-            state[pixels] = np.minimum(state[pixels], own[rows])
+            state[pixels] = np.minimum(state[pixels], states[rows])
+    # Pixels that no layer has touched show nothing.
     state[state > FINAL] = 0
     shape = view.height, view.width
     return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
@@ -243,8 +246,10 @@ def compose(
     """Compose the frame of a ``view`` of a ``scene`` from the frames of its sides, and paint
     the faces of its window.
     """
+    # Add up light and errors of all layers of each pixel.
     lit, state = summed(view, parts)
     error = summed_errors([(part, part.frame.error) for part in parts], lit)
+    # Faces of a window hide all that is behind them.
     if len(peels.first.faces.pixels):
         paint_faces(
             peels.first,
@@ -254,6 +259,7 @@ def compose(
     checked = view.shading == "gi" and not view.moving
     # Name the picture by the versions of its parts.
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
+    # Counts of the parts add up; the worst of the expected errors stands for all.
     frames = [part.frame for part in parts]
     chunks = sum(each.chunks_needed for each in frames), sum(each.chunks_final for each in frames)
     quality = SurfacesQuality(

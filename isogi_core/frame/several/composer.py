@@ -16,7 +16,7 @@ from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.several.composed_frame import Part, compose, parts_of, wrong_of
+from isogi_core.frame.several.composed_frame import Part, compose, error_of, parts_of
 from isogi_core.frame.several.peels import (
     Peeler,
     Peels,
@@ -52,8 +52,8 @@ class Composer:
         ``kept``.
         """
         self._caches = own.caches
-        self._own = own
-        self._make = side
+        self._outer = own
+        self._make_renderer = side
         self._kept = kept
         self._scene = self._caches.prepared.scene
         self._inner: PreparedScene | None = None
@@ -73,14 +73,14 @@ class Composer:
         the light of this view alone takes more than the budget.
         """
         try:
-            return self._drawn(view, until, tiles, watch)
-        except (
-            NoRoomError
-        ):  # light of other isovalues takes the room: what this view reads is read again
+            return self._draw(view, until, tiles, watch)
+        except NoRoomError:
+            # Light of other isovalues may take the room: drop all, and read again the light of this
+            # view alone.
             self._let_go()
-            return self._drawn(view, until, tiles, watch)
+            return self._draw(view, until, tiles, watch)
 
-    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """Render a view, with the light of other isovalues in memory."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
@@ -108,17 +108,17 @@ class Composer:
 
     def _peeler(self, view: View, tiles: Tiles) -> Peeler:
         """Return the peeler that casts rays of a view at all surfaces and walls."""
-        every = surfaces_of(self._scene, view.isovalue)
-        surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
-        clears = np.array([each.clear for each in every])
-        walls = self._caches.prepared.walls_in_view
-        return Peeler.of(view, surfaces, clears, tiles, walls)
+        prepared = self._caches.prepared
+        shown = surfaces_of(self._scene, view.isovalue)
+        surfaces = [prepared.surface(each.isovalue) for each in shown]
+        clears = np.array([each.clear for each in shown])
+        return Peeler.of(view, surfaces, clears, tiles, prepared.walls_in_view)
 
     def peels(self, view: View, tiles: Tiles) -> Peels:
         """Return all that a view shows, layer behind layer, kept or peeled now. Raises
         Cancelled.
         """
-        return self._kept.get((Peels, surface_key(view)), lambda: self._peels(view, tiles))
+        return self._kept.get((Peels, surface_key(view)), lambda: self._peel(view, tiles))
 
     def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Take one step of the picture of a view, whose light is final, towards the ``target``;
@@ -129,61 +129,56 @@ class Composer:
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
-        # The side with the largest known error takes the step.
+        # Walls that lag behind may take a step while sides still wait for light.
         waiting = [
             part
             for part in parts_of(frame)
             if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
-        waiting.sort(key=wrong_of, reverse=True)
-        own = (self.renderer(part.side, view.isovalue) for part in waiting)
-        at = prices.of_present
-        return any(
-            each.refine_frame(part.frame, target, tiles, at)
-            for each, part in zip(own, waiting, strict=True)
-        )
+        # The side with the largest known error takes the step, or else the next that has one.
+        for part in sorted(waiting, key=error_of, reverse=True):
+            renderer = self.renderer(part.side, view.isovalue)
+            if renderer.refine_frame(part.frame, target, tiles, prices.of_present):
+                return True
+        return False
 
     def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
         """Return the renderer of a ``side``, or of WALLS_SIDE, while the surface that slides
         shows the isovalue ``shown``.
         """
         if side in (OUTER, WALLS_SIDE):
-            return self._own
+            return self._outer
         key = side, shown if side.number else None
         with self._lock:
-            # Light of pinned surfaces depends on the isovalue that slides. It is kept at levels of
-            # that; views mix the two around it.
             if key not in self._sides:
+                # Light of pinned surfaces depends on the isovalue that slides. It is baked at some
+                # levels of that isovalue, and views mix the light of the two levels around it.
                 if side.number:
-                    levels = self._levels(shown)
+                    pinned = [each.isovalue for each in self._scene.surfaces.pinned]
+                    levels = levels_around(self._scene.levels, pinned, shown)
                 else:
                     levels = ((shown, 1.0),)
                 mix = tuple(Level(self._caches_of(side, level), share) for level, share in levels)
                 if len(mix) == 1:
-                    own = mix[0].caches
+                    caches = mix[0].caches
                 else:
-                    own = self._caches_of(side, shown)
-                self._sides[key] = self._make(own, levels=mix)
+                    caches = self._caches_of(side, shown)
+                self._sides[key] = self._make_renderer(caches, levels=mix)
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
-
-    def _levels(self, shown: float) -> tuple[tuple[float, float], ...]:
-        """Return the levels whose light is mixed at an isovalue ``shown``, and their shares."""
-        return levels_around(
-            self._scene.levels, [each.isovalue for each in self._scene.surfaces.pinned], shown
-        )
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
         """Return the caches of a side's light for the isovalue ``shown``, kept or made now."""
         key = side, shown if side.number else None
         if key not in self._held:
-            self._held[key] = self._made(side, shown)
+            self._held[key] = self._make_caches(side, shown)
         return newest(self._held, key, HELD * len(sides_of(self._scene)))
 
-    def _made(self, side: Side, shown: float) -> Caches:
+    def _make_caches(self, side: Side, shown: float) -> Caches:
         """Make caches of a side's light. They share all that other sides have worked out of the
         volume.
         """
         scene = scene_of_side(self._scene, side, shown)
+        # Inner sides are lit in the volume turned inside out, which they share.
         if not side.inner:
             prepared = self._caches.prepared.beside(scene)
         elif self._inner is None:
@@ -221,20 +216,23 @@ class Composer:
             albedo=None,
         )
 
-    def _peels(self, view: View, tiles: Tiles) -> Peels:
+    def _peel(self, view: View, tiles: Tiles) -> Peels:
         """Peel a view, and sort the hits by sides and walls."""
-        every = surfaces_of(self._scene, view.isovalue)
-        (hits, left) = self._peeler(view, tiles).whole(view, tiles)
+        surfaces = surfaces_of(self._scene, view.isovalue)
+        hits, left = self._peeler(view, tiles).whole(view, tiles)
         first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
+        # Stack the layers of each side that is seen; its surface has the active cells of its own
+        # prepared scene.
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):
                 prepared = self.renderer(side, view.isovalue).caches.prepared
-                sides[side] = side_layers(
-                    hits, side, first, prepared.surface(every[side.number].isovalue)
-                )
+                surface = prepared.surface(surfaces[side.number].isovalue)
+                sides[side] = side_layers(hits, side, first, surface)
         walls, seen = walls_of(hits, first)
-        return Peels(first, sides | ({} if seen is None else {WALLS_SIDE: seen}), left, walls)
+        if seen is not None:
+            sides[WALLS_SIDE] = seen
+        return Peels(first, sides, left, walls)
 
 
 Kept = TypeVar("Kept")

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_of, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, OtherPoints, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight
 from isogi_core.kernels.tracing.peels import (
@@ -43,17 +43,22 @@ class Hits:
     @classmethod
     def joined(cls, parts: Sequence["Hits"]) -> "Hits":
         """Concatenate the hits of several sets of rays."""
-        names = ("pixels", "points", "sides", "ranks", "weights")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return cls(
+            np.concatenate([part.pixels for part in parts]),
+            np.concatenate([part.points for part in parts]),
+            np.concatenate([part.sides for part in parts]),
+            np.concatenate([part.ranks for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
 
     def rows_of(self, side: Side) -> np.ndarray:
         """Return the rows of the hits on a ``side``."""
         return np.flatnonzero(np.minimum(self.sides, FIRST_WALL_SIDE) == side.peeled)
 
-    def beside(self, rows: np.ndarray) -> PointsBeside:
+    def others(self, rows: np.ndarray) -> OtherPoints:
         """Return the hits in some ``rows``, which are on walls or on faces of a window."""
         sides = self.sides[rows]
-        return PointsBeside(
+        return OtherPoints(
             self.pixels[rows],
             self.points[rows],
             np.where(sides < FIRST_WALL_SIDE, sides, sides - FIRST_WALL_SIDE),
@@ -190,8 +195,9 @@ def side_layers(hits: Hits, side: Side, first: GBuffer, surface: Surface) -> Sid
     # below those before.
     rows = np.concatenate([rows[ranks == rank] for rank in range(layers)])
     places = hits.pixels[rows] + hits.ranks[rows].astype(np.uint32) * np.uint32(height * width)
-    shown = (layers * height, width), first.spacing, first.eye, surface
-    return SideLayers(GBuffer(*shown, places, hits.points[rows]), layers, hits.weights[rows])
+    shape = (layers * height, width)
+    gbuffer = GBuffer(shape, first.spacing, first.eye, surface, places, hits.points[rows])
+    return SideLayers(gbuffer, layers, hits.weights[rows])
 
 
 def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
@@ -204,9 +210,16 @@ def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
     face = hits.sides == WINDOW_FACE
     wall = hits.sides >= FIRST_WALL_SIDE
     on = np.flatnonzero(front & ~face & ~wall)
-    shown = (view.height, view.width), spacing, view_pinhole(view, spacing).eye, surface
-    walls, faces = (hits.beside(np.flatnonzero(each)) for each in (front & wall, face))
-    return GBuffer(*shown, hits.pixels[on], hits.points[on], walls=walls, faces=faces)
+    return GBuffer(
+        (view.height, view.width),
+        spacing,
+        view_pinhole(view, spacing).eye,
+        surface,
+        hits.pixels[on],
+        hits.points[on],
+        walls=hits.others(np.flatnonzero(front & wall)),
+        faces=hits.others(np.flatnonzero(face)),
+    )
 
 
 def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
@@ -214,9 +227,9 @@ def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
     picture of the G-buffer ``first``; None in place of these if there are no walls.
     """
     rows = hits.rows_of(WALLS_SIDE)
-    shown = (first.shape, first.spacing, first.eye, first.surface)
-    seen = hits.beside(rows)
-    picture = GBuffer(*shown, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
+    seen = hits.others(rows)
+    view = (first.shape, first.spacing, first.eye, first.surface)
+    picture = GBuffer(*view, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
     if not len(rows):
         return picture, None
-    return picture, SideLayers(GBuffer(*shown, seen.pixels, seen.points), 1, hits.weights[rows])
+    return picture, SideLayers(GBuffer(*view, seen.pixels, seen.points), 1, hits.weights[rows])
