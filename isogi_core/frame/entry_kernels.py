@@ -50,11 +50,7 @@ from isogi_core.kernels.tracing.active_cells import (
     number_bricks,
     pack_bricks,
 )
-from isogi_core.kernels.tracing.camera import (
-    read_values,
-    trace_pixels,
-    trace_places,
-)
+from isogi_core.kernels.tracing.camera import read_values, trace_pixels, trace_places
 from isogi_core.kernels.tracing.extents import fill_row_ends
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells

@@ -2,7 +2,6 @@
 it is known, and the work that is left until it is final.
 """
 
-import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,18 +9,16 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import (
-    ControlPixels,
     TotalError,
     measure_total,
     predict_total,
     spread_errors,
 )
-from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.kernels.shading.framebuffer import (
@@ -40,10 +37,12 @@ Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
 these pixels show, and the shares (n,) of their light that come from there.
 """
 
+
 UNREACHABLE = 4
 """The state, in ``Frame.reported_state``, of a final pixel that reads a texel which cannot be
 projected; see ``frame.projected_texels``.
 """
+
 
 STATE_CODES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
@@ -90,53 +89,6 @@ class EdgeSamples:
         return np.column_stack(
             [sums / np.maximum(count, 1), count / np.float32(self.on.shape[1])]
         ).astype(np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class PictureState:
-    """What the check of a picture knows besides the light of its texels. Each step of the check
-    replaces the record as a whole, so that another thread reads the values of one step.
-
-    - ``target``: relative error that the picture is to reach.
-    - ``controls``: control pixels of the present attempt.
-    - ``uncertainty`` (m,): uncertain luminance of each surface point; controls were drawn by it.
-    - ``own``: light that pixels have from paths of their own.
-    - ``attempt``: how many times pixels have got light of their own; each attempt has new controls.
-    - ``ended``: True if the last step found nothing to do.
-    - ``enough``: samples that texels are to have, the present rung.
-    - ``drawn``: value of ``enough`` when the controls were drawn.
-    - ``paths``: number of paths in each half of a control.
-    """
-
-    target: float
-    controls: ControlPixels = field(default_factory=ControlPixels.none)
-    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
-    own: PixelLight = field(default_factory=PixelLight.none)
-    attempt: int = 0
-    ended: bool = False
-    enough: int = FIRST_LEVEL
-    drawn: int = 0
-    paths: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        """The size of its arrays in bytes."""
-        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
-
-    @property
-    def outdated(self) -> bool:
-        """True if the controls were drawn on a lower rung than the present one."""
-        return self.drawn < self.enough
-
-    @property
-    def version(self) -> bytes:
-        """The name of the light that pixels have of their own: equal for equal light, empty if
-        no pixel has any.
-        """
-        own = self.own
-        if not len(own.places):
-            return b""
-        return repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
 
 
 @dataclass(frozen=True, eq=False)

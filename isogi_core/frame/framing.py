@@ -4,11 +4,12 @@ from functools import cache
 
 import numpy as np
 
-from isogi_core.frame.frame import Frame, PictureState, Quality
+from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
 from isogi_core.frame.projected_texels import ProjectedReading, Projection
 from isogi_core.frame.rays.control_pixels import expected_error
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.texel_reading import Lacking, Reading
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels

@@ -10,7 +10,8 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import MIN_LUMINANCE
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
-from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.noise_rescaling import scatter_at, weights_between
 from isogi_core.frame.rays.pixel_rays import (
     PASS_POINTS,
     Paths,

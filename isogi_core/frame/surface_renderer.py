@@ -19,12 +19,9 @@ from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.wall_light import ViewWalls
 from isogi_core.frame.refinement import Refinement
-from isogi_core.frame.shading import (
-    colour_surface,
-    empty_framebuffer,
-    shade,
-)
-from isogi_core.frame.texel_reading import Level, Reading
+from isogi_core.frame.several.mixed_reading import Level
+from isogi_core.frame.shading import colour_surface, empty_framebuffer, shade
+from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, is_checked, texels_until

@@ -20,6 +20,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
+from isogi_core.frame.several.mixed_reading import Level, mixed
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -34,7 +35,7 @@ from isogi_core.frame.texel_normals import (
     find_texel_normals,
     nearby_normals,
 )
-from isogi_core.frame.texel_reading import Level, Reading, mixed, read_texels
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import (
     ViewTexels,

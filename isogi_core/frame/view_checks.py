@@ -9,22 +9,14 @@ import numpy as np
 
 from isogi_core.bake.noise import RATE, Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.frame.frame import Frame, PictureState
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import (
-    CONTROLS_IF_MISSED,
-    paths_for,
-)
-from isogi_core.frame.rays.own_light import (
-    foreseen_paths,
-)
+from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
+from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
-from isogi_core.frame.rays.picture_plan import (
-    AWAITED,
-    Prices,
-    rungs_above,
-)
+from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.texel_reading import Reading

@@ -15,11 +15,7 @@ from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.shading import (
-    fill_texel_records,
-    filter_texel_light,
-    light_sources,
-)
+from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
 from isogi_core.frame.texel_normals import own_normals
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles

@@ -13,9 +13,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.shading import (
-    FILTER_DISTANCES,
-)
+from isogi_core.frame.shading import FILTER_DISTANCES
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels

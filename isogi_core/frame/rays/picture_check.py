@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isogi_core.bake.texel_light import next_level
-from isogi_core.frame.frame import Frame, PictureState
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
@@ -33,11 +33,7 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import (
-    AIM,
-    MOST_PATHS,
-    Growth,
-)
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
@@ -51,6 +47,7 @@ from isogi_core.frame.rays.picture_plan import (
     noise_of_climbers,
     rungs_at_once,
 )
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
 from isogi_core.frame.tiles import Tiles
 

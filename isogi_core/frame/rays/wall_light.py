@@ -21,12 +21,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.pixel_rays import (
-    passes,
-    pooled_variance,
-    replicas_for,
-    variance_of_mean,
-)
+from isogi_core.frame.rays.pixel_rays import passes, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.rays.wall_texels import (
     COARSE_WALL_TEXELS,
     FINE_WALL_TEXELS,

@@ -14,10 +14,7 @@ from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame, Layer, Quality
 from isogi_core.frame.framing import paint_faces
 from isogi_core.frame.rays.control_pixels import TotalError
-from isogi_core.frame.several.peels import (
-    Peels,
-    SideLayers,
-)
+from isogi_core.frame.several.peels import Peels, SideLayers
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer

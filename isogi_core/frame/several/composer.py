@@ -17,16 +17,10 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.several.composed_frame import Part, compose, error_of, parts_of
-from isogi_core.frame.several.peels import (
-    Peeler,
-    Peels,
-    first_of,
-    side_layers,
-    walls_of,
-)
+from isogi_core.frame.several.mixed_reading import Level
+from isogi_core.frame.several.peels import Peeler, Peels, first_of, side_layers, walls_of
 from isogi_core.frame.several.smoothing import smooth_surfaces
 from isogi_core.frame.surface_renderer import SurfaceRenderer
-from isogi_core.frame.texel_reading import Level
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View

@@ -13,10 +13,7 @@ from isogi_core.frame.film import lit
 from isogi_core.frame.frame import EdgeSamples, Frame
 from isogi_core.frame.gbuffer import TILE_RAYS
 from isogi_core.frame.several.composed_frame import parts_of
-from isogi_core.frame.several.peels import (
-    Hits,
-    Peeler,
-)
+from isogi_core.frame.several.peels import Hits, Peeler
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light
 from isogi_core.kernels.tracing.camera import WINDOW_FACE

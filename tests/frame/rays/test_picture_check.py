@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.frame import TAIL, Frame, PictureState, Quality
+from isogi_core.frame.frame import TAIL, Frame, Quality
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
     MAX_CONTROLS,
@@ -44,6 +44,7 @@ from isogi_core.frame.rays.picture_plan import (
     noise_of_climbers,
     rungs_at_once,
 )
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
