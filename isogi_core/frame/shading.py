@@ -249,6 +249,7 @@ def fill_texel_records(
     """
     unshadowed = light.unshadowed
     records = np.empty((len(lit), RECORD_LENGTH), np.float32)
+    # Irradiance is kept as a whole: at most the unshadowed light of it counts as direct.
     whole = light.spec.plan.representation == "irradiance"
 
     def _piece(a: int, b: int) -> None:
@@ -294,8 +295,7 @@ def filter_texel_light(
 
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)
-    # Texels that are still without light have that of any neighbour; its error is as large as the
-    # light.
+    # Texels that are still without light borrow that of any neighbour, with an error of its size.
     found, filled = lend_light(texels, found, filtered)
     borrowed = grade != found.grade
     filled[borrowed, 3] = filled[borrowed, :3] @ LUMINANCE_WEIGHTS

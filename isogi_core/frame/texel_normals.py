@@ -57,10 +57,12 @@ class OwnNormals:
 
     @cached_property
     def _keys(self) -> np.ndarray:
+        """The number of the texel in each entry plus one, 0 in an empty one; (entries,) uint64."""
         return np.zeros(self._room, np.uint64)
 
     @cached_property
     def _normals(self) -> np.ndarray:
+        """The normal in each entry; (entries, 3)."""
         return np.empty((self._room, 3), np.float32)
 
     def of(
@@ -89,6 +91,7 @@ class OwnNormals:
         return normals
 
     def _keep(self, numbers: np.ndarray, normals: np.ndarray) -> None:
+        """Put new ``normals`` into the table; empty it before if it would become too full."""
         if self._held + len(numbers) > self._full:
             self._keys[:] = 0
             self._held = 0

@@ -93,6 +93,7 @@ class Tiles:
         self.check()
 
     def _over(self) -> bool:
+        """Return True if the work is cancelled."""
         return any(event.is_set() for event in self._cancelled)
 
     def run(self, piece: Piece, total: int, size: int) -> None:

@@ -161,6 +161,7 @@ class RoomLight:
             self.store.keep(self.state, (means, counts))
 
     def _begun(self, side: Side) -> WallTexels:
+        """Return coarse texels of a ``side`` without paths."""
         return WallTexels.begun(self.light, *side, COARSE_WALL_TEXELS)
 
     def _kept(self, state: WallState, finest: int = MAX_WALL_TEXELS) -> dict[Side, WallTexels]:
@@ -190,10 +191,10 @@ class RoomLight:
         if around is None:
             return {}
         low, high = (self._kept(each, FINE_WALL_TEXELS) for each in around)
-        # A side must be known at both isovalues.
         share = (self.state.isovalue - around[0].isovalue) / (
             around[1].isovalue - around[0].isovalue
         )
+        # A side must be known at both isovalues.
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()
