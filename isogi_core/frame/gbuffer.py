@@ -1,4 +1,4 @@
-"""The G-buffer: the points where the rays of pixels meet the isosurface. It is kept, so that
+"""The G-buffer: the points at which the rays of pixels meet the isosurface. It is kept, so that
 light can turn without new primary rays.
 """
 
@@ -29,7 +29,7 @@ POINTS = 4096
 
 @dataclass(frozen=True, eq=False)
 class OtherPoints:
-    """Points where rays of a camera meet something other than the isosurface.
+    """Points at which rays of a camera meet something other than the isosurface.
 
     - ``pixels`` (m,) uint32: picture indices, ascending.
     - ``points`` (m, 3) float32: in index space.
@@ -58,13 +58,13 @@ class OtherPoints:
 
 @dataclass(eq=False)
 class GBuffer:
-    """Points where the rays of one camera meet a ``surface``.
+    """Points at which the rays of one camera meet a ``surface``.
 
     - ``shape``: height and width of the picture.
     - ``spacing``: world size of a voxel along x, y, z.
     - ``eye``: position of the camera, in index space.
     - ``pixels`` (m,) uint32: picture indices that show the surface, ascending.
-    - ``points`` (m, 3) float32: where their rays meet it, in index space.
+    - ``points`` (m, 3) float32: hits of their rays, in index space.
     - ``walls``: points on walls; ``faces``: points on the faces that a window cuts into the solid.
 
     Normals and albedos are found when they are first asked for.
@@ -202,8 +202,8 @@ def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole
 
 
 def view_pinhole(view: View, spacing: Vector) -> Pinhole:
-    """Return the camera of a view in index space, from the first row and column of its picture
-    on.
+    """Return the camera of a view in index space. A view may be a part of a larger picture: its
+    camera begins at the first row and column of that part.
     """
     first, rows = view.whole
     before, columns = view.columns or (0, view.width)

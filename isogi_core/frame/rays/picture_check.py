@@ -131,13 +131,10 @@ class PictureCheck:
         # While the interval holds the target, draw more controls, unless a rung decides for less.
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
-            self.ahead = Ahead(
-                max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn),
-                times=1,
-            )
-            if self._climbing_decides(
-                frame, frame.measured, [prices.path * each for each in climbs]
-            ):
+            wanted = self._control_paths(frame.measured, frame.measured.likely)
+            self.ahead = Ahead(max(wanted - drawn, drawn), times=1)
+            costs = [prices.path * each for each in climbs]
+            if self._climbing_decides(frame, frame.measured, costs):
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty, tiles)
         # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
@@ -205,13 +202,8 @@ class PictureCheck:
         else:
             most = CONTROLS_IF_MISSED
         wanted = min(controls_to(measured, measured.likely, known.target), most)
-        more = self._draw(
-            uncertainty,
-            before,
-            int(np.clip(wanted - before, before, 3 * before)),
-            known.paths,
-            tiles,
-        )
+        count = int(np.clip(wanted - before, before, 3 * before))
+        more = self._draw(uncertainty, before, count, known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
 
@@ -227,9 +219,8 @@ class PictureCheck:
         halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
         self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
         # A weight is the chance of a point if all are drawn evenly, over its chance here.
-        return ControlPixels(
-            places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
-        )
+        weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
+        return ControlPixels(places, weights, halves)
 
     def _climb(self, frame: Frame, rungs: int = 1) -> bool:
         """Have texels double their samples once for each of the ``rungs``; they are baked when
@@ -262,22 +253,18 @@ class PictureCheck:
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
         # Few controls may find an error below the noise that is known to be there: scale all errors
         # up to it.
-        errors *= max(
-            (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
-        )
+        known_error = (measured.likely * frame.true_mean) ** 2
+        errors *= max(known_error / max(float(errors.mean()), 1e-300), 1.0)
         errors, noise = self._by_regions(errors, noise, tiles)
         # Count the texels and chunks that each rung would bake.
-        under = frame.quality.lacking and frame.quality.lacking.texels
-        if under:
-            texels = len(under.places)
-            chunks = len(under.chunks)
-        else:
-            texels = 0
-            chunks = 0
+        texels = 0
+        chunks = 0
+        if frame.quality.lacking:
+            texels = len(frame.quality.lacking.texels.places)
+            chunks = len(frame.quality.lacking.texels.chunks)
         # Weigh all numbers of rungs, for these texels and for finer ones.
-        plans = by_rungs(
-            pixels, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
-        )
+        falling = np.minimum(noise_of_climbers(frame) * noise, errors)
+        plans = by_rungs(pixels, errors, falling, climbs, chunks)
         if texels and not (known.attempt or self.declined):
             plans += by_finer(
                 pixels, errors, noise, texels, chunks, self._rung(frame), known.target
@@ -317,13 +304,13 @@ class PictureCheck:
         """Return the present rung: the samples that all texels of the ``frame`` have that need
         more.
         """
-        lacking = frame.quality.lacking
-        if lacking:
-            samples = lacking.reading.samples
-        else:
-            samples = np.empty(0, np.int32)
+        if frame.quality.lacking is None:
+            return self.known.enough
+        samples = frame.quality.lacking.reading.samples
         lit = samples[samples > 0]
-        return max(self.known.enough, int(lit.min()) if len(lit) else 0)
+        if not len(lit):
+            return self.known.enough
+        return max(self.known.enough, int(lit.min()))
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; return False if they have all that

@@ -12,14 +12,14 @@ from isogi_core.frame.rays.own_light import PixelLight
 
 @dataclass(frozen=True, eq=False)
 class PictureState:
-    """What the check of a picture knows besides the light of its texels. Each step of the check
+    """All that the check of a picture knows besides the light of its texels. Each step of the check
     replaces the record as a whole, so that another thread reads the values of one step.
 
     - ``target``: relative error that the picture is to reach.
     - ``controls``: control pixels of the present attempt.
     - ``uncertainty`` (m,): uncertain luminance of each surface point; controls were drawn by it.
     - ``own``: light that pixels have from paths of their own.
-    - ``attempt``: how many times pixels have got light of their own; each attempt has new controls.
+    - ``attempt``: number of times that pixels have got light of their own; each has new controls.
     - ``ended``: True if the last step found nothing to do.
     - ``enough``: samples that texels are to have, the present rung.
     - ``drawn``: value of ``enough`` when the controls were drawn.

@@ -1,4 +1,4 @@
-"""Shine: rays of a microfacet lobe from the points of a picture, and the light where they end.
+"""Shine: rays of a microfacet lobe from the points of a picture, and the light at their ends.
 
 A shiny surface mirrors light to the eye alone; light that it sends to other places of the scene is
 diffuse, as texels have it. So shine needs no bake, and a ray takes the light of the surface that it
@@ -191,7 +191,7 @@ class ShineRays:
         return replace(row, moving=True, smooth=False, shine=DULL)
 
     def gather(self, light: np.ndarray) -> np.ndarray:
-        """Return the light of each ray, if ``light`` (h, 3) leaves the points where they end;
+        """Return the light of each ray, if ``light`` (h, 3) leaves the points at their ends;
         (points, each, 3) float64.
         """
         total = self.brought.astype(np.float64)

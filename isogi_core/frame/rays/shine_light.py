@@ -60,8 +60,8 @@ normals farther apart.
 
 @dataclass(frozen=True, eq=False)
 class SeenLight:
-    """Light where rays end: ``light`` (h, 3) linear RGB, its ``states`` (h,), and a ``version``
-    that names it.
+    """Light at the ends of rays: ``light`` (h, 3) linear RGB, its ``states`` (h,), and a
+    ``version`` that names it.
     """
 
     light: np.ndarray
@@ -108,7 +108,9 @@ class ShineLight:
 
     @property
     def version(self) -> bytes:
-        """A name of the rays that it is made of, without the light where the first ones end."""
+        """A name of the rays that it is made of, without the light at the ends of the first
+        ones.
+        """
         return repr(self.light.shine).encode() + self.sums.version
 
     def is_shown(self, frame: Frame) -> bool:
@@ -183,7 +185,7 @@ class ShineLight:
 @dataclass(frozen=True, eq=False)
 class ViewShine(Refinement[ShineLight]):
     """The shine of views, among results that are ``kept``; ``texels``, ``walls`` and ``checks``
-    give the light where its rays end.
+    give the light at the ends of its rays.
     """
 
     kept: LruCache[Any]
@@ -199,7 +201,7 @@ class ViewShine(Refinement[ShineLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> bytes:
-        """Add shine to a picture; return a name of the rays, and of the light where they end."""
+        """Add shine to a picture; return a name of the rays, and of the light at their ends."""
         shine = self._of(light, gbuffer, tiles)
         # Rays that were cast later have their light in their sums.
         if shine.count:
@@ -257,7 +259,7 @@ class ViewShine(Refinement[ShineLight]):
         return self.kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
 
     def _ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
-        """Return the light where ``rays`` end, by texels and walls as they are lit now;
+        """Return the light at the ends of ``rays``, by texels and walls as they are lit now;
         unshadowed light if nothing is lit yet.
         """
         hits = rays.hits
@@ -290,8 +292,8 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
 def add_lobes_seen(
     rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
 ) -> None:
-    """Add the direct light of lobes where ``rays`` end to the picture of these, by one shadow ray
-    to each lobe.
+    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, by one shadow
+    ray to each lobe.
 
     Raises Cancelled.
     """

@@ -109,9 +109,8 @@ class WallTexels:
         """
         room = light.spec.prepared.room(light.seen.albedo)
         edges = np.linalg.norm(room.edges, axis=2)
-        columns, rows = (
-            np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
-        )
+        sizes = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2)
+        columns, rows = sizes.astype(int).tolist()
         means = np.zeros((rows, columns, 2, 3))
         settled = np.full((rows, columns), np.nan)
         return cls(wall, side, room.albedos[wall], room.radiances[wall], means, across, settled)
@@ -177,7 +176,8 @@ class WallTexels:
         large as those between texels two apart; if they are smaller, light is smoother than an
         edge.
         """
-        near, far = self._bends(1), self._bends(2)
+        near = self._bends(1)
+        far = self._bends(2)
         found = EDGY * near * np.minimum(2.0 * near / np.maximum(far, 1e-30), 1.0)
         return np.where(self.asked, found, self.settled)
 
@@ -250,10 +250,9 @@ class WallTexels:
         """Return True if interpolation has a larger error than noise, and more than half of a
         ``target``; finer texels would help then.
         """
-        if (
-            not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS
-            or self.unsharp.mean() <= self.variance.mean()
-        ):
+        if not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS:
+            return False
+        if self.unsharp.mean() <= self.variance.mean():
             return False
         return self.relative(self.unsharp) > 0.5 * target
 
@@ -265,14 +264,12 @@ class WallTexels:
         """
         # Begin fine texels first, then reduce noise, then interpolation.
         if not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(
-                light, surface, tiles
-            )
+            fine = WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS)
+            return fine.grown(light, surface, tiles)
         if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
-        return self.finer(light, self._unsharp_places(light, target)).grown(
-            light, surface, tiles, self.count
-        )
+        finer = self.finer(light, self._unsharp_places(light, target))
+        return finer.grown(light, surface, tiles, self.count)
 
     def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
         """Mark the finer texels, twice as many along each axis, that paths are to start from; (2
@@ -281,11 +278,11 @@ class WallTexels:
         All others stay interpolated: their errors together are below a quarter of the ``target``.
         """
         # Sort the errors; the smallest ones, whose sum is allowed, may stay interpolated.
-        least = np.sort(self.unsharp, axis=None)
-        allowed = least.size * (0.25 * target * float(self.luminance.mean())) ** 2
-        few = least[min(int(np.searchsorted(np.cumsum(least), allowed)), least.size - 1)]
+        errors = np.sort(self.unsharp, axis=None)
+        allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
+        first = min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
-        return np.asarray(self.unsharp[self._near(finer)] >= few)
+        return np.asarray(self.unsharp[self._near(finer)] >= errors[first])
 
     def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
         """Return twice as many texels along each axis: dark if they are ``asked``, else
@@ -340,9 +337,8 @@ class WallTexels:
         means = self.means.copy()
         layer = wall_layer(light.spec.prepared.scene)
         # Update the running means, rounded as if they had been read from the store.
-        means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[
-            ..., 0
-        ]
+        updated = (means[asked] * self.count + added) / count
+        means[asked] = round_light(updated[..., None], layer)[..., 0]
         return replace(self, means=means, count=count)
 
     def _starts(self, light: RotatedLight, surface: Surface) -> PathStarts:

@@ -199,7 +199,9 @@ class Composer:
             self._held.clear()
 
     def _view_of(self, side: Side, view: View, layers: int) -> View:
-        """Return the view of a side's tall picture."""
+        """Return the view of a side's tall picture of ``layers`` layers: of the isovalue of
+        its surface, with the albedo of the scene.
+        """
         isovalue = surfaces_of(self._scene, view.isovalue)[side.number].isovalue
         return replace(
             view,
