@@ -56,7 +56,7 @@ class Prices(NamedTuple):
 
     @property
     def of_present(self) -> "Prices":
-        """These prices without finer texels: their price is infinite."""
+        """The prices without finer texels, whose price is infinite."""
         return self._replace(opening=math.inf)
 
 
@@ -64,7 +64,7 @@ AWAITED = Prices()
 """Prices for a picture that somebody waits for."""
 
 PRESENT: Prices = AWAITED.of_present
-"""Such prices without finer texels."""
+"""Prices for a picture that somebody waits for, without finer texels."""
 
 SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present
 """Prices for a picture that stands for others, of any size: all of these read its texels, and
