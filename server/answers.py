@@ -11,15 +11,16 @@ import numpy as np
 
 from isogi_core.files.scene_file import write_material_text
 from isogi_core.files.vector import Vector, triple
-from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
+from isogi_core.frame.card.blocks import CHUNKS, raw_scale
+from isogi_core.frame.card.looks import SeenChunk, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.framing import point_at
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import FINAL, TONE_GAIN, TONE_SHOULDER, TONE_TOE
 from isogi_core.model.choices import VIEW_SHADINGS

@@ -19,7 +19,8 @@ from pydantic import (
 
 from isogi_core.errors import advice
 from isogi_core.files.vector import Vector
-from isogi_core.frame.card.blocks import CHUNKS, is_inside
+from isogi_core.frame.card.blocks import CHUNKS
+from isogi_core.frame.card.chunk_texels import is_inside
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import Quaternion
 from isogi_core.prepared.prepared_scene import Index

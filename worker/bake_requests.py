@@ -16,7 +16,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Effort
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
-from isogi_core.frame.view_texels import Demand, first_texels
+from isogi_core.frame.demand import Demand, first_texels
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from worker.tasks import BakeResult

@@ -16,8 +16,8 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.fresh_light import FreshLight
 from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from worker.bake_requests import (

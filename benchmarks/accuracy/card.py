@@ -26,7 +26,8 @@ from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM
 from isogi_core.files.scene_file import SceneSource
-from isogi_core.frame.film import develop, ground_of, smooth_edges
+from isogi_core.frame.edges import smooth_edges
+from isogi_core.frame.film import develop, ground_of
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles, read_window
 from isogi_core.plan.assembly import build_scene

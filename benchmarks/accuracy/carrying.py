@@ -10,7 +10,8 @@ import numpy as np
 from isogi_core.bake.refine import locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.page_pool import fill_rows, new_rows, reflected_share
-from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.noise_rescaling import scatter_at, weights_between
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.tracing.field import bspline
 from isogi_report.bench import Bake, Bench

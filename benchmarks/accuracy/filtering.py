@@ -21,9 +21,9 @@ from benchmarks.accuracy.totals import scenes
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.frame.demand import first_texels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.view_texels import first_texels
 from isogi_report.bench import UNREACHED_TARGET, ViewBake
 from isogi_report.metrics import Score, score
 

@@ -32,8 +32,8 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.refine import refine
 from isogi_core.cache.scene_caches import Loader
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples
 from isogi_core.plan.left_out import S1_BYTES, lattice_bytes
 from isogi_core.plan.reachable_texels import TexelCount

@@ -32,7 +32,8 @@ from benchmarks.common.scenes import CONSTANT, LIGHTS, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.control_pixels import TailError, TotalError
+from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.rays.tail_error import TailError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.assembly import load_scene

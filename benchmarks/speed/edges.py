@@ -19,7 +19,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.frame import film
+from isogi_core.frame import edges as frame_edges
 from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
@@ -84,12 +84,12 @@ def errors_of(plain: Frame, smooth: Frame, renderer: Renderer) -> dict[str, floa
     exposure = renderer.prepared.scene.default_exposure
     found = np.empty(plain.state.shape, np.uint8)
     find_contrasts(develop(plain, exposure), plain.state, found)
-    silhouettes = np.flatnonzero(found == film.SILHOUETTE).astype(np.uint32)
+    silhouettes = np.flatnonzero(found == frame_edges.SILHOUETTE).astype(np.uint32)
     partly = []
     true = []
     for some in np.split(silhouettes, range(PIECE, len(silhouettes), PIECE)):
-        with patch.object(film, "find_edges", lambda *_, some=some: (some, TRUE)):
-            samples = film.sample_edges(plain, exposure, renderer.tiles)
+        with patch.object(frame_edges, "find_edges", lambda *_, some=some: (some, TRUE)):
+            samples = frame_edges.sample_edges(plain, exposure, renderer.tiles)
         if samples is not None:
             cut = (samples.covered[:, 3] > 0.0) & (samples.covered[:, 3] < 1.0)
             partly.append(some[cut])

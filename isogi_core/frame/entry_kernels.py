@@ -1,4 +1,6 @@
-"""The entry kernels that frames of a scene call, so that they are ready before the first."""
+"""The entry kernels that frames of a scene call, so that they can be compiled before the first
+frame.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -48,11 +50,7 @@ from isogi_core.kernels.tracing.active_cells import (
     number_bricks,
     pack_bricks,
 )
-from isogi_core.kernels.tracing.camera import (
-    read_values,
-    trace_pixels,
-    trace_places,
-)
+from isogi_core.kernels.tracing.camera import read_values, trace_pixels, trace_places
 from isogi_core.kernels.tracing.extents import fill_row_ends
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
@@ -93,12 +91,12 @@ COLOURED = (fill_albedos,)
 """Kernels that only scenes with colours by data call; their paths are those of a room."""
 
 AMONG = (peel_rays,)
-"""Kernels that only scenes with several surfaces call; they call no ``trace_pixels`` and no
+"""Kernels that only scenes with several surfaces call; these call neither ``trace_pixels`` nor
 ``trace_places``.
 """
 
 SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
-"""Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
+"""Kernels that only scenes with shine call; ``light_ends`` is called if lights have lobes, too."""
 
 GLOW = (gather_from_eye,)
 """Kernels that only scenes with glow call."""
@@ -150,14 +148,16 @@ FRAME = (
     keep_normals,
     *LOBES[1:],
 )
-"""Kernels of a plain scene in turning light, with lobes and texels that are projected; the slowest
-compile first.
+"""Kernels of a plain scene under light that turns, with lobes and projected texels; those that
+take longest to compile come first.
 """
 
 KERNELS = tuple(
     dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_KERNELS, light_ends, *FRAME))
 )
-"""All kernels of frames, but for those of whole paths; the slowest compile first."""
+"""All kernels of frames without those of whole paths; those that take longest to compile come
+first.
+"""
 
 CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not scene.surfaces.several),
@@ -174,8 +174,8 @@ CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
     carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
 }
-"""What a scene has whose frames call a kernel, given whether the scene projects texels; see also
-``uncalled``.
+"""Conditions under which frames of a scene call a kernel, given the scene, and whether it
+projects texels; see also ``uncalled``.
 """
 
 OTHER_KERNELS = (
@@ -184,8 +184,8 @@ OTHER_KERNELS = (
     shade_local,
     read_values,
 )
-"""Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of
-pictures, and of views through a window.
+"""Kernels of local shadings and path-traced pictures, of checks of pictures, and of views
+through a window.
 """
 
 
@@ -194,25 +194,25 @@ FIRST_KERNELS = (
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(fill_row_ends, find_normals, tally, develop_rows, fill_curve),
 )
-"""Kernels that pictures without light from texels call as well: they come first where none are
+"""Kernels that pictures without light from texels call as well: they come first if none are
 compiled.
 """
 
 
 def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows,
-    edges not smoothed.
+    """Return the entry kernels of the first pictures of ``scenes``, which have a local shading
+    without shadows and no smooth edges.
     """
     called = {*frame_kernels(scenes, surveyed=False)}
     return (*(kernel for kernel in FIRST_KERNELS if kernel in called), shade_local)
 
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
-    """Kernels that frames of any of the ``scenes`` call: those of paths first, then in the order of
-    KERNELS.
+    """Return the kernels that frames of any of the ``scenes`` call: those of paths first, then in
+    the order of KERNELS.
 
-    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself:
-    scenes that are not ``surveyed`` count as if they did.
+    A survey of the volume tells if a scene projects texels, and calls kernels itself: scenes that
+    are not ``surveyed`` count as if they do.
     """
     shown = tuple(scenes)
     paths = dict.fromkeys(
@@ -223,7 +223,7 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
 
 
 def called_by(scene: Scene, surveyed: bool) -> set[Any]:
-    """The kernels of KERNELS that frames of a ``scene`` call; for ``surveyed`` see
+    """Return the kernels of KERNELS that frames of a ``scene`` call; for ``surveyed`` see
     ``frame_kernels``.
     """
     lighting = scene.lighting
@@ -236,7 +236,7 @@ def called_by(scene: Scene, surveyed: bool) -> set[Any]:
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """OTHER_KERNELS, and kernels of whole paths of any of the ``scenes``: see ``paths_of``."""
+    """Return OTHER_KERNELS, and the kernels of whole paths of any of the ``scenes``."""
     return (
         *OTHER_KERNELS,
         *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)),
@@ -244,7 +244,7 @@ def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 
 def paths_of(scene: Scene) -> tuple[Any, ...]:
-    """The kernels of whole paths among what a ``scene`` has: for its light, and for what glows."""
+    """Return the kernels of whole paths in a ``scene``: for its light, and for its glow."""
     if scene.lighting.glowing.any:
         glow = path_kernels(scene.glow_meets, Glows)
     else:
@@ -253,8 +253,8 @@ def paths_of(scene: Scene) -> tuple[Any, ...]:
 
 
 def only_checked(scene: Scene) -> bool:
-    """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by
-    chance.
+    """Return True if frames of a ``scene`` trace paths only when they are checked: there are no
+    walls, and no rays that choose by chance.
     """
     return not (
         scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts

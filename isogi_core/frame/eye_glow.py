@@ -1,4 +1,6 @@
-"""What glows as the eye sees it: what the camera's rays gather on their way to what they show."""
+"""Glow as the eye sees it: the light that the camera's rays gather on their way to what pixels
+show.
+"""
 
 import math
 from collections.abc import Iterable
@@ -19,16 +21,16 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
-"""What some rays show: see ``Frame.layers``."""
+"""Part of what rays show: ray numbers, points and shares; see ``Frame.layers``."""
 
 MIN_RAY_SHARE = 1e-6
-"""The share that is left of a ray below which nothing is gathered behind what it shows."""
+"""Share of a ray below which nothing is gathered behind the layers that it shows."""
 
 
 @dataclass(frozen=True, eq=False)
 class EyeGlow:
-    """What rays of cameras gather of ``glows`` in a ``field``, which give off ``radiances`` (k,
-    3).
+    """Gathers light of ``glows`` in a ``field`` along rays of cameras; ``radiances`` (k, 3) are
+    those that they give off.
     """
 
     field: Field
@@ -37,8 +39,8 @@ class EyeGlow:
 
     @classmethod
     def of(cls, prepared: PreparedScene, strength: float) -> "EyeGlow | None":
-        """The glow of a scene at a ``strength``; None where nothing glows. ViewError where a view
-        asks for it there.
+        """Return the glow of a scene at a ``strength``; None if nothing glows. Raises ViewError
+        if nothing glows and a view asks for another strength than 1.
         """
         glowing = prepared.scene.lighting.glowing
         strength = prepared.scene.lighting.glow_for(strength)
@@ -49,8 +51,10 @@ class EyeGlow:
     def along(
         self, eye: Vector, directions: np.ndarray, reaches: np.ndarray, tiles: Tiles
     ) -> np.ndarray:
-        """What rays from the ``eye`` gather of each glow of radiance 1, (n, k), which go
-        ``reaches`` (n,) of their ``directions`` (n, 3), all in index space. Raises Cancelled.
+        """Gather each glow, as if of radiance 1, along rays from the ``eye``; (n, k).
+
+        Rays go ``reaches`` (n,) times their ``directions`` (n, 3), all in index space. Raises
+        Cancelled.
         """
         gathered = np.empty((len(reaches), len(self.radiances)))
 
@@ -62,52 +66,51 @@ class EyeGlow:
         return gathered
 
     def lit(self, gathered: np.ndarray) -> np.ndarray:
-        """Linear RGB (n, 3) float32 of what is ``gathered`` (n, k)."""
+        """Return the linear RGB (n, 3) float32 of ``gathered`` (n, k) glow."""
         return np.minimum(gathered @ self.radiances, np.finfo(np.float32).max).astype(np.float32)
 
     def before(self, frame: Frame, tiles: Tiles) -> np.ndarray:
-        """What the rays of a frame's pixels gather on their way to what they show; (pixels, k).
-        Raises Cancelled.
+        """Gather glow along the rays of a frame's pixels, up to the points that they show;
+        (pixels, k). Raises Cancelled.
         """
         height, width = frame.gbuffer.shape
         y, x = np.divmod(np.arange(height * width), width)
-        return self.before_layers(
-            *rays_through(frame, np.column_stack([x + 0.5, y + 0.5])), frame.layers, tiles
-        )
+        eye, directions = rays_through(frame, np.column_stack([x + 0.5, y + 0.5]))
+        return self.before_layers(eye, directions, frame.layers, tiles)
 
     def before_layers(
         self, eye: Vector, directions: np.ndarray, layers: Iterable[Layer], tiles: Tiles
     ) -> np.ndarray:
-        """What rays from the ``eye`` in ``directions`` (n, 3) gather before the ``layers`` that
-        they show, by their shares, and before what is left behind all of these; (n, k). Raises
-        Cancelled.
+        """Gather glow along rays from the ``eye`` in ``directions`` (n, 3), up to each of the
+        ``layers`` that they show, by the shares of these, and behind all of them by the share
+        that is left; (n, k). Raises Cancelled.
         """
         gathered = np.zeros((len(directions), len(self.radiances)))
         left = np.ones(len(directions))
         for rays, points, shares in layers:
             ways = directions[rays]
+            # A point is at eye + reach · direction.
             reaches = np.sqrt(((points - np.array(eye)) ** 2).sum(axis=1) / (ways**2).sum(axis=1))
             gathered[rays] += np.reshape(shares, (-1, 1)) * self.along(eye, ways, reaches, tiles)
             left[rays] -= shares
+        # The light that no layer stops comes from infinitely far.
         open_air = np.flatnonzero(left > MIN_RAY_SHARE)
         endless = self.along(eye, directions[open_air], np.full(len(open_air), math.inf), tiles)
         gathered[open_air] += left[open_air, None] * endless
         return gathered
 
     def through(self, frame: Frame, places: np.ndarray, tiles: Tiles) -> np.ndarray:
-        """Linear RGB (n, 3) float32 of rays through the ``places`` (n, 2; x, y) of a frame that
-        meet nothing.
-
-        Raises Cancelled.
+        """Return the linear RGB (n, 3) float32 of rays through the ``places`` (n, 2; x, y) of a
+        frame that meet nothing. Raises Cancelled.
         """
-        return self.lit(
-            self.along(*rays_through(frame, places), np.full(len(places), math.inf), tiles)
-        )
+        eye, directions = rays_through(frame, places)
+        reaches = np.full(len(places), math.inf)
+        return self.lit(self.along(eye, directions, reaches, tiles))
 
 
 def rays_through(frame: Frame, places: np.ndarray) -> tuple[Vector, np.ndarray]:
-    """The eye of a frame, and the directions (n, 3) from it through ``places`` (n, 2; x, y), both
-    in index space.
+    """Return the eye of a frame, and the directions (n, 3) of rays through ``places`` (n, 2; x,
+    y); both in index space.
     """
     camera = view_pinhole(frame.view, frame.gbuffer.spacing)
     across = np.array([camera.right, camera.down])
@@ -125,29 +128,30 @@ def with_glow(
     tiles: Tiles,
     watch: Stopwatch,
 ) -> Frame:
-    """The ``frame`` with what glows before what it shows, where something does.
+    """Return the ``frame`` with the glow in front of what it shows; the same frame if nothing
+    glows.
 
-    What its rays gather is ``kept`` for a ``key``, whatever the colours and the strength. Raises
-    Cancelled, and ViewError where the view asks for a glow that is not there.
+    The gathered glow is ``kept`` by a ``key``, for any colour and strength. Raises Cancelled, and
+    ViewError if the view asks for glow and nothing glows.
     """
     glow = EyeGlow.of(prepared, frame.view.glow)
     if glow is None:
         return frame
     with watch.stage("glow"):
-        return add_seen(
-            frame, glow.lit(kept.get((EyeGlow, *key), lambda: glow.before(frame, tiles)))
-        )
+        gathered = kept.get((EyeGlow, *key), lambda: glow.before(frame, tiles))
+        return add_seen(frame, glow.lit(gathered))
 
 
 def add_seen(frame: Frame, seen: np.ndarray) -> Frame:
-    """The ``frame`` with what is ``seen`` (pixels, 3) before what it shows; beside that it shows
-    what glows alone.
+    """Add the light ``seen`` (pixels, 3) of glow to a ``frame``, in place; return the frame with
+    it.
 
-    Relative errors become those of the sum.
+    Pixels that show nothing but glow become final.
     """
     radiance, state, error = frame.framebuffer
     before = radiance @ LUMINANCE_WEIGHTS
     added = seen @ LUMINANCE_WEIGHTS
+    # Glow has no noise: absolute errors stay, so relative errors become less.
     error *= (before / np.maximum(before + added, np.finfo(np.float32).tiny)).astype(np.float32)
     radiance += seen
     state[(state == 0) & (added > 0.0)] = FINAL

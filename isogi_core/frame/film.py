@@ -1,43 +1,32 @@
-"""Developing a frame: from linear light to a picture of eight bits, smoothed at edges, with marks
-or errors over it.
+"""Develop a frame: from linear light to a picture of eight bits, with marks or errors over it."""
 
-Pixels at silhouettes, creases and edges of shadows take more samples. A sample costs a ray. Its
-light is what the pixels around it have, where they show the surface next to it.
-"""
-
-import math
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import EdgeSamples, Frame
-from isogi_core.frame.gbuffer import TILE_RAYS, sight_of, view_pinhole
-from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
-from isogi_core.kernels.tracing.camera import trace_places
-from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.colours import linear_of
-from isogi_core.prepared.prepared_scene import PreparedScene
 
 SCALE = (0.001, 1.0)
-"""Relative errors at the ends of the scale; what lies beyond has the colour of the end."""
+"""Relative errors at the ends of the colour scale; errors beyond have the colour of the end."""
+
 
 COLOURS = (
     *("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c"),
     *("#28ae80", "#5ec962", "#addc30", "#fde725"),
 )
-"""sRGB at equal steps of the logarithm, from little error to much: viridis (Smith and van der Walt
-2015), of even steps to the eye, at nine places."""
+"""sRGB colours at equal steps of the logarithm, from small error to large: viridis (Smith and
+van der Walt 2015), which is perceptually uniform, at nine places.
+"""
+
 
 ERROR_LEVELS = 256
 
 
 @cache
 def colour_table() -> np.ndarray:
-    """COLOURS and what is between them, (LEVELS, 3) uint8 sRGB."""
+    """Return COLOURS and interpolated ones, (ERROR_LEVELS, 3) uint8 sRGB."""
     anchors = np.array([list(bytes.fromhex(colour[1:])) for colour in COLOURS], float)
     place = np.linspace(0.0, 1.0, ERROR_LEVELS)
     at = np.linspace(0.0, 1.0, len(COLOURS))
@@ -49,7 +38,7 @@ def colour_table() -> np.ndarray:
 
 
 def error_colours(error: np.ndarray) -> np.ndarray:
-    """The colours of relative errors (n,): (n, 3) uint8 sRGB."""
+    """Return the colours of relative errors (n,): (n, 3) uint8 sRGB."""
     low, high = SCALE
     share = np.log(np.clip(error, low, high) / low) / np.log(high / low)
     return colour_table()[(share * (ERROR_LEVELS - 1) + 0.5).astype(np.intp)]
@@ -58,33 +47,39 @@ def error_colours(error: np.ndarray) -> np.ndarray:
 BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
 
+
 LIGHT = "cbced1"
-"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, some 20 levels
-darker than what is lit, so that pale surfaces keep their outlines.
+"""sRGB behind the surface of pictures on a light ground: a studio grey, some 20 levels darker
+than lit surfaces, so that pale ones keep their outlines.
 """
+
 
 HATCHING_COLOUR = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""
 
+
 LEVELS = 4096
+"""Number of linear levels in the table of the sRGB curve."""
+
 
 MIN_PIXEL_COVER = 1e-6
-"""What the samples of a pixel cover together at least, where that divides their light."""
+"""Least cover of all samples of a pixel together, as a divisor."""
+
 
 COVER = 205
-"""How much of the picture, of 256 parts, the colours of the error hide: its form still shows."""
+"""Opacity of the colours of the error over the picture, of 256: the form below still shows."""
 
 
 @cache
 def tone_table() -> np.ndarray:
-    """The sRGB curve as a table of LEVELS uint8 codes, linear level i / (LEVELS - 1)."""
+    """Return the sRGB curve as a table of LEVELS uint8 codes, for linear light i / (LEVELS - 1)."""
     table = np.empty(LEVELS, np.uint8)
     fill_curve(table)
     return table
 
 
 def ground_of(background: str) -> tuple[float, ...]:
-    """Linear RGB of a background: dark, light, or sRGB as ``#rrggbb``."""
+    """Return the linear RGB of a background: dark, light, or sRGB as ``#rrggbb``."""
     if background == "dark":
         return BACKGROUND
     codes = bytes.fromhex(background[1:] if background.startswith("#") else LIGHT)
@@ -94,20 +89,24 @@ def ground_of(background: str) -> tuple[float, ...]:
 def develop(
     frame: Frame, exposure: float, overlay: str = "none", background: str = "dark"
 ) -> np.ndarray:
-    """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
+    """Develop the picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
-    ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture
-    is (h, w, 4), its last channel how much of a pixel the surface covers. ``overlay`` is one of the
-    view's OVERLAYS: ``provisional`` hatches what is not final, broad where provisional, fine where
-    converging; ``error`` colours what has light by its estimated relative error, and hatches the
-    rest. Pixels at edges are the mean of their samples, under no overlay.
+    ``background`` is dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), with
+    the share of each pixel that surfaces cover in its last channel. ``overlay`` is one of the
+    view's OVERLAYS: ``provisional`` hatches pixels that are not final, broadly if they are
+    provisional and finely if they converge; ``error`` colours pixels with light by their estimated
+    relative error, and hatches all others. Without an overlay, pixels at edges show the mean of
+    their samples.
     """
     clear = background == "transparent"
-    if frame.left is None:
-        left = None
-    else:
+    ground: tuple[float, ...] = BACKGROUND
+    if not clear:
+        ground = ground_of(background)
+    # The share of the background that shows through each pixel, if surfaces let light pass.
+    left = None
+    if frame.left is not None:
         left = np.where(frame.state > 0, frame.left, np.float32(1.0))
-    ground = BACKGROUND if clear else ground_of(background)
+    # Develop the light of the pixels, with errors or marks over it.
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
@@ -115,12 +114,14 @@ def develop(
         picture = lit(radiance, frame.state, exposure, overlay == "provisional", ground)
     if left is not None and not clear:
         picture = seen_through(picture, left, ground)
+    # A transparent picture has the colours of the surfaces alone, and their cover.
     if clear:
         if left is None:
             cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0))
         else:
             cover = 1.0 - left
         picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
+    # Replace pixels at edges by the mean of their samples.
     if frame.edges and overlay == "none":
         picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(
             frame.edges, exposure, ground, clear
@@ -129,8 +130,8 @@ def develop(
 
 
 def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
-    """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground``
-    through.
+    """Add the ``ground`` to a ``picture`` (h, w, 3) uint8 of surfaces that let the share
+    ``left`` (h, w) of it pass.
     """
     some = (left > 0.0) & (left < 1.0)
     found = picture.copy()
@@ -140,8 +141,8 @@ def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...
 
 
 def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """The colours that a ``picture`` (h, w, 3) uint8 has where it covers a pixel in part, by a
-    ``cover`` (h, w).
+    """Return the colours of surfaces in a ``picture`` (h, w, 3) uint8 in which they cover
+    pixels by ``cover`` (h, w): partly covered pixels are divided by it.
     """
     some = (cover > 0.0) & (cover < 1.0)
     found = picture.copy()
@@ -152,8 +153,8 @@ def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
 def before_ground(
     radiance: np.ndarray, airy: np.ndarray | None, exposure: float, ground: tuple[float, ...]
 ) -> np.ndarray:
-    """The ``radiance`` (…, 3) of a picture with the ``ground`` behind what is ``airy`` (…), which
-    hides none of it.
+    """Add the ``ground`` to the ``radiance`` (…, 3) of pixels that are ``airy`` (…): glow hides
+    nothing behind it.
     """
     if airy is None:
         return radiance
@@ -164,19 +165,21 @@ def before_ground(
 def averaged(
     edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool
 ) -> np.ndarray:
-    """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a
-    screen.
+    """Return the pixels at ``edges`` as the mean of the light that their samples show on a screen;
+    (k, 3) uint8 sRGB.
 
-    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is how
-    much these cover.
+    If the picture is ``clear``, it is the mean of the samples on surfaces, and (k, 4): the last
+    channel is the share that these cover.
     """
     light = before_ground(edges.light, edges.airy, exposure, ground)
+    # Average after the tone curve, as a screen shows it: before it, one bright sample would hide
+    # all others.
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
+        # Samples on surfaces that let light pass show the background behind.
         if edges.left is not None:
-            behind = np.where(edges.on, edges.left, np.float32(0.0))[..., None] * np.array(
-                ground, np.float32
-            )
+            left = np.where(edges.on, edges.left, np.float32(0.0))
+            behind = left[..., None] * np.array(ground, np.float32)
             shown = np.minimum(shown + behind, np.float32(1.0))
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
@@ -186,13 +189,13 @@ def averaged(
 
 
 def coded(light: np.ndarray) -> np.ndarray:
-    """The sRGB codes of linear ``light`` from 0 to 1, uint8."""
+    """Return the sRGB codes of linear ``light`` from 0 to 1, uint8."""
     return np.asarray(tone_table()[(light * (LEVELS - 1) + 0.5).astype(np.intp)])
 
 
 @cache
 def linear_table() -> np.ndarray:
-    """The linear light of each sRGB code, (256,) float32."""
+    """Return the linear light of each sRGB code, (256,) float32."""
     return np.array([linear_of(code / 255.0) for code in range(256)], np.float32)
 
 
@@ -203,8 +206,8 @@ def lit(
     marked: bool,
     ground: tuple[float, ...] = BACKGROUND,
 ) -> np.ndarray:
-    """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where
-    ``marked``.
+    """Develop ``radiance`` (h, w, 3) to a picture; if ``marked``, hatch it by the ``state`` (h,
+    w) of its pixels.
     """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([ground, HATCHING_COLOUR], np.float32)
@@ -215,8 +218,8 @@ def lit(
 def with_errors(
     frame: Frame, exposure: float, ground: tuple[float, ...] = BACKGROUND
 ) -> np.ndarray:
-    """The picture under the colours of its errors; what has no light, and so no estimate, is
-    hatched.
+    """Develop a picture under the colours of its errors; pixels without light, and thus without
+    an estimate, are hatched.
     """
     known = frame.state >= CONVERGING
     picture = lit(
@@ -226,134 +229,3 @@ def with_errors(
     above = error_colours(frame.total_error[known])
     picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture
-
-
-COUNTS = (16, 8, 4)
-"""Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
-
-BUDGET = 0.8
-MIN_SAMPLE_BUDGET = 1 << 16
-"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have
-them. MIN_SAMPLE_BUDGET samples are always allowed.
-"""
-
-MIN_EDGE_CONTRAST = 12
-"""How much neighbours differ, of 255 steps, where a pixel counts as at an edge."""
-
-SILHOUETTE = 255
-"""What that is where one of them alone shows the surface."""
-
-
-def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
-    """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for
-    each of them.
-    """
-    found = np.empty(state.shape, np.uint8)
-    most = max(int(BUDGET * state.size), MIN_SAMPLE_BUDGET)
-    find_contrasts(picture, state, found)
-    contrast = found.ravel()
-    edges = np.flatnonzero(contrast >= MIN_EDGE_CONTRAST)
-    count = next((each for each in COUNTS if len(edges) * each <= most), COUNTS[-1])
-    if len(edges) * count > most:
-        strongest = np.argsort(contrast[edges], kind="stable")[::-1][: max(most // count, 1)]
-        edges = np.sort(edges[strongest])
-    return edges.astype(np.uint32), count
-
-
-def pattern(count: int) -> np.ndarray:
-    """Places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in its own row and
-    column.
-
-    Source: Halton 1964 in base 2, Hammersley's set, shifted so that its middle is the pixel's.
-    """
-    order = np.arange(count)
-    reverse = np.zeros(count)
-    bits = count.bit_length() - 1
-    for bit in range(bits):
-        reverse += (order >> bit & 1) / 2.0 ** (bit + 1)
-    return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
-
-
-def places_in(pixels: np.ndarray, count: int, width: int) -> np.ndarray:
-    """Places (pixels · count, 2; x, y) float32 of so many samples in each of some ``pixels`` (k,)
-    of a picture.
-    """
-    corners = np.stack(np.divmod(pixels, width)[::-1], axis=-1).astype(np.float32)
-    return np.asarray((corners[:, None] + pattern(count)).reshape(-1, 2))
-
-
-def smooth_edges(frame: Frame, prepared: PreparedScene, tiles: Tiles) -> Frame:
-    """The ``frame`` of a prepared scene with more samples where it has edges. Raises Cancelled."""
-    exposure = prepared.scene.default_exposure
-    glow = EyeGlow.of(prepared, frame.view.glow)
-    return replace(frame, edges=sample_edges(frame, exposure, tiles, prepared.walls_in_view, glow))
-
-
-def sample_edges(
-    frame: Frame,
-    exposure: float,
-    tiles: Tiles,
-    walls: Walls | None = None,
-    glow: EyeGlow | None = None,
-) -> EdgeSamples | None:
-    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises
-    Cancelled.
-
-    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a
-    window. Samples beside all of these show what glows, where there is any ``glow``.
-    """
-    pixels, count = find_edges(
-        lit(frame.radiance, frame.state, exposure, marked=False), frame.state
-    )
-    if not len(pixels):
-        return None
-    places = places_in(pixels, count, frame.view.width)
-    light = np.zeros((len(places), 3), np.float32)
-    on = np.zeros(len(places), np.bool_)
-    view = frame.view
-    gbuffer = frame.gbuffer
-    camera = view_pinhole(view, gbuffer.spacing)
-    traced = gbuffer.surface.traced(tiles.run)
-    shown = shown_by(frame)
-    sight = sight_of(view, gbuffer.spacing, walls)
-
-    def _piece(a: int, b: int) -> None:
-        found = np.empty(b - a, np.uint32)
-        points = np.empty((b - a, 3), np.float32)
-        hits = trace_places(traced, sight, camera, places[a:b], found, points)
-        on[a:b][found[:hits]] = True
-        borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
-
-    tiles.run(_piece, len(places), TILE_RAYS)
-    airy = np.zeros_like(on)
-    if glow is not None:
-        beside = np.flatnonzero(~on)
-        light[beside] = glow.through(frame, places[beside], tiles)
-        on[beside] = airy[beside] = light[beside].any(axis=1)
-    each = len(pixels), count
-    if glow is not None:
-        alone = airy.reshape(each)
-    else:
-        alone = None
-    return EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), alone)
-
-
-def shown_by(frame: Frame) -> Shown:
-    """What the pixels of a ``frame`` show, as the kernels take it."""
-    view = frame.view
-    gbuffer = frame.gbuffer
-    rows = gbuffer.rows
-    points = gbuffer.points
-    for beside in (gbuffer.walls, gbuffer.faces):
-        if len(beside.pixels):
-            rows.flat[beside.pixels] = np.arange(
-                len(points), len(points) + len(beside.pixels), dtype=np.int32
-            )
-            points = np.concatenate([points, beside.points])
-    pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
-    x, y, z = gbuffer.spacing
-    scale = np.float32(x), np.float32(y), np.float32(z)
-    eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])
-    return Shown(
-        rows, points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2)
-    )

@@ -1,4 +1,6 @@
-"""A camera that turns about the middle of the surface, as near as that fits from all sides."""
+"""Fit a camera that turns about the middle of the surface: as near as shows all of it from
+every side.
+"""
 
 import math
 from collections.abc import Sequence
@@ -25,13 +27,13 @@ largest.
 
 NEAREST = 0.05
 """Least distance of a fitted camera, in radii of the volume: a speck of a voxel or two is shown
-with something of what is around it.
+with its surroundings.
 """
 
 
 class Stand(NamedTuple):
-    """A ``view`` in perspective, and the world's ``azimuth`` and ``elevation`` from which its
-    camera is to look.
+    """A ``view`` in perspective, and the ``azimuth`` and ``elevation`` in the world from which
+    its camera is to look, in degrees.
     """
 
     view: View
@@ -46,21 +48,23 @@ def fitted(
     elevation: float,
     projection: str = PROJECTIONS[0],
 ) -> tuple[Vector, float] | None:
-    """``fitted_to_all`` of one view."""
+    """Return ``fitted_to_all`` of one view."""
     return fitted_to_all(renderer, [Stand(view, azimuth, elevation)], projection)
 
 
 def fitted_to_all(
     renderer: Renderer, stands: Sequence[Stand], projection: str = PROJECTIONS[0]
 ) -> tuple[Vector, float] | None:
-    """The world's target and the distance from it, in radii, at which views show their surfaces
-    and what glows whole from every azimuth; and the walls from the azimuths of the ``stands``.
+    """Return the world's target, and the distance from it in radii, at which all ``stands`` show
+    their surfaces and glow whole from every azimuth, and walls from their own azimuth; None if
+    there is no surface.
 
-    The target is the middle of all of that, and the same for all views. Distance and target are for
-    a camera with that ``projection``. None if there is no surface.
+    The target is the middle of all of that, for all views. Distance and target are for cameras with
+    this ``projection``.
     """
     prepared = renderer.prepared
     scene = prepared.scene
+    # Collect the points that decide: hulls of all surfaces, glow, and walls.
     isovalues = dict.fromkeys(stand.view.isovalue for stand in stands)
     surfaces = [surface_points(prepared, isovalue) for isovalue in isovalues]
     shown = np.concatenate(surfaces)
@@ -70,10 +74,12 @@ def fitted_to_all(
     walls = wall_points(scene)
     everything = np.concatenate([shown, walls])
     middle = (everything.min(axis=0) + everything.max(axis=0)) / 2.0
+    # Points that are nearer need more distance in perspective, and none with parallel rays.
     if projection == PROJECTIONS[0]:
         depth = 1.0
     else:
         depth = 0.0
+    # The view that needs the largest distance decides.
     away = max(
         max(needed_around(shown - middle, stand, depth), needed_from(walls - middle, stand, depth))
         for stand in stands
@@ -82,7 +88,7 @@ def fitted_to_all(
 
 
 def surface_points(prepared: PreparedScene, isovalue: float) -> np.ndarray:
-    """Points (n, 3) of the world that have the convex hull of all surfaces of a view at an
+    """Return world points (n, 3) that have the convex hull of all surfaces of a view at an
     ``isovalue``, in the units of the volume's file.
     """
     scene = prepared.scene
@@ -95,10 +101,10 @@ def surface_points(prepared: PreparedScene, isovalue: float) -> np.ndarray:
 
 
 def glowing_points(prepared: PreparedScene) -> np.ndarray:
-    """Points (n, 3) of the world that have the convex hull of what glows, or a little more.
+    """Return world points (n, 3) whose convex hull contains all glow, and little more.
 
-    Of a range of values it is the part of the box, or ball, that the isosurfaces at the range's
-    ends reach: a mist of values thins out long before the box ends.
+    Of a glow of a range of values it is the part of its box, or ball, that the isosurfaces at the
+    ends of the range reach: a mist thins out long before the box ends.
     """
     volume = prepared.scene.volume
     glowing = prepared.scene.lighting.glowing
@@ -108,11 +114,14 @@ def glowing_points(prepared: PreparedScene) -> np.ndarray:
     for middle, half, ball, values in zip(
         glowing.middles, glowing.halves, glowing.round, glowing.ranges, strict=True
     ):
+        # A range of values is bounded by the isosurfaces at its finite ends.
         ends = [
             outermost_points(prepared.field, volume.normalise_isovalue(volume.file_value(end)))
             for end in values
             if np.isfinite(end)
         ]
+        # Otherwise the whole region of the glow counts, of which corners or directions stand for
+        # all.
         if ends:
             region = np.clip(np.concatenate(ends) * spacing, middle - half, middle + half)
         else:
@@ -122,8 +131,8 @@ def glowing_points(prepared: PreparedScene) -> np.ndarray:
 
 
 def wall_points(scene: Scene) -> np.ndarray:
-    """Corners (n, 3) of the walls in the world, as far as these reach into the cube that a Cornell
-    room would be: a floor that goes on does not push the camera away.
+    """Return the corners (n, 3) of the walls in the world, clipped to the cube that a Cornell
+    room would be: a large floor does not push the camera away.
     """
     walls = corners_of(scene.lighting.room.walls)
     cube = corners_of(cornell_room(scene.volume))
@@ -131,7 +140,7 @@ def wall_points(scene: Scene) -> np.ndarray:
 
 
 def corners_of(walls: Sequence[Wall]) -> np.ndarray:
-    """The corners (n, 3) of ``walls``, in the world."""
+    """Return the corners (n, 3) of ``walls``, in the world."""
     return np.array(
         [
             np.add(wall.corner, a * np.array(wall.edges[0]) + b * np.array(wall.edges[1]))
@@ -142,35 +151,39 @@ def corners_of(walls: Sequence[Wall]) -> np.ndarray:
 
 
 def slopes_of(view: View) -> tuple[float, float]:
-    """How far what a fitted camera shows may lie aside, across and up, for each unit of depth."""
+    """Return how far from the axis of a fitted camera points may lie, across and up, for each
+    unit of depth.
+    """
     slope = FILLED * math.tan(math.radians(view.camera.fov) / 2.0)
     return slope * view.width / view.height, slope
 
 
 def needed_around(points: np.ndarray, stand: Stand, depth: float) -> float:
-    """The least distance from the origin at which cameras at every azimuth, at the elevation e of a
-    ``stand``, see ``points`` (n, 3).
+    """Return the least distance from the origin at which cameras at every azimuth, at the elevation
+    e of a ``stand``, see ``points`` (n, 3).
 
-    A point at radius r about the z axis and at height z, turned by φ towards the camera, is at
-    r cos φ cos e + z sin e in depth, r sin φ aside and z cos e - r cos φ sin e up. It is seen from
-    at least depth + |aside| / s and depth + |up| / t, s and t of ``slopes_of``; the greatest of
-    these over φ is a length √(a² + b²) of what is before cos φ and sin φ. ``depth`` is 0 for a
-    camera whose rays are parallel, to which depths do not matter.
+    A point at radius r about the z axis and at height z, turned by φ towards the camera, is at r
+    cos φ cos e + z sin e in depth, r sin φ across and z cos e - r cos φ sin e up. It is seen from
+    at least depth + |across| / s and depth + |up| / t, with s and t from ``slopes_of``; the maximum
+    of a cos φ + b sin φ over φ is √(a² + b²). ``depth`` is 1, or 0 for a camera with parallel rays,
+    to which depth does not matter.
     """
     across, up = slopes_of(stand.view)
     e = math.radians(stand.elevation)
     cosine, sine = math.cos(e), math.sin(e)
     radius = np.hypot(points[:, 0], points[:, 1])
     height = points[:, 2]
-    beside = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
+    # The largest distance of each point for the left and right edges of the picture, for its top,
+    # and for its bottom.
+    across_most = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
     above = radius * abs(depth * cosine - sine / up) + height * (depth * sine + cosine / up)
     below = radius * abs(depth * cosine + sine / up) + height * (depth * sine - cosine / up)
-    return float(max(each.max() for each in (beside, above, below)))
+    return float(max(each.max() for each in (across_most, above, below)))
 
 
 def needed_from(points: np.ndarray, stand: Stand, depth: float) -> float:
-    """The least distance from the origin at which the camera of a ``stand`` sees ``points`` (n, 3):
-    see ``needed_around``.
+    """Return the least distance from the origin at which the camera of a ``stand`` sees
+    ``points`` (n, 3): see ``needed_around``.
     """
     camera = orbit((0.0, 0.0, 0.0), 1.0, stand.azimuth, stand.elevation, 1.0, stand.view.camera.fov)
     right, up, forward = camera.basis()

@@ -1,8 +1,7 @@
-"""A frame: the answer to a view, and its quality: what is known of its error, and what decides that
-it is final.
+"""A frame: the picture that answers a view, and its quality: the size of its error, as far as
+it is known, and the work that is left until it is final.
 """
 
-import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,21 +9,18 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import (
-    ControlPixels,
-    TailError,
     TotalError,
     measure_total,
     predict_total,
     spread_errors,
-    tail_of,
 )
-from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.picture_state import PictureState
+from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import (
     CONVERGING,
     FINAL,
@@ -37,33 +33,37 @@ from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
-"""Numbers of pixels, the points that they show, and the shares of their light that come from
-there.
+"""Part of the content of pixels: picture indices (n,), the points (n, 3) in index space that
+these pixels show, and the shares (n,) of their light that come from there.
 """
 
+
 UNREACHABLE = 4
-"""The state of a final pixel that reads a texel which cannot be projected; see
-``frame.projected_texels``.
+"""The state, in ``Frame.reported_state``, of a final pixel that reads a texel which cannot be
+projected; see ``frame.projected_texels``.
 """
+
 
 STATE_CODES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
 
 TAIL = 5.0
-"""The error that 99 % of the pixels of a final picture stay below, over its target: 2.6 where
-errors are normal.
+"""Limit of the tail: 99 % of the pixels of a final picture have an error below TAIL times the
+target. Normally distributed errors would stay below 2.6 times.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeSamples:
-    """What the samples of the ``pixels`` (k,) at edges show: linear ``light`` (k, samples, 3), and
-    which are ``on``.
+    """Samples of the pixels at edges of a picture; each pixel shows the mean of its samples.
 
-    ``pixels`` are picture indices, ascending; ``on`` (k, samples) says which samples show the
-    surface, and ``airy`` (k, samples), where something glows, which of them show that alone, with
-    what is behind. Of surfaces that let rays pass ``left`` (k, samples) is the share of what lies
-    behind.
+    - ``pixels`` (k,) uint32: picture indices, ascending.
+    - ``light`` (k, samples, 3) float32: linear RGB of each sample.
+    - ``on`` (k, samples) bool: True if the sample shows anything but the background.
+    - ``airy`` (k, samples) bool: True if the sample shows glow alone, in front of the background;
+      None if nothing glows, or if the scene has several surfaces.
+    - ``left`` (k, samples) float32: share of the light behind that passes all surfaces; None if the
+      scene has one surface.
     """
 
     pixels: np.ndarray
@@ -74,15 +74,15 @@ class EdgeSamples:
 
     @property
     def cover(self) -> np.ndarray:
-        """How much of what is behind each sample hides; (k, samples), from 0 to 1."""
+        """The share of the background that each sample hides, from 0 to 1; (k, samples)."""
         if self.left is None:
             return self.on
         return np.where(self.on, np.float32(1.0) - self.left, np.float32(0.0))
 
     @cached_property
     def covered(self) -> np.ndarray:
-        """The mean light of each pixel's samples on the surface, and the share of those; (k, 4)
-        float32.
+        """The mean light of the samples of each pixel that are on a surface, and the share of
+        these samples; (k, 4) float32.
         """
         sums = np.where(self.on[..., None], self.light, np.float32(0)).sum(axis=1)
         count = self.on.sum(axis=1)[:, None]
@@ -92,57 +92,20 @@ class EdgeSamples:
 
 
 @dataclass(frozen=True, eq=False)
-class PictureState:
-    """What a check knows of a picture besides its texels' light; each step replaces it whole, so
-    that who reads it from another thread has all of one step.
-
-    ``target`` is the relative error that is to be reached. Texels are to have ``enough`` samples.
-    ``controls`` are of this ``attempt``, with so many ``paths`` a half, drawn by the
-    ``uncertainty`` (m,) of all points when texels were to have ``drawn`` samples; pixels in ``own``
-    have light of their own. It has ``ended`` where no step was left.
-    """
-
-    target: float
-    controls: ControlPixels = field(default_factory=ControlPixels.none)
-    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
-    own: PixelLight = field(default_factory=PixelLight.none)
-    attempt: int = 0
-    ended: bool = False
-    enough: int = FIRST_LEVEL
-    drawn: int = 0
-    paths: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
-
-    @property
-    def outdated(self) -> bool:
-        """Whether its controls were drawn when its texels were to have fewer samples."""
-        return self.drawn < self.enough
-
-    @property
-    def version(self) -> bytes:
-        """Names the light that pixels have of their own; empty where none has any."""
-        own = self.own
-        if not len(own.places):
-            return b""
-        return repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
-
-
-@dataclass(frozen=True, eq=False)
 class Quality:
-    """What a frame of one surface was made of, and what can make it better: the states of all that
-    refines it.
+    """The quality of a frame of one surface: the states of all its refinements, and the error that
+    is expected or measured.
 
-    Its texels are ``lacking`` light, None where it reads none; those of ``chunks`` (needed, final)
-    are in the store. ``projection`` is of texels projected onto the view's isosurface, None where
-    its scene has none there. ``known`` is what the check of its picture knows, None of frames that
-    have none. ``rays`` names those of shine, or through glass, that it shows, and ``expected`` is
-    its error besides noise, as the plan expects. So many pixels of walls, or of what is seen
-    through glass, are ``waiting``: not final yet. Its texels are finer than the plan's by
-    ``fineness`` steps; a ``finer`` frame is coming, and waits for its light.
+    - ``lacking``: light that its texels still lack; None if the frame reads no texels.
+    - ``chunks``: number of chunks that the frame reads, and how many of these are final.
+    - ``projection``: how far its texels are projected onto the isosurface; None if none are.
+    - ``known``: state of the check of the picture; None if control pixels do not check it.
+    - ``rays``: name of the rays of shine, or through glass, that it shows.
+    - ``expected``: relative error besides noise that the plan predicts.
+    - ``waiting``: number of pixels of walls, or of surfaces seen through, that are not final yet.
+    - ``fineness``: number of doublings of the lattice by which its texels are finer than the
+      plan's.
+    - ``finer``: a frame of finer texels that replaces this one when its light has come; else None.
     """
 
     lacking: Lacking | None = None
@@ -157,35 +120,37 @@ class Quality:
 
     @property
     def target(self) -> float | None:
-        """The total error that control pixels are to show; None of frames that have none."""
+        """The total error that control pixels must show before the frame is final; None if they
+        do not check it.
+        """
         return self.known.target if self.known else None
 
     @property
     def enough(self) -> int:
-        """The samples that its texels are to have; 0 of frames that have no check."""
+        """The samples that texels are to have; 0 if control pixels do not check the frame."""
         return self.known.enough if self.known else 0
 
     @property
     def given_up(self) -> bool:
-        """Whether the check of the picture ended above its target."""
+        """True if the check ended although the error is above the target."""
         return self.known is not None and self.known.ended
 
     @property
     def outdated(self) -> bool:
-        """Whether controls were drawn when fewer samples of texels were enough."""
+        """True if the controls were drawn when texels were to have fewer samples."""
         return self.known is not None and self.known.outdated
 
     @property
     def own(self) -> int:
-        """How many pixels have light of their own."""
+        """The number of pixels that have light of their own."""
         if self.known:
             return len(self.known.own.places)
         return 0
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
-        """The light on texels' own isosurfaces that was not final, chunk by chunk, were no texels
-        projected.
+        """The light of texels on their own isosurfaces that is not final, chunk by chunk, as if
+        no texel were projected.
         """
         if self.lacking:
             return self.lacking.demands
@@ -193,31 +158,39 @@ class Quality:
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final, stage after stage."""
+        """All light that must be baked until the picture is final, stage after stage."""
         if self.lacking:
             return self.lacking.stages
         return ()
 
     @property
     def dark(self) -> frozenset[Index]:
-        """The chunks of texels on their own isosurfaces whose light provisional pixels wait for."""
+        """The chunks whose light provisional pixels wait for, of texels on their own
+        isosurfaces.
+        """
         if self.lacking:
             return self.lacking.dark
         return frozenset()
 
     def layers(self, frame: "Frame") -> Iterator[Layer]:
-        """See ``Frame.layers``."""
+        """Yield the surface, the walls and the faces of a window in a ``frame``; see
+        ``Frame.layers``.
+        """
         for each in (frame.gbuffer, frame.gbuffer.walls, frame.gbuffer.faces):
             yield each.pixels, each.points, 1.0
 
     def checkable(self, frame: "Frame") -> bool:
-        """See ``Frame.checkable``."""
+        """Return True if a step of a check can improve the ``frame`` now; see
+        ``Frame.checkable``.
+        """
+        # Walls that are not final are refined first, as soon as nothing but walls is left to wait
+        # for.
         if self.waiting:
             return frame.surface - frame.settled == self.waiting
         return not (frame.provisional or frame.final or self.given_up)
 
     def walls_lag(self, frame: "Frame") -> bool:
-        """See ``Frame.walls_lag``."""
+        """Return True if walls need a step before the surface does; see ``Frame.walls_lag``."""
         wrong = frame.squared_error
         gbuffer = frame.gbuffer
         return self.walls_coarse(frame) or (
@@ -225,32 +198,38 @@ class Quality:
         )
 
     def walls_coarse(self, frame: "Frame") -> bool:
-        """Whether walls show their first few texels."""
+        """Return True if the walls of the ``frame`` still show their first, coarse texels."""
         return self.waiting > 0 and bool(
             (frame.state.ravel()[frame.gbuffer.walls.pixels] <= PROVISIONAL).any()
         )
 
     def true_mean(self, frame: "Frame") -> float:
-        """The true mean luminance of the surface, as far as control pixels know it; where there is
-        none, of what is.
+        """Return the mean luminance of the surface, with the mean error that control pixels
+        find taken out; of everything that is shown if there is no surface.
         """
+        # Walls, faces and glow have no control pixels: take the mean over the surface alone if they
+        # are in the picture.
         if len(frame.gbuffer.pixels) and (frame.glow is not None or not frame.gbuffer.alone):
             shown = float(frame.luminance(frame.gbuffer.pixels).mean())
         else:
             shown = frame.shown_mean
+        # Control pixels know how much too bright, or too dark, the surface is on the average.
         if self.known and len(frame.controlled):
             return self.known.controls.mean(frame.controlled, shown)
         return shown
 
     def measured(self, frame: "Frame") -> TotalError | None:
-        """See ``Frame.measured``."""
+        """Return the total error of the ``frame`` by its control pixels; None if it has none."""
         if self.known is None or not len(frame.controlled):
             return None
+        # Weights undo the uneven drawing of the controls, so that the mean is one over all points.
         squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
         return measure_total(squares, frame.true_mean).at_least(frame.noise)
 
     def tail(self, frame: "Frame") -> TailError | None:
-        """See ``Frame.tail``."""
+        """Return the error that 99 % of the surface pixels stay below; None if the frame has no
+        control pixels.
+        """
         if frame.measured is None or self.known is None:
             return None
         tail = tail_of(
@@ -259,11 +238,15 @@ class Quality:
         return tail.within(frame.measured)
 
     def total_error(self, frame: "Frame") -> np.ndarray:
-        """See ``Frame.total_error``."""
+        """Return the relative error of each pixel, whatever its causes; (h, w) float32. See
+        ``Frame.total_error``.
+        """
         if frame.view.shading != "gi":
             return frame.error
         error = frame.error.copy()
         pixels = frame.gbuffer.pixels
+        # Besides its noise, a pixel has an error that the plan predicts or that control pixels have
+        # measured; the noise is part of the measured error, and is taken out of it.
         if frame.measured is None or self.known is None:
             other = np.float32(self.expected)
         else:
@@ -271,6 +254,8 @@ class Quality:
             other = np.sqrt(np.maximum(errors**2 - frame.pixel_noise**2, 0.0)) / np.maximum(
                 frame.luminance(pixels), 1e-30
             )
+        # The causes are independent, so their squares add up. A provisional pixel counts as all
+        # wrong.
         lit = frame.state.ravel()[pixels] > PROVISIONAL
         error.ravel()[pixels] = np.where(
             lit, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0
@@ -282,13 +267,17 @@ class Quality:
 class Frame:
     """A rendered view. All arrays are zero off the surface.
 
-    ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional, 2
-    converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
-    ``version`` is equal for equal pictures, also after a restart; ``seconds`` the time of each
-    stage. ``quality`` is what it was made of, and what decides that it is final. Of a view that is
-    smooth, ``edges`` have more samples. Of surfaces that let rays pass ``left`` (h, w) is the share
-    of what lies behind. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where
-    nothing does.
+    - ``radiance`` (h, w, 3) float32: linear RGB.
+    - ``state`` (h, w) uint8: 0 none, 1 provisional, 2 converging, 3 final.
+    - ``error`` (h, w) float32: relative standard error of each pixel by noise.
+    - ``gbuffer``: the surface points that pixels show.
+    - ``version``: a name that is equal for equal pictures, also after a restart.
+    - ``seconds``: time of each stage of the rendering.
+    - ``quality``: states of its refinements, which decide if it is final.
+    - ``edges``: more samples of pixels at edges; None if the view is not smooth.
+    - ``left`` (h, w): share of the background that shows through; None if the scene has one
+      surface.
+    - ``glow`` (pixels, 3) float32: part of the radiance that glow adds; None if nothing glows.
     """
 
     view: View
@@ -305,30 +294,33 @@ class Frame:
 
     @property
     def demands(self) -> tuple[Demand, ...]:
-        """The light on texels' own isosurfaces that was not final, chunk by chunk, were no texels
-        projected.
+        """The light of texels on their own isosurfaces that is not final, chunk by chunk, as if
+        no texel were projected.
         """
         return self.quality.demands
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final, stage after stage."""
+        """All light that must be baked until the picture is final, stage after stage."""
         return self.quality.stages
 
     @property
     def chunks_needed(self) -> int:
-        """Chunks whose light it reads, or the finer frame that is coming."""
+        """The number of chunks that it reads, or that the finer frame reads which is to replace
+        it.
+        """
         return (self.quality.finer or self).quality.chunks[0]
 
     @property
     def chunks_final(self) -> int:
-        """Chunks of these whose light is final."""
+        """How many of ``chunks_needed`` have final light."""
         return (self.quality.finer or self).quality.chunks[1]
 
     @cached_property
     def reported_state(self) -> np.ndarray:
-        """The ``state``, as far as the whole picture is; 4 where a final pixel reads a texel that
-        cannot be projected; (h, w).
+        """The ``state`` as clients see it; (h, w) uint8. While the whole picture may still
+        improve, no pixel is final; UNREACHABLE marks final pixels that read a texel which
+        cannot be projected.
         """
         if self.improving:
             return np.where(self.state == FINAL, CONVERGING, self.state).astype(np.uint8)
@@ -340,34 +332,32 @@ class Frame:
 
     @property
     def position(self) -> np.ndarray:
-        """World coordinates of the surface in each pixel; (h, w, 3) float32."""
+        """World coordinates of the surface point in each pixel; (h, w, 3) float32."""
         return self.positions(0, self.state.shape[0])
 
     def positions(self, first: int, last: int) -> np.ndarray:
-        """``position`` in the rows from ``first`` to ``last``, zero off the surface; (last - first,
-        w, 3) float32.
+        """Return ``position`` in the rows from ``first`` to ``last``, zero off the surface;
+        (last - first, w, 3) float32.
         """
         found = self.gbuffer.positions(first, last)
         if self.view.orientation.placed:
             on = self.state[first:last] > 0
-            on &= self.glow is None or found.any(
-                axis=-1
-            )  # what glows beside the surface is nowhere
+            # Pixels that show glow alone have no position.
+            on &= self.glow is None or found.any(axis=-1)
             found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
         return found
 
     @property
     def layers(self) -> Iterator[Layer]:
-        """All that pixels show: their numbers, each once, the points that they show in index space
-        (n, 3), and the shares of their light that come from there. What is left of them comes from
-        behind all.
+        """All that pixels show, layer by layer: each pixel is in a layer at most once. What the
+        shares of a pixel leave of 1 comes from behind everything.
         """
         return self.quality.layers(self)
 
     @cached_property
     def airy(self) -> np.ndarray | None:
-        """Which pixels show what glows alone, with the background behind; (h, w) bool, None where
-        nothing glows.
+        """Mark the pixels that show glow alone, in front of the background; (h, w) bool, None
+        if nothing glows.
         """
         if self.glow is None:
             return None
@@ -378,8 +368,8 @@ class Frame:
 
     @cached_property
     def leaving(self) -> np.ndarray:
-        """The ``radiance`` that leaves what is seen, without what glows before it; (h, w, 3)
-        float32.
+        """The ``radiance`` that leaves surfaces and walls, without the glow before them; (h, w,
+        3) float32.
         """
         if self.glow is None:
             return self.radiance
@@ -387,8 +377,8 @@ class Frame:
 
     @cached_property
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels in each state, (4,); sums of luminance and of (luminance · error)² over the
-        surface, (2,).
+        """The number of pixels in each state, (4,); and the sums of luminance and of (luminance
+        · error)² over the surface, (2,).
         """
         counts = np.zeros(4, np.int64)
         sums = np.zeros(2)
@@ -397,31 +387,34 @@ class Frame:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Surface pixels in each state, as far as the whole picture is: none is final that may
-        become better.
+        """The number of surface pixels in each state. While the whole picture may still
+        improve, final pixels count as converging.
         """
-        settled = 0 if self.improving else self.settled
-        converging = int(self._tally[0][CONVERGING]) + self.settled - settled
+        if self.improving:
+            final = 0
+        else:
+            final = self.settled
+        converging = int(self._tally[0][CONVERGING]) + self.settled - final
         return {
-            "final": settled,
+            "final": final,
             "converging": converging,
             "provisional": int(self._tally[0][PROVISIONAL]),
         }
 
     @property
     def settled(self) -> int:
-        """Surface pixels whose texels have the light that they are to have."""
+        """The number of surface pixels whose texels have all the light that they are to have."""
         return int(self._tally[0][FINAL])
 
     @property
     def surface(self) -> int:
-        """Pixels that show the surface."""
+        """The number of pixels that show a surface or a wall."""
         return int(self._tally[0][PROVISIONAL:].sum())
 
     @property
     def coverage(self) -> dict[str, float]:
-        """Share of the surface pixels in each state; all final where no surface is in the
-        picture.
+        """The share of the surface pixels in each state; all final if the picture shows no
+        surface.
         """
         if not self.surface:
             return {"final": 1.0, "converging": 0.0, "provisional": 0.0}
@@ -429,67 +422,73 @@ class Frame:
 
     @property
     def provisional(self) -> bool:
-        """Whether any surface pixel is not final."""
+        """True if any surface pixel lacks light that it is to have."""
         return self.settled < self.surface
 
     @property
     def final(self) -> bool:
-        """Whether nothing becomes better: all light is as it is to be, and the total error measured
-        at the target.
+        """True if nothing will improve the picture any more: all of its light is there, and its
+        total error is measured to be at the target.
         """
         return not self.provisional and (self._reached or not len(self.gbuffer.pixels))
 
     @property
     def _reached(self) -> bool:
-        """Whether the total error is at the target by controls of its texels as they are, and few
-        pixels err far.
+        """True if control pixels show that the error is at the target and the tail within its
+        limit; also if no control pixels check the picture.
         """
         target = self.quality.target
         if target is None:
             return True
+        # The upper end of the 95 % interval must be below the target, by controls of the texels as
+        # they are now.
         if self.measured is None or self.quality.outdated or self.measured.high > target:
             return False
         return self.tail is None or self.tail.likely <= TAIL * target
 
     @property
     def improving(self) -> bool:
-        """Whether its check goes on, so that any pixel may become better."""
+        """True if the check of the picture goes on, so that any pixel may still change."""
         ended = self.final or (self.quality.given_up and not self.provisional)
         return self.quality.target is not None and not ended
 
     @property
     def checkable(self) -> bool:
-        """Whether texels in the store are final, and walls or control pixels are still to bring it
-        to its target.
+        """True if a step of a check can improve the picture now: texels are final in the store,
+        and walls or control pixels have still to bring it to its target.
         """
         return self.quality.checkable(self)
 
     @property
     def refinable(self) -> bool:
-        """Whether a step of refining makes it better or better known now: it is checkable, or its
-        walls lag behind its texels.
+        """True if a step of refining helps now: the picture is checkable, or the view rests and
+        its walls lag behind the surface.
         """
         return self.checkable or (self.walls_lag and not self.view.moving)
 
     @cached_property
     def walls_lag(self) -> bool:
-        """Whether walls are still coarse, or not final and more wrong in the picture, all together,
-        than its surface.
+        """True if walls are coarse, or if they are not final and their summed squared error is
+        larger than that of the surface.
 
-        Fine ones cost little at first, and what they cost later is spent where the picture's error
-        is largest.
+        The first fine texels of walls are cheap; later steps go where the error of the picture is
+        largest.
         """
         return self.quality.walls_lag(self)
 
     @cached_property
     def controlled(self) -> np.ndarray:
-        """The luminance that the control pixels show of the surface itself; (k,) float64."""
+        """The luminance of the surface that the picture shows at its control pixels; (k,)
+        float64.
+        """
         known = self.quality.known
-        return self._shown_at(known.controls.places if known else np.empty(0, np.int64))
+        if known is None:
+            return np.empty(0)
+        return self._shown_at(known.controls.places)
 
     def _shown_at(self, places: np.ndarray) -> np.ndarray:
-        """The luminance that surface points show, by their numbers ``places`` (k,); (k,)
-        float64.
+        """Return the luminance that the picture shows of the surface points in rows ``places``
+        (k,); (k,) float64.
         """
         return np.asarray(
             self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64)
@@ -498,57 +497,61 @@ class Frame:
 
     @property
     def shown_mean(self) -> float:
-        """The mean luminance of the pixels that show something."""
+        """The mean luminance of the pixels that show a surface or a wall."""
         return float(self._tally[1][0]) / max(self.surface, 1)
 
     @cached_property
     def true_mean(self) -> float:
-        """The true mean luminance of what is shown, as far as control pixels know it."""
+        """The mean luminance of the surface, corrected by control pixels; see
+        ``Quality.true_mean``.
+        """
         return self.quality.true_mean(self)
 
     @cached_property
     def measured(self) -> TotalError | None:
-        """The total relative RMSE by control pixels, at least the noise; None before there are
-        any.
+        """The total relative RMSE by control pixels, at least the noise; None if there are no
+        control pixels.
         """
         return self.quality.measured(self)
 
     @cached_property
     def tail(self) -> TailError | None:
-        """The error that 99 % of the surface pixels stay below, by control pixels; None before
-        there are any.
+        """The error that 99 % of the surface pixels stay below, by control pixels; None if
+        there are none.
         """
         return self.quality.tail(self)
 
     @cached_property
     def total_error(self) -> np.ndarray:
-        """The relative error of each pixel, whatever its causes, at most 1: measured or expected;
-        (h, w) float32.
+        """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32.
 
-        Control pixels measure it where there are some, see ``spread_errors``; it is the noise at
-        least.
+        It is measured if the picture has control pixels (see ``spread_errors``), else as the plan
+        predicts; and it is never below the noise.
         """
         return self.quality.total_error(self)
 
     @property
     def pixel_noise(self) -> np.ndarray:
-        """The standard error of each surface point's luminance; (m,) float64."""
+        """The standard error of the luminance of each surface point; (m,) float64."""
         return self.error.ravel()[self.gbuffer.pixels] * self.luminance(self.gbuffer.pixels)
 
     def squared_error(self, pixels: np.ndarray) -> float:
-        """The sum of the squared errors of these pixels, in luminance."""
+        """Return the sum of the squared errors of the luminance of some ``pixels``."""
         return float(((self.error.ravel()[pixels] * self.luminance(pixels)) ** 2).sum())
 
     def luminance(self, pixels: np.ndarray) -> np.ndarray:
-        """The luminance of these pixels; float64."""
+        """Return the luminance of some ``pixels``; float64."""
         return np.asarray(
             self.radiance.reshape(-1, 3)[pixels].astype(np.float64) @ LUMINANCE_WEIGHTS
         )
 
     @cached_property
     def total(self) -> TotalError:
-        """The total relative RMSE of the frame: measured or predicted; all noise without global
-        illumination, or if it shows no surface: then the plan's error is of nothing.
+        """The total relative RMSE of the frame: measured, or predicted before there are control
+        pixels.
+
+        It is the noise alone without global illumination, or if no surface is in the picture: the
+        plan's prediction is about surfaces.
         """
         if self.view.shading != "gi" or not len(self.gbuffer.pixels):
             return TotalError(self.noise, self.noise, self.noise)
@@ -556,19 +559,18 @@ class Frame:
 
     @property
     def framebuffer(self) -> Framebuffer:
-        """Radiance, state and error, pixel by pixel."""
+        """Radiance, state and error, one row per pixel; views of the frame's arrays."""
         return Framebuffer(self.radiance.reshape(-1, 3), self.state.ravel(), self.error.ravel())
 
     @cached_property
     def noise(self) -> float:
-        """Estimated relative RMSE of the frame by noise alone, in luminance: root mean square of
-        pixels over the mean.
+        """The relative RMSE of the frame that noise alone makes, in luminance: the root mean square
+        error of pixels over their mean; at most 1.
 
-        A provisional pixel counts as wrong by all of its light; the whole is at most 1. Of 210
-        frames of 15 scenes after 16 to 256 samples, or baked to 10 % or 5 %, the true noise was
-        1.00 times the estimate, a median, and 0.7 to 1.4 times it for 99 %; 91.9 % of the pixels
-        were within 1.96 times their own error (``benchmarks.accuracy calibration --size 24 --most
-        256``).
+        A provisional pixel counts as wrong by all of its light. Of 210 frames of 15 scenes after 16
+        to 256 samples, or baked to 10 % or 5 %, the true noise was 1.00 times the estimate, a
+        median, and 0.7 to 1.4 times it for 99 %; 91.9 % of the pixels were within 1.96 times their
+        error (``benchmarks.accuracy calibration --size 24 --most 256``).
         """
         light, wrong = self._tally[1].tolist()
         if light > 0.0:

@@ -1,5 +1,5 @@
-"""The G-buffer: where each pixel's ray meets the isosurface. Light can turn without casting it
-again.
+"""The G-buffer: the points at which the rays of pixels meet the isosurface. It is kept, so that
+light can turn without new primary rays.
 """
 
 import math
@@ -21,17 +21,20 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Surface
 
 TILE_RAYS = 4096
-"""Primary rays of a tile: as many as are cast together."""
+"""Primary rays of a tile, which are cast together."""
 
 POINTS = 4096
 """Surface points of a tile."""
 
 
 @dataclass(frozen=True, eq=False)
-class PointsBeside:
-    """Where rays of a camera meet what is beside the isosurface: ``pixels`` (m,) uint32, ascending,
-    ``points`` (m, 3) float32 in index space, and the ``numbers`` (m,) int8 of the walls, or
-    WINDOW_FACE on the faces of a window.
+class OtherPoints:
+    """Points at which rays of a camera meet something other than the isosurface.
+
+    - ``pixels`` (m,) uint32: picture indices, ascending.
+    - ``points`` (m, 3) float32: in index space.
+    - ``numbers`` (m,) int8: numbers of the walls that are met, or WINDOW_FACE on a face of a
+      window.
     """
 
     pixels: np.ndarray
@@ -39,27 +42,32 @@ class PointsBeside:
     numbers: np.ndarray
 
     @classmethod
-    def none(cls) -> "PointsBeside":
-        """Nothing else is seen."""
+    def none(cls) -> "OtherPoints":
+        """Return no points."""
         return cls(np.empty(0, np.uint32), np.empty((0, 3), np.float32), np.empty(0, np.int8))
 
-    def part(self, some: np.ndarray) -> "PointsBeside":
-        """The points in ``some`` rows."""
-        return PointsBeside(self.pixels[some], self.points[some], self.numbers[some])
+    def part(self, some: np.ndarray) -> "OtherPoints":
+        """Return the points in ``some`` rows."""
+        return OtherPoints(self.pixels[some], self.points[some], self.numbers[some])
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         return self.pixels.nbytes + self.points.nbytes + self.numbers.nbytes
 
 
 @dataclass(eq=False)
 class GBuffer:
-    """Where the rays of one camera, whose ``eye`` is in index space, meet a ``surface``.
+    """Points at which the rays of one camera meet a ``surface``.
 
-    ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that
-    show the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
-    ``walls`` are seen beside it, and ``faces`` that a window opens in what is solid.
+    - ``shape``: height and width of the picture.
+    - ``spacing``: world size of a voxel along x, y, z.
+    - ``eye``: position of the camera, in index space.
+    - ``pixels`` (m,) uint32: picture indices that show the surface, ascending.
+    - ``points`` (m, 3) float32: hits of their rays, in index space.
+    - ``walls``: points on walls; ``faces``: points on the faces that a window cuts into the solid.
+
+    Normals and albedos are found when they are first asked for.
     """
 
     shape: tuple[int, int]
@@ -68,28 +76,28 @@ class GBuffer:
     surface: Surface
     pixels: np.ndarray
     points: np.ndarray
-    walls: PointsBeside = field(default_factory=PointsBeside.none)
-    faces: PointsBeside = field(default_factory=PointsBeside.none)
+    walls: OtherPoints = field(default_factory=OtherPoints.none)
+    faces: OtherPoints = field(default_factory=OtherPoints.none)
     _shown: SurfacePoints | None = field(default=None, repr=False)
     _albedos: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
     def of_points(cls, surface: Surface, eye: Vector, points: np.ndarray) -> "GBuffer":
-        """A picture of one row whose pixel i shows point i of ``points`` (m, 3), in index space;
-        ``eye`` is so, too.
+        """Return a picture of one row whose pixel i shows point i of ``points`` (m, 3); these
+        and the ``eye`` are in index space.
         """
         pixels = np.arange(len(points), dtype=np.uint32)
-        places = np.ascontiguousarray(points, np.float32)
-        return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
+        points = np.ascontiguousarray(points, np.float32)
+        return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, points)
 
     @property
     def isovalue(self) -> Isovalue:
-        """The surface's isovalue."""
+        """The isovalue of the surface."""
         return self.surface.isovalue
 
     def shown(self, tiles: Tiles) -> SurfacePoints:
-        """The points with their outward normals, which are found when first asked for. Raises
+        """Return the points with their outward normals, found when first asked for. Raises
         Cancelled.
         """
         with self._lock:
@@ -104,14 +112,14 @@ class GBuffer:
             return self._shown
 
     def normals(self, tiles: Tiles) -> np.ndarray:
-        """Outward unit world normals (m, 3) float32, found when first asked for. Raises
-        Cancelled.
+        """Return the outward unit world normals (m, 3) float32, found when first asked for.
+        Raises Cancelled.
         """
         return self.shown(tiles).normals
 
     def albedos(self, colours: Colours, tiles: Tiles) -> np.ndarray:
-        """The albedo of each point by the scene's ``colours``, (m, 3) float32, found when first
-        asked for.
+        """Return the albedo of each point by the ``colours`` of the scene, (m, 3) float32, found
+        when first asked for.
 
         Raises Cancelled.
         """
@@ -128,7 +136,7 @@ class GBuffer:
 
     @property
     def alone(self) -> bool:
-        """Whether every pixel that shows anything shows the surface."""
+        """True if the picture shows the surface and nothing else."""
         return not len(self.walls.pixels) and not len(self.faces.pixels)
 
     @property
@@ -139,56 +147,53 @@ class GBuffer:
         return rows
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
-        """A G-buffer of the points in rows ``places`` (k,) alone, ascending. Raises Cancelled."""
+        """Return a G-buffer of the points in rows ``places`` (k,) alone, ascending. Raises
+        Cancelled.
+        """
         return self.of_these(self.shown(tiles).part(places))
 
-    def of_these(self, shown: SurfacePoints, walls: PointsBeside | None = None) -> "GBuffer":
-        """A G-buffer like this of the points ``shown``, whose pixels ascend, and of ``walls``, if
-        any.
+    def of_these(self, shown: SurfacePoints, walls: OtherPoints | None = None) -> "GBuffer":
+        """Return a G-buffer of the points ``shown``, whose pixels ascend, and of ``walls``; all
+        else is as here.
         """
-        place = (self.shape, self.spacing, self.eye, self.surface)
-        beside = walls or PointsBeside.none()
-        return GBuffer(*place, shown.pixels, shown.points, beside, _shown=shown)
+        view = (self.shape, self.spacing, self.eye, self.surface)
+        walls = walls or OtherPoints.none()
+        return GBuffer(*view, shown.pixels, shown.points, walls, _shown=shown)
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes; normals are counted before they are found."""
-        if self._albedos is None:
-            albedos = 0
-        else:
-            albedos = self._albedos.nbytes
-        return (
-            self.pixels.nbytes
-            + 2 * self.points.nbytes
-            + albedos
-            + self.walls.nbytes
-            + self.faces.nbytes
-        )
+        """The size of its arrays in bytes; normals are counted before they are found."""
+        size = self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes + self.faces.nbytes
+        if self._albedos is not None:
+            size += self._albedos.nbytes
+        return size
 
     @property
     def position(self) -> np.ndarray:
-        """Coordinates, in the volume's box, of what is seen in each pixel, zero where nothing is;
-        (h, w, 3) float32.
+        """Coordinates in the volume's box of the point that each pixel shows, zero if it shows
+        none; (h, w, 3) float32.
         """
         return self.positions(0, self.shape[0])
 
     def positions(self, first: int, last: int) -> np.ndarray:
-        """``position`` in the rows from ``first`` to ``last``; (last - first, w, 3) float32."""
+        """Return ``position`` in the rows from ``first`` to ``last``; (last - first, w, 3)
+        float32.
+        """
         width = self.shape[1]
         rows = np.zeros(((last - first) * width, 3), np.float32)
         for each in (self, self.walls, self.faces):
             a, b = np.searchsorted(each.pixels, (first * width, last * width))
-            rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(
-                self.spacing, np.float32
-            )
+            points = each.points[a:b] * np.array(self.spacing, np.float32)
+            rows[each.pixels[a:b] - first * width] = points
         return rows.reshape(last - first, width, 3)
 
 
 def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole:
-    """The camera in index space for a picture of ``width`` × ``height`` pixels, row 0 at the
-    top.
+    """Return the camera in index space for a picture of ``width`` × ``height`` pixels, row 0 at
+    the top.
     """
     right, up, forward = camera.basis()
+    # Pixels are square: the vertical field of view sets their size on a plane at distance 1.
     pixel = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / height
     corner = forward - right * (pixel * width / 2.0) + up * (pixel * height / 2.0)
     return Pinhole(
@@ -197,7 +202,9 @@ def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole
 
 
 def view_pinhole(view: View, spacing: Vector) -> Pinhole:
-    """The camera of a view in index space, from the first row and column of its picture on."""
+    """Return the camera of a view in index space. A view may be a part of a larger picture: its
+    camera begins at the first row and column of that part.
+    """
     first, rows = view.whole
     before, columns = view.columns or (0, view.width)
     hole = pinhole(view.camera, columns, rows, spacing)
@@ -209,14 +216,14 @@ def view_pinhole(view: View, spacing: Vector) -> Pinhole:
 
 
 def to_index(v: np.ndarray, spacing: Vector) -> Vector:
-    """A world vector in index space, as a tuple for the kernels."""
+    """Return a world vector in index space, as a tuple for the kernels."""
     x, y, z = (float(a / s) for a, s in zip(v, spacing, strict=True))
     return x, y, z
 
 
 def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
-    """What rays of a ``view`` meet besides the surface: ``walls``, if any, and the planes of its
-    window, if any.
+    """Return everything besides the surface that rays of a ``view`` meet: ``walls`` and the
+    planes of its window.
     """
     if view.window is None:
         planes = np.empty((0, 4))
@@ -226,8 +233,8 @@ def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
 
 
 def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
-    """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises
-    Cancelled.
+    """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``.
+    Raises Cancelled.
     """
     spacing = surface.field.spacing
     camera = view_pinhole(view, spacing)
@@ -235,24 +242,26 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     traced = surface.traced(tiles.run)
     found: dict[int, tuple[np.ndarray, ...]] = {}
 
+    # Each tile writes arrays of its own, for how many of its rays hit is not known before.
     def _piece(a: int, b: int) -> None:
         pixels = np.empty((2, b - a), np.uint32)
         points = np.empty((2, b - a, 3), np.float32)
         numbers = np.empty(b - a, np.int8)
-        count, beside = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
+        hits, others = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
         found[a] = (
-            pixels[0, :count],
-            points[0, :count],
-            pixels[1, :beside],
-            points[1, :beside],
-            numbers[:beside],
+            pixels[0, :hits],
+            points[0, :hits],
+            pixels[1, :others],
+            points[1, :others],
+            numbers[:others],
         )
 
     tiles.run(_piece, view.width * view.height, TILE_RAYS)
+    # Join the tiles in the order of their pixels, whichever thread was first.
     pixels, points, *others = (
         np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True)
     )
-    seen = PointsBeside(*others)
+    seen = OtherPoints(*others)
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
     if view.window is None:
         return GBuffer(*shown, walls=seen)
@@ -261,6 +270,8 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
 
 
 def surface_key(view: View) -> tuple[Any, ...]:
-    """What the surface in a picture depends on."""
-    part = view.strip, view.columns
-    return view.isovalue, view.camera, view.width, view.height, *part, view.window
+    """Return the part of a cache key that names the surface in a picture: all that its G-buffer
+    depends on.
+    """
+    size = view.width, view.height, view.strip, view.columns
+    return view.isovalue, view.camera, *size, view.window

@@ -1,5 +1,5 @@
-"""Blocks for cards that were packed before: each is folded, filtered and compressed once, for all
-visitors.
+"""Blocks for cards that were packed before: each is folded, filtered and compressed once, for
+all visitors.
 """
 
 import hashlib
@@ -16,47 +16,49 @@ from isogi_core.lru_cache import LruCache
 from isogi_core.prepared.prepared_scene import Index
 
 LEVEL = 1
-"""Compression: of voxels and light higher levels save a tenth of the bytes, and take four times as
-long.
+"""Level of compression. Higher levels save a tenth of the bytes of voxels and light, and take
+four times as long.
 """
 
 DIGEST_BYTES = 16
-"""Bytes that name the data of a part."""
+"""Size of the name of a part's data."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a binary answer; what is found when it is first asked for is kept."""
+    """A part of a binary answer. Its compressed form and its name are found once, when first
+    asked for.
+    """
 
     data: bytes
 
     @cached_property
     def deflated(self) -> bytes:
-        """The ``data`` as raw DEFLATE (RFC 1951) that ends at a whole byte: such parts may follow
-        each other.
+        """The ``data`` as raw DEFLATE (RFC 1951) that ends at a whole byte, so that parts can
+        be concatenated.
         """
         packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
         return packer.compress(self.data) + packer.flush(zlib.Z_FULL_FLUSH)
 
     @cached_property
     def digest(self) -> bytes:
-        """What names the ``data``."""
+        """A name of the ``data``."""
         return hashlib.blake2b(self.data, digest_size=DIGEST_BYTES).digest()
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes; before it is compressed it is counted as twice its data."""
+        """The bytes that it takes; before it is compressed it counts as twice its data."""
         return 2 * len(self.data)
 
 
 @dataclass(frozen=True, eq=False)
 class Block(Part):
-    """A block of a chunk at a ``version``; the versions of the chunks ``beside`` it that its light
-    is filtered by.
+    """A block of a chunk at a ``version``. ``around`` holds the versions of the chunks around
+    it that its light was filtered by.
     """
 
     version: bytes = b""
-    beside: Mapping[Index, bytes] = field(default_factory=dict)
+    around: Mapping[Index, bytes] = field(default_factory=dict)
 
 
 class Packed(NamedTuple):
@@ -66,19 +68,19 @@ class Packed(NamedTuple):
 
     @property
     def versions(self) -> tuple[bytes, ...]:
-        """How far each chunk is baked."""
+        """The version of each chunk, which tells how far it is baked."""
         return tuple(each.version for each in self.blocks)
 
     @property
     def alone(self) -> bool:
-        """Whether each version stands for its block alone. What was filtered depends on chunks
-        beside it, too.
+        """True if the version of each block alone identifies it: filtered blocks depend on the
+        chunks around them, too.
         """
-        return not any(each.beside for each in self.blocks)
+        return not any(each.around for each in self.blocks)
 
 
 class KnownBlocks:
-    """The newest blocks of a scene, within a limit of bytes. Any thread may ask."""
+    """The newest blocks of a scene, within a limit of bytes. Safe to use from many threads."""
 
     def __init__(self, most: int) -> None:
         """Keep at most ``most`` bytes."""
@@ -87,7 +89,7 @@ class KnownBlocks:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that the blocks take."""
+        """The bytes that the blocks take."""
         return self._kept.nbytes
 
     def find(
@@ -98,27 +100,28 @@ class KnownBlocks:
         make: Callable[[Sequence[Index]], Packed],
         check: Callable[[], object],
     ) -> Packed:
-        """The blocks of ``chunks``, of some ``kind``: what light they are under, and when texels
-        are final.
+        """Return the blocks of ``chunks`` of some ``kind``: the light they are under, and the
+        target error.
 
-        Blocks that are not kept, or whose chunks were baked on since, are made by ``make``; for all
-        that ask meanwhile too. Raises what ``make`` and ``Loader.ensure`` raise.
+        Blocks that are not kept, or whose chunks have been baked on, are made by ``make``. Other
+        threads wait meanwhile, and find them. Raises the errors of ``make`` and of
+        ``Loader.ensure``.
         """
         with self._lock:
+            # Collect the blocks that are kept, and all chunks that these depend on.
             held = ((at, self._kept.held((kind, at))) for at in dict.fromkeys(chunks))
             known: dict[Index, Block] = {at: block for at, block in held if block is not None}
-            around = tuple(
-                dict.fromkeys(
-                    [*chunks, *chain.from_iterable(each.beside for each in known.values())]
-                )
-            )
+            others = chain.from_iterable(block.around for block in known.values())
+            around = tuple(dict.fromkeys([*chunks, *others]))
             loader.ensure(around, check)
+            # Keep those that no bake has outdated.
             now = dict(zip(around, loader.pool.versions(around), strict=True))
             found = {
-                at: self._keep((kind, at), each)
-                for at, each in known.items()
-                if is_current(at, each, now)
+                at: self._keep((kind, at), block)
+                for at, block in known.items()
+                if is_current(at, block, now)
             }
+            # Make all others together.
             lacking = [at for at in dict.fromkeys(chunks) if at not in found]
             made = make(lacking).blocks if lacking else ()
             for at, block in zip(lacking, made, strict=True):
@@ -127,12 +130,12 @@ class KnownBlocks:
         return Packed(tuple(found[at] for at in chunks))
 
     def _keep(self, key: Hashable, block: Block) -> Block:
-        """The block, the newest of all that are kept."""
+        """Keep a ``block`` as the newest of all, and return it."""
         return self._kept.get(key, lambda: block)
 
 
 def is_current(at: Index, block: Block, now: Mapping[Index, bytes]) -> bool:
-    """Whether nothing was baked on that a ``block`` shows of the chunk ``at``, by the versions of
-    chunks ``now``.
+    """Return True if a ``block`` of the chunk ``at`` shows the present light of all chunks that
+    it depends on, whose versions are ``now``.
     """
-    return block.version == now[at] and block.beside.items() <= now.items()
+    return block.version == now[at] and block.around.items() <= now.items()

@@ -1,5 +1,5 @@
-"""The light around a view: the rotated environment, as coefficients, as a picture, and as one key
-light.
+"""The light around a view: the rotated environment and lamps, in the forms that the kernels of
+shading take.
 """
 
 import hashlib
@@ -24,89 +24,27 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import Camera, View, rotation_matrix
-from isogi_core.plan.albedo_nodes import mixing_weights
 from isogi_core.plan.scene import Scene
 
 PICTURE_FORMAT = 13
-"""Counts up when pictures of the same light change: those that browsers keep are then asked for
-again.
+"""Number of the format of pictures. It counts up when the same light makes another picture, so
+that browsers ask for theirs again.
 """
-
-MAX_SQUARES_RATIO = 100.0
-"""How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
-
-
-def scatter_at(
-    weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray
-) -> np.ndarray:
-    """The ``scatter`` (m,) of texels, rescaled from the albedo of its estimate to another; float32,
-    as all of these.
-
-    ``weights`` (terms, 4) are those of ``weights_between``; ``reflected`` (m,) is the share of the
-    variance that is reflected light's, ``kept`` (m, terms) band 0 of each term. What scatter is
-    divided by, the deviation of single paths, falls with the albedo too.
-    """
-    now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
-    variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
-    return np.asarray(
-        scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)),
-        np.float32,
-    )
-
-
-def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
-    """What ``scatter_at`` weighs terms with: squares of reflected paths, and of all, at two
-    albedos; (terms, 4).
-    """
-    squares = [
-        reflected_weights(seen),
-        reflected_weights(judged),
-        all_weights(seen),
-        all_weights(judged),
-    ]
-    return np.ascontiguousarray(np.array(squares).T, np.float32)
-
-
-def reflected_weights(spec: BakeSpec) -> np.ndarray:
-    """Of band 0 of each term, in the mean square of what reflected paths bring but for their light;
-    (terms,) float64.
-
-    A path that left after k bounces brings R^k, and its square is light of the albedo R². Of
-    colours R_c that luminance mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
-    """
-    mix = LUMINANCE_WEIGHTS * np.array(spec.albedo)
-    nodes = spec.plan.nodes
-    mix = mix / max(float(mix.sum()), 1e-30)
-    pairs = [(c, d) for c in range(3) for d in range(3)]
-    products = [
-        mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs
-    ]
-    return np.array([0.0, *np.array([mix[c] * mix[d] for c, d in pairs]) @ products])
-
-
-def all_weights(spec: BakeSpec) -> np.ndarray:
-    """Of band 0 of each term, in the mean square over all paths and all turns of the light;
-    (terms,) float64.
-
-    The albedo of the surface that they start on is taken out.
-    """
-    squares = np.array([term.square[0] for term in spec.terms])
-    return np.asarray(squares / max(float(LUMINANCE_WEIGHTS @ spec.albedo) ** 2, 1e-30))
 
 
 KEY_SHARE = 0.1
-"""An environment whose first band carries less than this share of its mean has no key light of its
-own.
+"""An environment whose band 1 is weaker than this share of its mean has no direction of its
+own, and thus no key light.
 """
 
+
 KEY_LIGHT_SHARE = 0.6
-"""Share of a light that comes from its direction, where the rest is taken to come from
-everywhere.
-"""
+"""Share of a light that comes from its own direction; the rest is taken to come from everywhere."""
+
 
 PHONG_STRENGTH = 0.3
 PHONG_EXPONENT = 32.0
-"""Phong's highlight: strength and exponent."""
+"""Strength and exponent of Phong's highlight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,41 +58,48 @@ class RotatedLight:
 
     @cached_property
     def seen(self) -> BakeSpec:
-        """The spec with the view's albedo. ViewError where its light is not of that."""
+        """The spec with the view's albedo. Raises ViewError if the scene's light is not made
+        for it.
+        """
         return self.spec.of_albedo(self.spec.prepared.scene.surfaces.leaving_for(self.view.albedo))
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """The light's rotation, (3, 3) float64."""
+        """The rotation of the light, (3, 3) float64."""
         return rotation_matrix(self.view.light)
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What texels' columns are multiplied by: the rotated light of each term in turn; (3, Σ n²)
-        linear RGB.
+        """The light that texels' columns are multiplied by: rotated coefficients of each term
+        in turn; (3, Σ n²) linear RGB.
         """
         return np.concatenate(
             [rotated_by(self._met(term), self.matrix) for term in self.seen.terms], axis=1
         )
 
     def _met(self, term: Term) -> np.ndarray:
-        """The unturned light of a ``term``, (3, n²): what glows is as bright as the view asks."""
+        """Return the light of a ``term`` before rotation, (3, n²); glow has the brightness that
+        the view asks for.
+        """
         if term.glows:
             return self.glow * term.light
         return term.light
 
     def light_of(self, layer: Layer) -> np.ndarray:
-        """What a ``layer``'s coefficients are multiplied by in all, rotated; (3, n²) float64 linear
-        RGB.
+        """Return the rotated light that a ``layer``'s coefficients are multiplied by in all;
+        (3, n²) float64 linear RGB.
         """
         term = self.seen.term_of(layer)
-        return rotated_by(
-            self.spec.light[:, : term.order**2] if layer.nodes else term.light, self.matrix
-        )
+        # Layers of nodes are mixed to the albedo of the view by themselves: see ``colours_of``.
+        if layer.nodes:
+            light = self.spec.light[:, : term.order**2]
+        else:
+            light = term.light
+        return rotated_by(light, self.matrix)
 
     def colours_of(self, layer: Layer, light: np.ndarray) -> np.ndarray:
-        """Light (…, channels, n²) of a ``layer`` in the three colours that the surface gives it;
-        (…, 3, n²).
+        """Return light (…, channels, n²) of a ``layer`` in the three colours that the surface
+        gives it; (…, 3, n²).
         """
         if layer.nodes:
             return np.asarray(np.einsum("...jn,cj->...cn", light, self.seen.mixing))
@@ -162,26 +107,24 @@ class RotatedLight:
 
     @cached_property
     def around(self) -> np.ndarray:
-        """ℓ of the rotated lights as a surface without shadows has them; (3, n²) float64 linear
-        RGB.
-        """
+        """ℓ of the rotated lights on a surface without shadows; (3, n²) float64 linear RGB."""
         return rotated_by(self.spec.prepared.around, self.matrix)
 
     @property
     def albedo(self) -> np.ndarray:
-        """The share of light that leaves the surface, (3,): its albedo, and what is transmitted to
-        it.
+        """The share of light that leaves the surface, (3,): reflected by its albedo, and
+        transmitted from its other side.
         """
         return np.array(self.seen.albedo)
 
     @property
     def coloured(self) -> bool:
-        """Whether the surface has colours by data: ``albedo`` is then their brightest."""
+        """True if the surface has colours by data; ``albedo`` is then the brightest of them."""
         return self.spec.prepared.scene.surfaces.colours is not None
 
     def tints(self, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-        """The albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m, 3)
-        float32, 0 to 1.
+        """Return the albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m,
+        3) float32 from 0 to 1.
 
         Raises Cancelled.
         """
@@ -190,53 +133,54 @@ class RotatedLight:
 
     @property
     def shine(self) -> Shine | None:
-        """The shine of the surface, None where it is diffuse. ViewError where views of the scene
-        may ask for none.
+        """The shine of the surface, None if it is diffuse. Raises ViewError if views of the
+        scene may not ask for any.
         """
         return self.spec.prepared.scene.surfaces.shine_for(self.view.shine)
 
     @property
     def glow(self) -> float:
-        """How bright what glows is over the scene's own. ViewError where nothing glows and the view
-        asks for it.
+        """The brightness of glow over the scene's. Raises ViewError if the view asks for one
+        and nothing glows.
         """
         return self.spec.prepared.scene.lighting.glow_for(self.view.glow)
 
     @property
     def reflecting(self) -> tuple[float, float, float]:
-        """The most that anything reflects of each colour, the surface or a wall."""
+        """The largest albedo of each colour, of the surface or of a wall."""
         return replace(self.spec.prepared.scene.inputs, albedo=self.seen.albedo).reflecting
 
     @property
     def tint(self) -> np.ndarray:
-        """How much more a surface of the view's albedo reflects than one of the spec's own,
-        (3,).
-        """
+        """The albedo that the view asks for over that of the spec, (3,)."""
         if self.seen is not self.spec:
             return self.albedo / np.maximum(self.spec.albedo, 1e-30)
         return np.ones(3)
 
     @cached_property
     def reflected(self) -> np.ndarray:
-        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, Σ n²)
-        float64.
+        """``light`` times the albedo: its product with τ is the radiance that leaves the
+        surface; (3, Σ n²) float64.
         """
         return self.albedo[:, None] * self.light
 
     @cached_property
     def square(self) -> np.ndarray:
-        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ n²,)
-        float64.
+        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ
+        n²,) float64.
         """
-        squares = [
-            self.glow**2 * term.square if term.glows else term.square for term in self.seen.terms
-        ]
-        return np.concatenate([rotated_by(square[None], self.matrix)[0] for square in squares])
+        squares = []
+        for term in self.seen.terms:
+            square = term.square
+            if term.glows:
+                square = self.glow**2 * square
+            squares.append(rotated_by(square[None], self.matrix)[0])
+        return np.concatenate(squares)
 
     @property
     def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin, and reflected
-        light's: as for ``light_texels``.
+        """``reflected`` and ``square`` in the spec's ``unit``, the first column of each term,
+        and that of reflected light: arguments of ``light_texels``.
         """
         light = np.ascontiguousarray(self.reflected / self.spec.unit, np.float32)
         square = np.ascontiguousarray(self.square, np.float32)
@@ -244,8 +188,8 @@ class RotatedLight:
 
     @cached_property
     def lobes(self) -> LampArrays:
-        """The spec's lobes as rotated lamps; what they give is multiplied by its albedo, in its
-        ``unit``.
+        """The lobes of the spec as rotated directional lamps; their light includes its albedo,
+        in its ``unit``.
         """
         lobes = self.spec.lobes
         discs = [disc(lobe.towards, lobe.cosine) for lobe in lobes]
@@ -257,7 +201,9 @@ class RotatedLight:
 
     @cached_property
     def sky(self) -> Sky:
-        """Unshadowed light without lobes, in the spec's ``unit``: it replaces what is not baked."""
+        """Unshadowed light without lobes, in the spec's ``unit``: it replaces light that is not
+        baked.
+        """
         around = either_side(rotated_by(self.spec.beside, self.matrix), self.spec.prepared.scene)
         order = math.isqrt(around.shape[1])
         lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
@@ -265,24 +211,23 @@ class RotatedLight:
 
     @cached_property
     def unshadowed(self) -> Unshadowed:
-        """Unshadowed light by the normal, in single floats: texels' irradiance ratios are ratios to
-        it.
-
-        A colour of lamps that the middle of the volume sees nothing of counts as the brightest one
-        there.
+        """Unshadowed light as a function of the normal, in float32: irradiance ratios of texels
+        are relative to it.
         """
-        shining = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0) & (
-            self.mean == 0.0
-        )
-        mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
+        # A colour of lamps that the middle of the volume sees nothing of counts as the brightest
+        # there: ratios to nothing are of no use.
+        lamps = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0)
+        hidden = lamps & (self.mean == 0.0)
+        mean = self.albedo * np.where(hidden, self.mean.max() or 1.0, self.mean) / self.spec.unit
         quadric = quadric_of(self.sky.lobe * self.sky.light)
         return Unshadowed(
-            *(np.ascontiguousarray(each, np.float32) for each in (quadric, MIN_UNSHADOWED * mean))
+            np.ascontiguousarray(quadric, np.float32),
+            np.ascontiguousarray(MIN_UNSHADOWED * mean, np.float32),
         )
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """All light as it is, for the path tracer."""
+        """All light as the path tracer takes it."""
         return self.spec.prepared.surroundings(self.matrix)
 
     @property
@@ -293,21 +238,26 @@ class RotatedLight:
     def local_model(
         self, shading: str, depths: tuple[float, float], albedo: np.ndarray | None = None
     ) -> LocalModel:
-        """The constants of a local model under this environment: one key light and an ambient rest.
+        """Return the constants of a local model under this light: one key light, and the rest as
+        ambient light.
 
-        Of another ``albedo`` (3,) than the surface's where that is given.
+        ``depths`` are those of fog; ``albedo`` (3,) replaces that of the surface if it is given.
         """
-        albedo = self.albedo if albedo is None else albedo
+        if albedo is None:
+            albedo = self.albedo
         key, sun, ambient = self.key_light()
+        # Fog, highlight and shadow follow from the name of the model.
+        near, far = (0.0, 0.0)
         if shading.endswith("fog"):
             near, far = depths
-        else:
-            near, far = (0.0, 0.0)
+        highlight = 0.0
+        if shading.startswith("phong"):
+            highlight = PHONG_STRENGTH
         return LocalModel(
             key=key,
             sun=triple(albedo * sun),
             ambient=triple(albedo * ambient),
-            shine=PHONG_STRENGTH if shading.startswith("phong") else 0.0,
+            shine=highlight,
             exponent=PHONG_EXPONENT,
             shadow=shading.endswith("shadow"),
             fog_near=near,
@@ -315,51 +265,50 @@ class RotatedLight:
         )
 
     def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
-        """Direction towards the key light, its irradiance over π, and the ambient radiance; both
-        (3,) linear RGB.
+        """Return the direction towards the key light, its irradiance over π, and the ambient
+        radiance; both (3,) linear RGB.
 
-        The strongest lamp as the middle of the volume sees it, and all else as ambient light; among
-        walls, which reflect it, the share KEY_LIGHT_SHARE of that lamp. Without one, the
-        directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
-        at most what band 0 holds. Without a direction of its own, a light over the camera's
-        shoulder carries the share KEY_LIGHT_SHARE of the mean.
+        1. The strongest lamp as seen from the middle of the volume, and all else as ambient light.
+           Among walls, which reflect the lamp's light, it keeps the share KEY_LIGHT_SHARE.
+        2. Without lamps, a directional and a constant light with the same bands 0 and 1 as the
+           environment: D·Y_1 = ℓ_1, at most what band 0 holds.
+        3. If the environment has no direction, a light over the camera's shoulder with the share
+           KEY_LIGHT_SHARE of the mean.
         """
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE_WEIGHTS
+        # Case 1: take the strongest lamp.
         if strengths.any():
             best = int(strengths.argmax())
-            rest = (irradiances.sum(axis=0) - irradiances[best]) / (
-                4.0 * math.pi
-            ) + scene.lighting.environment.mean()
+            towards = triple(directions[best])
+            others = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
+            rest = others + scene.lighting.environment.mean()
             key = irradiances[best] / math.pi
             if scene.lighting.room.any:
-                return (
-                    triple(directions[best]),
-                    KEY_LIGHT_SHARE * key,
-                    (1.0 - KEY_LIGHT_SHARE) * key + rest,
-                )
-            return triple(directions[best]), key, rest
-        first = np.array(
-            [self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)]
-        )
-        pull = first @ LUMINANCE_WEIGHTS
+                return towards, KEY_LIGHT_SHARE * key, (1.0 - KEY_LIGHT_SHARE) * key + rest
+            return towards, key, rest
+        # The coefficients of band 1 for x, y and z point to the brightest side. The sum of their
+        # squares for a directional light D is D² · 3 / 4π.
+        band_1 = np.zeros((3, 3))
+        if self.around.shape[1] > 1:
+            band_1 = np.ascontiguousarray(self.around[:, [3, 1, 2]].T)
+        pull = band_1 @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE_WEIGHTS)
+        # Case 3: the environment is even, or nearly so.
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            return (
-                shoulder_light(self.view.camera),
-                KEY_LIGHT_SHARE * self.mean,
-                (1.0 - KEY_LIGHT_SHARE) * self.mean,
-            )
+            ambient = (1.0 - KEY_LIGHT_SHARE) * self.mean
+            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, ambient
+        # Case 2: the directional light has a share of all light, which is 4π times the mean.
         share = min(strength / (4.0 * math.pi * mean), 0.9)
-        towards = pull / np.linalg.norm(pull)
-        return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
+        direction = pull / np.linalg.norm(pull)
+        return triple(direction), 4.0 * share * self.mean, (1.0 - share) * self.mean
 
 
 def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the unrotated
-    ones.
+    """Return coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the
+    unrotated ones.
     """
     if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
         return light
@@ -369,8 +318,9 @@ def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def either_side(light: np.ndarray, scene: Scene) -> np.ndarray:
-    """Unshadowed ``light`` (3, n²) as it falls on the side that is seen and, where the surface
-    transmits, on the other, each by its share in what leaves: Y_l(-n) = (-1)^l Y_l(n).
+    """Return unshadowed ``light`` (3, n²) as it falls on both sides of a surface that
+    transmits, each by its share in the light that leaves: Y_l(-n) = (-1)^l Y_l(n). Other
+    surfaces see only the side of their normal.
     """
     if not any(scene.surfaces.transmission):
         return light
@@ -381,10 +331,10 @@ def either_side(light: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def quadric_of(light: np.ndarray) -> np.ndarray:
-    """Harmonics (3, n²) of order 3 at most as polynomials of the unit vector: over 1, y, z, x, xy,
-    yz, z², xz, x² - y².
+    """Return harmonics (3, n²) of order 3 at most as polynomials of the unit vector, (3, 9)
+    float64: over 1, y, z, x, xy, yz, z², xz, x² - y².
 
-    Returns (3, 9) float64. Source: Ramamoorthi and Hanrahan 2001, eq. 13.
+    Source: Ramamoorthi and Hanrahan 2001, eq. 13.
     """
     quadric = np.zeros((3, 9))
     quadric[:, : light.shape[1]] = light
@@ -396,26 +346,26 @@ def quadric_of(light: np.ndarray) -> np.ndarray:
 
 @lru_cache(64)
 def disc(towards: tuple[float, float, float], cosine: float) -> np.ndarray:
-    """Two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle has the
-    ``cosine``.
+    """Return two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle
+    has this ``cosine``.
     """
-    aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
-    east = aside / np.linalg.norm(aside)
+    normal = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
+    east = normal / np.linalg.norm(normal)
     return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])
 
 
 def shoulder_light(camera: Camera) -> tuple[float, float, float]:
-    """Unit direction towards a light above and to the left of the viewer."""
+    """Return the unit direction towards a light above and to the left of the viewer."""
     right, up, forward = camera.basis()
     towards = -forward + 0.5 * up - 0.4 * right
     return triple(towards / np.linalg.norm(towards))
 
 
 def version_of(light: RotatedLight, read: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light
-    it read is baked.
+    """Return a hex digest of all that a picture is made of: scene, bake spec, view, and the light
+    that was ``read``.
 
-    Light is summed in the order that fills the processor's registers, whose width is part of it.
+    Light is summed in the order of the processor's registers, so their width is part of it.
     """
     spec = light.spec.digest
     scene = light.spec.prepared.scene.digest

@@ -1,5 +1,5 @@
-"""Surface-projected texels: lit on the isosurface that a view shows, read in place of those on
-their own.
+"""Projected texels: lit on the isosurface that a view shows, and read in place of texels on
+their own isosurfaces.
 """
 
 import logging
@@ -14,9 +14,10 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.errors import StoreError
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import Demand, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, UNLIT_ROW, VOID_GRADE
 from isogi_core.kernels.transport.transfer import measure_distances
@@ -26,12 +27,12 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 log = logging.getLogger("isogi.frame")
 
 STEEPNESS = 0.08
-"""Relative error of a pixel's light for each voxel that its texels' isosurfaces are away from its
-own.
+"""Relative error of a pixel's light for each voxel of distance between the isosurfaces of its
+texels and its own.
 
-Texels that are nearer than the target error over this are left as they are. Under constant light at
-2 % that is a quarter of a voxel; projecting the others too changes the interpolation error from
-0.39 to 0.34 % (engine at 180), from 0.77 to 0.40 % (at 170), and takes half as many texels again
+Texels nearer than the target error over this are left as they are. Under constant light at 2 % that
+is a quarter of a voxel; projecting the others too changes the interpolation error from 0.39 to 0.34
+% (engine at 180), from 0.77 to 0.40 % (at 170), and takes half as many texels again
 (``python -m benchmarks.accuracy interpolation``).
 """
 
@@ -41,26 +42,26 @@ TEXELS_A_PIECE = 16384
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """How far texels are from the isosurface that is shown, ``voxels`` (texels,) float32, as
-    estimated.
+    """Estimated distances of texels from the isosurface of a view, in ``voxels``; (texels,)
+    float32.
     """
 
     voxels: np.ndarray
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.voxels.nbytes
 
     @property
     def errors(self) -> np.ndarray:
-        """The expected error of interpolation while each texel is not projected; (texels,) float32,
-        relative.
+        """The relative error of interpolation that is expected of each texel if it is not
+        projected; (texels,) float32.
         """
         return np.asarray(STEEPNESS * self.voxels)
 
     def beyond(self, target: float) -> np.ndarray:
-        """For which texels that is more than the ``target`` error; (texels,) bool."""
+        """Mark the texels whose error is above the ``target``; (texels,) bool."""
         return np.asarray(self.errors > target)
 
 
@@ -84,14 +85,14 @@ def distances_of(
 
 @dataclass(frozen=True, eq=False)
 class ProjectedReading(Reading):
-    """A reading of the ``base`` and of ``projected`` texels as one, the latter in a ``pool`` of
-    their own.
+    """A reading of ``base`` texels on their own isosurfaces and of ``projected`` ones, as one.
 
-    ``rows`` are those of the base, UNLIT_ROW where the projected texel is read in its place:
-    ``projected_rows`` are of the other pool, and UNLIT_ROW elsewhere. ``wanted`` (texels,) are the
-    texels that are to be projected and can be, ``unreachable`` those that cannot; ``dark`` ones lie
-    where no light arrives on the isosurface, in a closed hollow. ``distances`` are those of all
-    texels.
+    - ``rows``: rows of the base, UNLIT_ROW if the projected texel is read instead.
+    - ``projected_rows``: rows of the other ``pool``, UNLIT_ROW if the base is read.
+    - ``wanted`` (texels,) bool: texels that are to be projected, and can be.
+    - ``unreachable`` (texels,) bool: texels that are to be projected, and cannot be.
+    - ``dark`` (texels,) bool: projected texels in closed hollows, where no light arrives.
+    - ``distances``: of all texels from the isosurface.
     """
 
     base: Reading
@@ -105,41 +106,44 @@ class ProjectedReading(Reading):
 
     @property
     def whole(self) -> bool:
-        """Whether every texel holds light."""
+        """True if every texel holds light."""
         return not ((self.rows < 0) & (self.projected_rows < 0)).any()
 
     @property
     def on_surface(self) -> np.ndarray:
-        """Which texels are read on the isosurface that is shown."""
+        """Mark texels that are read on the isosurface of the view; (texels,) bool."""
         return np.asarray((self.projected_rows >= 0) | self.dark)
 
     @property
     def projects(self) -> bool:
-        """Whether texels are projected: here they are."""
+        """True: texels are projected."""
         return True
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
-        """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
+        """Return rows of light, and the pool that each of these is in; ``pool`` is the base's."""
         return (self.rows, pool), (self.projected_rows, self.pool)
 
     def demands(self, lacking: Lacking) -> tuple[Demand, ...]:
-        """What the view still wants of texels on their own isosurfaces, were it to read all of them
-        there.
+        """Return the light that the view would still lack if it read all texels on their own
+        isosurfaces.
         """
         return self.base.demands(lacking)
 
     def projected_demands(self, lacking: Lacking) -> tuple[Demand, ...]:
-        """What it wants of projected texels, whatever the base still lacks."""
+        """Return the light of projected texels that the view lacks."""
         shown = lacking.texels.gbuffer.isovalue
         return lacking.of(self.projected, self.pending, self.wanted, shown, like=self.base)
 
     def stages(self, lacking: Lacking) -> tuple[Stage, ...]:
-        """First light of all texels on their own isosurfaces; those to be projected; the rest.
+        """Return the light that a picture lacks, in three stages: first light of all texels on
+        their own isosurfaces, light of projected texels, and the rest.
 
-        What is soon replaced need not be any better.
+        Light that projected texels soon replace need not become any better.
         """
         base = self.base
         until = (self.target, self.enough)
+        # Where light has only begun, all texels get their first samples; those to be projected get
+        # no more.
         unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
         rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (
@@ -150,14 +154,14 @@ class ProjectedReading(Reading):
 
     @property
     def pending(self) -> np.ndarray:
-        """Which projected texels are not final; (texels,) bool."""
+        """Mark projected texels that are not final; (texels,) bool."""
         return np.asarray(self.wanted & (self.projected.grade < FINAL))
 
 
 @contextmanager
 def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None]:
-    """The chunks of projected texels, which stay while the block runs; None where memory cannot
-    hold them.
+    """Hold the ``chunks`` of projected texels in the pool while the block runs; yield None if
+    memory has no room for them.
     """
     try:
         if loader.chunk_store.made:
@@ -173,20 +177,23 @@ def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None
 def join_readings(
     base: Reading, projected: Reading, distances: Distances, pool: PagePool
 ) -> ProjectedReading:
-    """What a view reads where the ``pool`` has some ``projected`` texels.
+    """Join the readings of ``base`` texels and of the ``projected`` ones in a ``pool``.
 
-    One is read once its own error is less than what is expected without it, of interpolation and of
-    noise.
+    A projected texel is read once its error is below that of the base: of interpolation, by its
+    distance, and of noise.
     """
+    # Only texels that are far from the isosurface are projected, unless they cannot be.
     beyond = distances.beyond(base.target)
     grade = projected.grade
     wanted = beyond & (grade != VOID_GRADE)
+    # Compare the noise of each with interpolation and noise of the base.
     without = np.hypot(distances.errors, np.where(base.samples > 0, base.error, 1.0))
     fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= without))
     dark = wanted & (grade == BURIED_GRADE)
     pending = wanted & (grade < FINAL)
     grade = np.where(fit, grade, base.grade)
     grade[dark] = FINAL
+    # A pixel is not final while a projected texel of it is not.
     grade[pending & (grade == FINAL)] = CONVERGING
     lacks = pending | (base.grade < FINAL) & ~wanted
     if len(grade):
@@ -216,8 +223,8 @@ def join_readings(
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """How far a view's texels are projected: the ``texels``, their ``reading``, and the ``planes``
-    of the picture.
+    """How far a view's texels are projected, by their ``reading``; ``planes`` is the
+    framebuffer of the picture.
     """
 
     texels: ViewTexels
@@ -226,7 +233,7 @@ class Projection:
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
-        """The projected texels that the view lacks; see ``ProjectedReading``."""
+        """The light of projected texels that the view lacks."""
         return self.reading.projected_demands(Lacking(self.texels, self.reading, self.planes))
 
     @property
@@ -239,6 +246,7 @@ class Projection:
         projected = self.reading.on_surface
         unreachable = self.reading.unreachable
         pending = self.reading.wanted & ~projected
+        # All texels that are in no other state are near enough.
         near = ~(projected | unreachable | pending)
         total = max(len(projected), 1)
         counts = {
@@ -251,7 +259,7 @@ class Projection:
 
     @cached_property
     def unreachable(self) -> np.ndarray:
-        """Which pixels read a texel that is to be projected and cannot be; (h, w) bool."""
+        """Mark pixels that read a texel which is to be projected and cannot be; (h, w) bool."""
         gbuffer = self.texels.gbuffer
         shown = np.zeros(gbuffer.shape, np.bool_)
         shown.flat[gbuffer.pixels] = self.reading.unreachable[self.texels.corners].any(axis=1)

@@ -1,6 +1,4 @@
-"""Refinement: how each kind of light in a picture converges, step after step, while its view
-rests.
-"""
+"""Refinement: how each kind of light in a picture converges, step by step, while the view rests."""
 
 import threading
 from abc import ABC, abstractmethod
@@ -13,14 +11,14 @@ from isogi_core.frame.tiles import Tiles
 
 
 class Converging(Protocol):
-    """Light of one view that is kept between steps. Only the thread that holds the ``lock`` changes
-    it.
+    """Light of one view that is kept between steps. Only the thread that holds the ``lock``
+    changes it.
     """
 
     lock: threading.Lock
 
     def is_shown(self, frame: Frame) -> bool:
-        """Whether a ``frame`` shows this light as far as it has come."""
+        """Return True if a ``frame`` shows this light as far as it has converged."""
 
 
 Light = TypeVar("Light", bound=Converging)
@@ -30,34 +28,35 @@ class Refinement(ABC, Generic[Light]):
     """A kind of light that converges: texels of walls, views through glass, shine, or pixels that a
     check chooses.
 
-    Any thread may take a step, and each step brings a picture nearer to a target error.
+    Each step brings a picture nearer to a target error. Safe to use from many threads.
     """
 
     def step(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Bring a ``frame`` in a ``light`` a step nearer to the ``target``; whether there was a
-        step to take.
+        """Take one step that brings a ``frame`` under a ``light`` nearer to the ``target`` error;
+        return False if there is no step to take.
 
-        Ways to the target are weighed at these ``prices``. If another thread took a step since the
-        frame was drawn, that was the step. Raises Cancelled.
+        ``prices`` weigh the ways to the target. Raises Cancelled.
         """
         found = self.of(frame, light, target, tiles)
         if found is None:
             return False
+        # If the frame is older than the light, another thread has taken a step since it was drawn.
+        # That step counts: the next frame shows it.
         with found.lock:
             return not found.is_shown(frame) or self.advance(found, frame, target, tiles, prices)
 
     @abstractmethod
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> Light | None:
-        """The light of this kind in a ``frame``, as far as it has come; None if the frame has none
-        of it.
+        """Return the light of this kind in a ``frame``, as far as it has converged; None if the
+        frame has none of it.
         """
 
     @abstractmethod
     def advance(
         self, found: Light, frame: Frame, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Have the light ``found`` in a ``frame``, and locked, take more paths; False if it needs
-        none.
+        """Trace more paths for the light ``found`` in a ``frame``; return False if it needs
+        none. The caller holds its lock.
         """

@@ -1,7 +1,8 @@
-"""The line from a view to its frame: surface, G-buffer, texels, reading, light, framebuffer.
+"""The renderer of a scene: from a view to its frame, step by step.
 
-Each step makes data from the data before it. One cache keeps what the steps make for the next
-frames. Its keys name the step and the surface that a view shows, by isovalue, camera and size
+The steps are: cast rays at the surface, fill the G-buffer, find texels, read their light, and shade
+the framebuffer. Each step makes data from the data before it, and one cache keeps these for the
+next frames. Its keys name the step and the surface that a view shows, by isovalue, camera and size
 (``surface_key``):
 
 | step | kept for |
@@ -9,16 +10,16 @@ frames. Its keys name the step and the surface that a view shows, by isovalue, c
 | ``GBuffer``, ``ViewTexels``, ``Distances`` | a surface |
 | ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
-| ``FilteredLight`` | a view's texels, what is read of them, the light's rotation, albedo, glow |
+| ``FilteredLight`` | the texels and the reading of a view; rotation of the light, albedo, glow |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the light's rotation, albedo, shine, glow and a target error |
 | ``RoomLight`` | an isovalue, an albedo and a glow |
-| ``SeenThrough`` | a surface, and the rotation of the light |
+| ``SurfaceSeen`` | as ``PictureCheck`` |
 | ``ShineLight`` | a surface, shine, albedo, the light's rotation, glow, and whether it moves |
 
-``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of its bytes
-each, so that a light that turns, or a bake that goes on, drives out no surface. ``TexelShading``
-keeps what views have in common of texels: see ``OwnNormals``.
+``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of the bytes
+each, so that a light that turns, or a bake that goes on, drives out no surface. Normals of texels
+are the same in all views: ``OwnNormals`` keeps them.
 """
 
 import threading
@@ -32,8 +33,8 @@ from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
-from isogi_core.frame.film import smooth_edges
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
@@ -43,10 +44,11 @@ from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.peels import Peels
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
+from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import OwnNormals, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.material import DULL
@@ -54,7 +56,7 @@ from isogi_core.model.view import View
 
 
 class Renderer(SurfaceRenderer):
-    """Renders views of one scene. Frames may be asked for from several threads."""
+    """Renders views of one scene, of one surface or of several. Safe to use from many threads."""
 
     def __init__(
         self,
@@ -68,6 +70,8 @@ class Renderer(SurfaceRenderer):
         super().__init__(caches, tiles, most, filters, stand_in)
         self.blocks = KnownBlocks(int(BLOCKS_SHARE * most))
         self.looks: LruCache[Any] = LruCache(most // 64)
+        # If the scene has several surfaces, this renderer lights the outer side of the one that
+        # slides, and makes a renderer for each other side.
         side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
         self._composer = (
             Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
@@ -75,7 +79,7 @@ class Renderer(SurfaceRenderer):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that views, maps and light take."""
+        """The bytes of memory that kept views, maps, light and blocks take."""
         return (
             super().nbytes
             + self.blocks.nbytes
@@ -91,13 +95,14 @@ class Renderer(SurfaceRenderer):
         watch: Stopwatch | None = None,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of ``view`` with the light that is there now.
+        """Render ``view`` with the light that is there now.
 
-        ``target`` is the relative error that it is to reach, the scene's own by default: its texels
-        are final there each alone, or with as many samples as its check found ``enough``, or those
-        given; where these are MAX_SAMPLES, nothing checks it. ``watch`` goes on with this frame's
-        stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light is
-        not of the albedo that the view asks for, or the camera stands in a wall.
+        ``target`` is the relative error that the picture is to reach, by default the scene's.
+        Texels count as final once each reaches that error alone, or once they have the samples that
+        the picture's check found to be enough, or ``enough`` of them; with MAX_SAMPLES there is no
+        check. ``watch`` goes on with the stages of this frame. Raises Cancelled once ``cancelled``
+        is set, and ViewError if the view asks for an albedo that the scene's light is not made for,
+        or if the camera is inside a wall.
         """
         if cancelled:
             tiles = self.tiles.cancelled_by(cancelled)
@@ -108,18 +113,20 @@ class Renderer(SurfaceRenderer):
         frame = self._draw(view, until, tiles, watch)
         if view.moving or not view.smooth:
             return frame
+        # Add samples to pixels at edges.
         with watch.stage("edges"):
             if self._composer:
                 return self._composer.smooth(frame, tiles)
             return smooth_edges(frame, self.prepared, tiles)
 
     def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
+        """Render a ``view``, and add the glow in front of its surfaces."""
         lit = self._draw_lit(view, until, tiles, watch)
         return with_glow(lit, self._kept, surface_key(view), self.prepared, tiles, watch)
 
     def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of what is lit in a view."""
+        """Render the surfaces and walls of a ``view``."""
+        # Refuse views that the scene cannot answer: another albedo, or a camera inside a wall.
         self.prepared.scene.surfaces.albedo_for(view.albedo)
         self.prepared.scene.lighting.room.refuse_camera(
             view.camera, self.prepared.scene.volume.radius
@@ -137,11 +144,11 @@ class Renderer(SurfaceRenderer):
         tiles: Tiles | None = None,
         prices: Prices = PRESENT,
     ) -> bool:
-        """Bring the total error of a view whose light is final a step nearer to the ``target``;
-        whether there was one.
+        """Take one step that brings the total error of a view, whose light is final, nearer to the
+        ``target``; return False if there is no step to take.
 
-        At some ``prices`` it may ask for finer texels: see ``ViewChecks``. Raises Cancelled once
-        ``tiles`` are cancelled, and what ``render`` raises.
+        By the ``prices`` of texels a step may be to ask for finer ones: see ``ViewChecks``. Raises
+        Cancelled once ``tiles`` are cancelled, and the errors of ``render``.
         """
         target = target or self.prepared.scene.target_error
         tiles = tiles or self.tiles
@@ -151,14 +158,15 @@ class Renderer(SurfaceRenderer):
         return self.refine_frame(frame, target, tiles, prices)
 
     def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
-        """The light of surface ``points`` (m, 3) in index space that no ray has found, and their
-        normals (m, 3).
+        """Render surface ``points`` (m, 3) in index space that no ray has found; return a frame and
+        their normals (m, 3).
 
-        It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo
-        and the light's turn.
+        The frame has one row, whose pixel i shows point i. Isovalue, albedo and rotation of the
+        light are those of ``view``.
         """
         self.forget_views()  # another row of points would have the same key
         row = replace(view, width=len(points), height=1, shading="gi", moving=False)
+        # Leave shine out: it is light towards an eye, and nobody looks at these points.
         row = replace(row, shine=DULL)
         surface = self.prepared.surface(view.isovalue)  # points in a row are far apart
         gbuffer = GBuffer.of_points(
@@ -172,8 +180,8 @@ class Renderer(SurfaceRenderer):
         )
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
-        """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are
-        cancelled.
+        """Return the G-buffer of a ``view``, kept or traced now. Raises Cancelled once
+        ``tiles`` are cancelled.
         """
         surface = self.prepared.surface(view.isovalue)
         tiles = tiles or self.tiles
@@ -184,49 +192,51 @@ class Renderer(SurfaceRenderer):
 
     @property
     def known_normals(self) -> OwnNormals:
-        """The normals of texels at their own points, as far as views or chunks have asked for
-        them.
+        """The normals of texels at their own positions, as far as views or chunks have asked
+        for them.
         """
         return self._texels.normals
 
     def knows(self, view: View) -> bool:
-        """Whether the texels under a view are kept."""
+        """Return True if the texels of a ``view`` are kept."""
         return self._kept.held((ViewTexels, surface_key(view), False)) is not None
 
     def sees(self, view: View) -> bool:
-        """Whether what the rays of a view met is kept."""
+        """Return True if the surface points of a ``view`` are kept."""
         kind = Peels if self._composer else GBuffer
         return self._kept.held((kind, surface_key(view))) is not None
 
     def lobe_radiance(self, frame: Frame) -> np.ndarray:
-        """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3)
-        float32.
+        """Return the radiance at the surface points of a ``frame`` that lobes cause directly;
+        (m, 3) float32.
         """
         light = self._light(frame.view)
         return np.asarray(np.float32(light.spec.unit) * self.lobes(light, frame.gbuffer).lit[:, :3])
 
     def forget_views(self) -> None:
-        """Keep nothing of views, as if every one were new."""
+        """Drop all that is kept of views, as if every view were new."""
         self._kept.clear()
 
 
 def unlit_frame(
     renderer: Renderer, view: View, target: float, cancelled: threading.Event
 ) -> Frame | None:
-    """The frame of a view at rest that is new, where none of its light is there: white, and
-    provisional all over.
+    """Render a view at rest that is new and whose chunks hold no light yet: a white frame that is
+    provisional everywhere, and lists the light that it lacks.
 
-    None of other views, and of scenes whose pictures ask for light in several stages. What it takes
-    is kept, and the first picture finds it. Raises what ``Renderer.render`` does, and so Cancelled
-    once ``cancelled`` is set.
+    Return None if the view is known, moves, or has light, and for scenes whose pictures ask for
+    light in several stages. The first picture finds the results of the steps taken here in the
+    cache. Raises Cancelled once ``cancelled`` is set, and the errors of ``Renderer.render``.
     """
     scene = renderer.prepared.scene
+    # Skip the picture only if all light is missing, and is asked for in one stage.
     staged = scene.surfaces.several or scene.surfaces.material.refracts
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
     scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
     tiles = renderer.tiles.cancelled_by(cancelled)
     loader = renderer.caches.of(view.shading)
+    # Find the texels, and look for their light: with any in memory, a real picture is as fast.
     gbuffer = renderer.gbuffer(view, tiles)
     if scene.projection.projects(gbuffer.isovalue):
         return None
@@ -240,8 +250,8 @@ def unlit_frame(
 
 
 def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: Reading) -> Frame:
-    """The frame of a view by what its ``texels`` hold, before it is drawn: white, and provisional
-    all over.
+    """Return the frame of a view before it is drawn: white, and provisional everywhere; its
+    ``texels`` and their ``reading`` tell the light that it lacks.
     """
     gbuffer = texels.gbuffer
     count = view.width * view.height

@@ -1,5 +1,5 @@
-"""The light of the surface in a picture, and of walls: by local models, by paths, or by texels, and
-refined.
+"""Light the surface and the walls of a picture, by local models, by paths or by texels, and
+refine them.
 """
 
 from functools import partial
@@ -19,12 +19,9 @@ from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.wall_light import ViewWalls
 from isogi_core.frame.refinement import Refinement
-from isogi_core.frame.shading import (
-    colour_surface,
-    empty_framebuffer,
-    shade,
-)
-from isogi_core.frame.texel_reading import Level, Reading
+from isogi_core.frame.several.mixed_reading import Level
+from isogi_core.frame.shading import colour_surface, empty_framebuffer, shade
+from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, is_checked, texels_until
@@ -35,22 +32,22 @@ from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 
 VIEW_BYTES = 256 << 20
-"""Bytes that are kept of views, for turning light and for asking again."""
+"""Default limit of the bytes that are kept of views, for light that turns and for repeated
+requests.
+"""
 
 KIND_SHARE = 1 / 16
 COMMON = 1 / 3
-"""Shares of these bytes: for what changes while a view stays, and for what views have in common of
-texels.
+"""Shares of these bytes: for each kind of result that changes while the surface in a view
+stays, and for the normals of texels, which all views have in common.
 """
 
 BLOCKS_SHARE = 1 / 8
-"""Share of these bytes for blocks of chunks, which cards that draw the same scene have in
-common.
-"""
+"""Share of these bytes for blocks of chunks, which all cards that draw the scene have in common."""
 
 
 class SurfaceRenderer:
-    """Lights and refines pictures of the surface of one scene. Any thread may use it."""
+    """Lights and refines pictures of the surface of one scene. Safe to use from many threads."""
 
     def __init__(
         self,
@@ -61,15 +58,19 @@ class SurfaceRenderer:
         stand_in: StandIn | None = None,
         levels: tuple[Level, ...] = (),
     ) -> None:
-        """Light pictures by ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
+        """Light pictures by the light of ``caches``, on the threads of ``tiles``.
 
-        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is
-        none yet. Of several surfaces one is lit as the others light it, by the light of ``levels``,
-        which is mixed.
+        - ``most``: limit of the bytes that are kept of views.
+        - ``filters``: set it to False to measure unfiltered light.
+        - ``stand_in``: other light, for texels that have none yet.
+        - ``levels``: caches of light at several levels, whose mixture is shown, if pinned surfaces
+          are lit while another one slides. By default the light of ``caches`` alone.
         """
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
+        # Results that a turning light or a growing bake replaces have a limit of their own: they
+        # must not drive out surfaces.
         changing = dict.fromkeys(
             (Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most)
         )
@@ -84,12 +85,13 @@ class SurfaceRenderer:
         )
         self._through = ViewThrough(self._kept, self._walls)
         self._shine = ViewShine(self._kept, self._texels, self._walls, self.checks)
+        # Glass shows walls through its surface: its refinement brings these along.
         walls = self._through if self.prepared.scene.surfaces.material.refracts else self._walls
         self._refinements: tuple[Refinement[Any], ...] = (walls, self._shine, self.checks)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that views, maps and light take."""
+        """The bytes of memory that kept views, maps and light take."""
         return sum(
             part.nbytes for part in (self._kept, self._texels, self.prepared.maps, self.caches)
         )
@@ -97,11 +99,16 @@ class SurfaceRenderer:
     def draw_on(
         self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
+        """Render a ``view`` of the surface points in a ``gbuffer``, with the light that is
+        there now. Raises Cancelled.
+        """
         light = self._light(view)
         target = until.target
+        # Glass keeps no texels: rays through its pixels find what it shows.
         if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
+        # Global illumination and vicinity shading come from texels, all other shadings from local
+        # models or from paths.
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, until, tiles, watch)
         frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
@@ -110,78 +117,92 @@ class SurfaceRenderer:
     def draw_walls(
         self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """The frame of the walls alone in a G-buffer. Raises Cancelled."""
+        """Render the walls in a ``gbuffer``, without the surface. Raises Cancelled."""
         light = self._light(view)
         frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
         return self._walls.add(frame, light, target, tiles, watch)
 
     def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring a ``frame`` a step nearer to the ``target``, at these ``prices``; whether there was
-        a step to take.
+        """Take one step that brings a ``frame`` nearer to the ``target`` error; return False if
+        there is no step to take.
 
-        Raises Cancelled.
+        ``prices`` weigh paths of texels against paths of pixels. Raises Cancelled.
         """
         if not frame.refinable:
             return False
         light = self._light(frame.view)
-        (walls, *others) = self._refinements
-        waiting = (
-            [walls] if frame.quality.waiting else others
-        )  # shine and pixels wait until walls are final
-        return any(each.step(frame, light, target, tiles, prices) for each in waiting)
+        # Walls come first; shine and the check of pixels wait until walls are final, as they see
+        # them.
+        walls, *others = self._refinements
+        if frame.quality.waiting:
+            return walls.step(frame, light, target, tiles, prices)
+        return any(each.step(frame, light, target, tiles, prices) for each in others)
 
     def _light(self, view: View) -> RotatedLight:
-        """The lights of a view, turned: with all their lobes where it is at rest."""
+        """Return the lights of a ``view``, rotated; a view that moves goes without some of the
+        lobes.
+        """
         spec = self.caches.spec(view.shading)
-        return RotatedLight(spec.moving if view.moving else spec, view)
+        if view.moving:
+            spec = spec.moving
+        return RotatedLight(spec, view)
 
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """The frame out of the illumination cache: global illumination, or vicinity shading (S1,
-        section 4.2).
+        """Render a picture from the illumination cache: global illumination, or vicinity
+        shading (S1, section 4.2).
         """
         target = until.target
-        checked = is_checked(light.view) and until.enough < MAX_SAMPLES
-        if checked:
+        # The check of this picture knows how many samples its texels need. A caller that asks for
+        # all samples there can be wants no check.
+        known = None
+        if is_checked(light.view) and until.enough < MAX_SAMPLES:
             known = self.checks.check(light, gbuffer, target).known
-        else:
-            known = None
+        # Find the texels around the surface points, read their light, and carry it to the pixels.
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
         shine = b""
         until = texels_until(until, light.view, known)
         reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
+        # Lobes are lit by shadow rays from the pixels, as they are sharper than texels.
         if light.spec.lobes:
             with watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
                 add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        # Texels hold light for a white surface: colours by data are multiplied in at the pixels.
         colour_surface(gbuffer, light, framebuffer, tiles)
+        # Shine depends on the direction to the eye, and is added by rays from the pixels.
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
                 shine = self._shine.put(gbuffer, light, target, framebuffer, tiles)
+        # Pixels that got light from paths of their own show it in place of the light of texels.
         if known is not None:
             known.own.put(framebuffer, gbuffer, light, tiles)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
         return self._walls.add(frame, light, target, tiles, watch)
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
-        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
+        """Return the texels of a ``view``, from those kept or found now. They hold its
+        G-buffer, so that a cache keeps both or neither.
+        """
         return self._texels.under(view, gbuffer, tiles or self.tiles)
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
-        """What comes straight from lobes to a view; kept while neither camera nor light moves, for
-        any albedo.
+        """Return the light that comes straight from lobes to a view. It is kept while camera
+        and light rest, for any albedo.
         """
         tiles = tiles or self.tiles
         view = light.view
 
+        # Starts of shadow rays do not depend on the light, and are kept for the surface.
         def make() -> LobeLight:
             starts = self._kept.get(
                 (ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles)
             )
             return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
 
+        # Light is kept for the albedo of the spec, and tinted for that of the view.
         return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(
             light.tint
         )

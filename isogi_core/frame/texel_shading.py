@@ -1,5 +1,5 @@
-"""Views shaded by their texels: from the illumination cache, or light that stands in for it, to the
-picture.
+"""Shade views by their texels: find these, read their light, filter it, and carry it to the
+pixels.
 """
 
 import hashlib
@@ -20,6 +20,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
+from isogi_core.frame.several.mixed_reading import Level, mixed
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -27,17 +28,19 @@ from isogi_core.frame.shading import (
     filter_texel_light,
     light_sources,
 )
-from isogi_core.frame.texel_reading import Level, Reading, mixed, read_texels
-from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import (
+from isogi_core.frame.texel_normals import (
     ENTRY,
     OwnNormals,
     TexelNormals,
+    find_texel_normals,
+    nearby_normals,
+)
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_texels import (
     ViewTexels,
     carries_irradiance_ratios,
-    find_texel_normals,
     find_texels,
-    nearby_normals,
     reads_coarsely,
 )
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
@@ -50,17 +53,16 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 
 class StandIn:
-    """The light of a whole volume for views of one that is cut: of those texels that are far from
-    its faces.
-
-    So of another step of a series in time, nothing of which is cut.
+    """Light of a whole volume that stands in for views of the same volume with a cut: for
+    texels that are far from the faces of the cut. Also light of another time step, of which
+    nothing is cut.
     """
 
     def __init__(self, whole: Caches, left: Ranges) -> None:
-        """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are
+        """Borrow light of the caches ``whole``, for a volume of which only the ranges ``left`` are
         shown.
 
-        They are not kept in memory for this alone.
+        A weak reference does not keep the caches in memory.
         """
         self._whole = weakref.ref(whole)
         self._box = box_left(left, whole.prepared.scene.volume.size)
@@ -73,18 +75,18 @@ class StandIn:
         light: RotatedLight,
         tiles: Tiles,
     ) -> tuple[Reading, np.ndarray]:
-        """The ``reading`` of a view and its texels' light ``lit``, with the whole's for those that
-        have none: dark too, where the whole is closed.
+        """Return the ``reading`` of a view and the light ``lit`` of its texels, with borrowed light
+        for texels that have none yet.
 
-        They are then partly lit: pixels that read them are provisional still. Raises Cancelled.
+        Such texels count as partly lit, so pixels that read them stay provisional. Texels that are
+        buried in the whole volume are dark. Raises Cancelled.
         """
+        # Borrow only light that was baked by the same plan.
         caches = self._whole()
         waiting = reading.grade == UNBAKED_GRADE
-        if (
-            caches is None
-            or not waiting.any()
-            or caches.spec(light.view.shading).plan != light.spec.plan
-        ):
+        if caches is None or not waiting.any():
+            return reading, lit
+        if caches.spec(light.view.shading).plan != light.spec.plan:
             return reading, lit
         loader = caches.of(light.view.shading)
         loader.ensure(texels.chunks, tiles.check)
@@ -92,42 +94,40 @@ class StandIn:
             other = read_texels(
                 texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles
             )
-            fit = (
-                waiting
-                & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
-                & self._is_far(texels, caches)
-            )
+            # Borrow for texels without light that are far from the cut, if the whole has light
+            # there, or is known to be dark.
+            known = np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
+            fit = waiting & known & self._is_far(texels, caches)
             rows = np.where(fit, other.rows, -1).astype(np.int32)
             borrowed = light_sources(((rows, loader.pool),), light, tiles)
         version = hashlib.sha256(other.version + fit.tobytes()).digest()
         grade = np.where(fit, np.uint8(PARTIAL_GRADE), reading.grade)
-        return replace(reading, grade=grade, version=reading.version + version), np.where(
-            fit[:, None], borrowed, lit
-        )
+        found = replace(reading, grade=grade, version=reading.version + version)
+        return found, np.where(fit[:, None], borrowed, lit)
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
-        """Which texels are far from the faces of the cut; (texels,) bool."""
+        """Mark texels that are far from the faces of the cut; (texels,) bool."""
         return is_within(texels.positions[:, ::-1] * caches.prepared.step, self._box)
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and which of them
-    are ``lent`` (texels,) that of others.
+    """The light of a view's texels after filtering, ``lit`` (texels, LIGHT_NUMBERS); ``borrowed``
+    (texels,) marks texels that have light of their neighbours only.
     """
 
-    lent: np.ndarray
+    borrowed: np.ndarray
     lit: np.ndarray
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.lent.nbytes + self.lit.nbytes
+        """The size of its arrays in bytes."""
+        return self.borrowed.nbytes + self.lit.nbytes
 
 
 class TexelShading:
-    """Finds the texels under views, reads their light, and carries it to the pictures. Any thread
-    may use it.
+    """Finds the texels of views, reads their light, and carries it to pictures. Safe to use
+    from many threads.
     """
 
     def __init__(
@@ -139,11 +139,10 @@ class TexelShading:
         filters: bool,
         stand_in: StandIn | None,
     ) -> None:
-        """Shade with the light of ``levels``, which are mixed, and keep what the steps make where
-        renderers do.
+        """Shade with the mixed light of ``levels``; keep results of steps in ``kept``.
 
-        What views have in common takes ``most`` bytes besides. Who measures bakes ``filters`` no
-        noisy light. Other light may ``stand_in`` where there is none yet.
+        Normals of texels take up to ``most`` bytes besides. Set ``filters=False`` to measure
+        unfiltered light. ``stand_in`` is light for texels that have none yet.
         """
         self.prepared = prepared
         self._levels = levels
@@ -154,11 +153,13 @@ class TexelShading:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that normals of texels take."""
+        """The bytes that normals of texels take."""
         return self.normals.nbytes
 
     def under(self, view: View, gbuffer: GBuffer, tiles: Tiles) -> ViewTexels:
-        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
+        """Return the texels of a view, kept or found now. They hold its G-buffer, so that a
+        cache keeps both or neither.
+        """
         coarse = reads_coarsely(view, gbuffer, self.prepared.lattice)
         make = partial(find_texels, gbuffer, self.prepared, tiles, coarse)
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
@@ -166,8 +167,8 @@ class TexelShading:
     def picture(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, Framebuffer]:
-        """The reading of a view's texels, and the picture of their light, which is to be baked
-        ``until`` then.
+        """Return the reading of a view's texels, and the picture of their light. Light is final
+        ``until`` its target error, or enough samples.
         """
         reading, lit = self.lit(texels, light, until, tiles, watch)
         return reading, self._carry(texels, reading, lit, light, tiles, watch)
@@ -175,9 +176,10 @@ class TexelShading:
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT), filtered where it is
-        grainy.
+        """Return the reading of a view's texels, and their light (texels, LIGHT_NUMBERS),
+        filtered if it is grainy.
         """
+        # Read the light of each level, and mix it.
         found = [
             self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels
         ]
@@ -186,6 +188,8 @@ class TexelShading:
             return reading, lit
         view = light.view
         wanted = Until(reading.target, reading.enough)
+        # Filtering takes long, and is kept for as long as light and texels stay the same. Its
+        # normals are those that the texels are lit about.
         key = (
             FilteredLight,
             weakref.ref(texels),
@@ -194,22 +198,24 @@ class TexelShading:
             view.glow,
             view.moving,
             wanted,
+            reading.version,
         )
 
         def make() -> FilteredLight:
             with watch.stage("normals"):
                 about = self._texel_normals(view, texels, reading, tiles)
             with watch.stage("filter"):
-                found, calm = filter_texel_light(texels, reading, lit, about, light, tiles)
-            return FilteredLight(found.grade != reading.grade, calm)
+                found, smooth = filter_texel_light(texels, reading, lit, about, light, tiles)
+            return FilteredLight(found.grade != reading.grade, smooth)
 
-        filtered = self._kept.get((*key, reading.version), make)
-        return replace(
-            reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)
-        ), filtered.lit
+        filtered = self._kept.get(key, make)
+        grade = np.where(filtered.borrowed, np.uint8(CONVERGING), reading.grade)
+        return replace(reading, grade=grade), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
-        """Whether the texels of a view are filtered: global illumination that is grainy."""
+        """Return True if the texels of a view are to be filtered: global illumination that is
+        grainy.
+        """
         return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
     def _lit_by(
@@ -221,7 +227,10 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light, by some ``caches``."""
+        """Return the reading of a view's texels, and their light, by the ``caches`` of one
+        level.
+        """
+        # Hold the chunks in memory while their light is read.
         with (
             self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _),
             ExitStack() as stack,
@@ -245,8 +254,8 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios,
-        or as it is.
+        """Carry the light of texels, ``lit`` (texels, LIGHT_NUMBERS), to the pixels: as
+        irradiance ratios, or as it is.
         """
         gbuffer = texels.gbuffer
         records = None
@@ -255,9 +264,9 @@ class TexelShading:
                 about = self._texel_normals(light.view, texels, reading, tiles)
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
-        points = SurfacePoints(
-            gbuffer.points, gbuffer.points, gbuffer.pixels
-        )  # normals that are not read
+        # Normals of the pixels are needed for ratios, and for the sky that replaces missing light;
+        # else the points stand in for normals, which nothing reads.
+        points = SurfacePoints(gbuffer.points, gbuffer.points, gbuffer.pixels)
         if records is not None or not reading.whole:
             with watch.stage("normals"):
                 points = gbuffer.shown(tiles)
@@ -276,16 +285,17 @@ class TexelShading:
         tiles: Tiles,
         watch: Stopwatch,
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
-        """What the pool of ``caches`` has of a view's texels, looked up again where it has changed;
-        held meanwhile.
+        """Hold a view's chunks in the pool of ``caches`` while the block runs; yield the reading of
+        its texels, the pool, and the chunks held.
 
-        Raises what ``Loader.ensure`` does.
+        Raises the errors of ``Loader.ensure``.
         """
         loader = caches.of(view.shading)
         with watch.stage("load"):
             loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
             with watch.stage("read"):
+                # A reading is valid as long as the pool has not changed, which its age tells.
                 key = (
                     Reading,
                     surface_key(view),
@@ -299,8 +309,8 @@ class TexelShading:
             yield reading, loader.pool, held
 
     def _projects(self, texels: ViewTexels, view: View) -> bool:
-        """Whether a view may read texels that are projected; those that move, and vicinity shading,
-        do not.
+        """Return True if a view may read projected texels: global illumination at rest, at an
+        isovalue for which the scene projects.
         """
         shown = texels.gbuffer.isovalue
         return (
@@ -313,12 +323,14 @@ class TexelShading:
     def _project(
         self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
     ) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: projected
-        texels where they pay.
+        """Yield the reading of a view: of ``base`` texels, with projected ones in place of
+        those that are far from the isosurface. Their chunks are held while the block runs.
         """
         if not self._projects(texels, view):
             yield base
             return
+        # Look up the projected texels of this isovalue, which have caches of their own, and read
+        # each in place of its base where that pays.
         shown = texels.gbuffer.isovalue
         make = partial(find_distances, texels, self.prepared, tiles)
         distances = self._kept.get((Distances, surface_key(view)), make)
@@ -335,8 +347,8 @@ class TexelShading:
     def _texel_normals(
         self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles
     ) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read; such as are near where
-        none has light.
+        """Return the normals that a view's texels are lit about; if none of them has light,
+        normals of nearby surface points do.
         """
         if reading.unbaked:
             return nearby_normals(texels, tiles)

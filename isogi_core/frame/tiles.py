@@ -1,5 +1,5 @@
-"""Tiles: pieces of a frame on a few threads, which a cancellation ends; and how long each stage
-took.
+"""Tiles: run pieces of a frame on a few threads, and end them when the frame is cancelled;
+measure the time of its stages.
 """
 
 import os
@@ -17,8 +17,8 @@ from isogi_core.errors import Cancelled
 
 @dataclass(eq=False)
 class Stopwatch:
-    """Seconds of each stage of one frame, in order, since it has ``begun``. No second counts in two
-    stages.
+    """Seconds of each stage of one frame, in order, since it was ``begun``. No second counts in
+    two stages.
     """
 
     begun: float = field(default_factory=time.perf_counter)
@@ -35,54 +35,51 @@ class Stopwatch:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since it has begun."""
+        """Seconds since it was begun."""
         return time.perf_counter() - self.begun
 
 
 class Interruption(threading.Event):
-    """Set once nobody waits for some work any more; long work calls ``give_way`` between its
-    passes.
+    """An event that is set once nobody waits for some work any more. Long work calls
+    ``give_way`` between its passes.
     """
 
     def give_way(self) -> None:
-        """Return when the work may go on: at once here, and later where others have their turn
-        first.
+        """Return when the work may go on. Here that is immediately; other kinds wait for work
+        with priority.
         """
 
 
 Piece = Callable[[int, int], object]
 
 MIN_PIECE_ROWS = 4096
-"""Points, texels or rows that a piece has where a thread has several: each piece asks for the
-interpreter again.
+"""Points, texels or rows of a piece, at least, if a thread has several: each piece must acquire
+the interpreter lock.
 """
 
 
 class Tiles:
-    """Runs a function over the ranges of a whole. The kernels under it release the interpreter.
+    """Runs a function over the ranges of a whole on several threads. The kernels under it release
+    the interpreter lock.
 
-    The calling thread works too: threads that are all woken by one that then sleeps are often
-    put on one core, and a stage of a few milliseconds is over before they are moved apart.
+    The calling thread works, too: threads that are woken by one that then sleeps are often put on
+    one core, and a stage of a few milliseconds is over before they are moved apart.
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        """Work on ``threads`` threads, the caller's among them; by default as many as the machine
-        has cores.
-        """
+        """Work on ``threads`` threads, the caller's among them; by default one for each core."""
         self.threads = threads or os.cpu_count() or 1
         self._helpers = ThreadPoolExecutor(max(self.threads - 1, 1), "tile")
         self._cancelled: tuple[threading.Event, ...] = ()
 
     def cancelled_by(self, event: threading.Event) -> Self:
-        """Tiles on these threads, cancelled once ``event`` is set or whatever cancels these
-        tiles.
-        """
+        """Return tiles on the same threads that ``event`` cancels, too."""
         bound = copy(self)
         bound._cancelled = (*self._cancelled, event)
         return bound
 
     def check(self) -> None:
-        """Raise Cancelled once the work is cancelled."""
+        """Raise Cancelled if the work is cancelled."""
         if self._over():
             raise Cancelled("Nobody waits for this frame any more.")
 
@@ -96,16 +93,17 @@ class Tiles:
         self.check()
 
     def _over(self) -> bool:
+        """Return True if the work is cancelled."""
         return any(event.is_set() for event in self._cancelled)
 
     def run(self, piece: Piece, total: int, size: int) -> None:
-        """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` until ``total`` is
-        covered.
+        """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` that cover
+        ``total``.
 
-        A thread that has done its range takes the next one. Raises Cancelled, after the pieces at
-        work have ended, once the work is cancelled; it does the same with what a piece raises, and
-        begins no more.
+        Threads take ranges as they become free. Raises Cancelled if the work is cancelled, and any
+        error of a piece; in both cases no further piece is begun, and those at work end first.
         """
+        # All threads draw ranges from one iterator, which is safe in CPython.
         starts = iter(range(0, total, size))
         failed = threading.Event()
 
@@ -119,27 +117,28 @@ class Tiles:
                     failed.set()
                     raise
 
+        # Wake no more helpers than there are ranges for.
         helpers = [
             self._helpers.submit(work) for _ in range(min(self.threads, -(-total // size)) - 1)
         ]
+        # Work on this thread, and wait for helpers that have begun.
         try:
             work()
         finally:
             troubles = [helper.exception() for helper in helpers if not helper.cancel()]
+        # Raise the error of a helper if this thread met none.
         try:
             if (trouble := next(filter(None, troubles), None)) is not None:
                 raise trouble
         finally:
-            del (
-                helpers,
-                troubles,
-                trouble,
-            )  # else they hold this frame and all arrays in it till garbage is sought
+            # Otherwise the error's traceback keeps this frame, and all arrays in it, alive until
+            # garbage is collected.
+            del helpers, troubles, trouble
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:
-        """The size of equal pieces, ``share`` for each thread; fewer where each would be below
-        MIN_PIECE_ROWS.
+        """Return the size of equal pieces of ``total``: ``share`` of them for each thread,
+        fewer if each would have less than MIN_PIECE_ROWS.
         """
         share = min(max(total // (MIN_PIECE_ROWS * self.threads), 1), share)
         return max(-(-total // (share * self.threads)), 1)

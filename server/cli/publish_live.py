@@ -12,7 +12,8 @@ from typing import Any
 from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import LEAST_TARGET, Target, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
-from isogi_core.frame.card.blocks import Coding, coding_for, raw_scale
+from isogi_core.frame.card.blocks import raw_scale
+from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View

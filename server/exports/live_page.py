@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from isogi_core.frame.card.blocks import CHUNKS, Coding, coded_chunks, seen_chunks
+from isogi_core.frame.card.blocks import CHUNKS, coded_chunks
+from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View

@@ -27,11 +27,11 @@ from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene

@@ -22,12 +22,12 @@ from isogi_core.bake.noise import Effort, Until, relative_error
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import Cancelled, ViewError
-from isogi_core.frame.card.blocks import Coding
 from isogi_core.frame.card.coded_picture import ControlPictures
+from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import distances_of
 from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Isovalue

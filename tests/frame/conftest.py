@@ -18,11 +18,11 @@ from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches, Loader
 from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View

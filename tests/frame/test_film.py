@@ -7,22 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.frame import edges as frame_edges
 from isogi_core.frame import film
+from isogi_core.frame.edges import BUDGET, COUNTS, find_edges, pattern
 from isogi_core.frame.film import (
     BACKGROUND,
-    BUDGET,
-    COUNTS,
     COVER,
     averaged,
     develop,
-    find_edges,
     linear_table,
     lit,
-    pattern,
     tone_table,
 )
 from isogi_core.frame.frame import EdgeSamples
-from isogi_core.frame.framing import GLARE, MIDDLE_BRIGHTNESS, glare, paint_panorama, tone
+from isogi_core.frame.panorama import GLARE, MIDDLE_BRIGHTNESS, glare, paint_panorama, tone
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.environment import gather_lamps, solid_angles
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
@@ -217,7 +215,7 @@ def test_smooth_edges_are_four_times_nearer_to_the_true_ones(
     plain = orbital.renderer.render(replace(view, smooth=False))
     assert frame.edges is not None and plain.edges is None
     pixels = frame.edges.pixels
-    monkeypatch.setattr(film, "find_edges", lambda *_: (pixels, TRUE))
+    monkeypatch.setattr(frame_edges, "find_edges", lambda *_: (pixels, TRUE))
     true = orbital.renderer.render(view).edges
     assert true is not None
     partly = (true.covered[:, 3] > 0.0) & (true.covered[:, 3] < 1.0)

@@ -12,8 +12,8 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.files.vector import triple
-from isogi_core.frame.framing import point_at
 from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
+from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import Camera, View, read_window
 from isogi_core.model.volume import Orientation, Volume, make_volume

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.frame import texel_shading
-from isogi_core.frame import view_texels as facings
+from isogi_core.frame import texel_normals, texel_shading
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import OwnNormals, carries_irradiance_ratios, find_texel_normals
+from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
@@ -152,7 +152,7 @@ def test_normals_of_projected_texels_are_found_once(
     texels = orbital.renderer.texels(view, gbuffer)
     found = find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
-        facings,
+        texel_normals,
         "fill_texel_normals",
         lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each)),
     )

@@ -13,13 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.lighting import (
-    KEY_SHARE,
-    RotatedLight,
+from isogi_core.frame.lighting import KEY_SHARE, RotatedLight, shoulder_light
+from isogi_core.frame.noise_rescaling import (
     all_weights,
     reflected_weights,
     scatter_at,
-    shoulder_light,
     weights_between,
 )
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate

@@ -17,12 +17,12 @@ from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
 from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import texel_shading
+from isogi_core.frame.demand import first_texels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.scene_plan import MAX_SAMPLES

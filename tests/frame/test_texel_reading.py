@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import shading
+from isogi_core.frame.demand import first_texels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend_light
 from isogi_core.frame.texel_reading import Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import PAIRED, first_texels
+from isogi_core.frame.view_texels import PAIRED
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import (
     BURIED_GRADE,

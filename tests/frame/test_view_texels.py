@@ -8,15 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.frame import view_texels
+from isogi_core.frame import texel_normals
+from isogi_core.frame.demand import most_seen
+from isogi_core.frame.texel_normals import ENTRY, OwnNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import (
-    ENTRY,
-    LEAST_SEEN,
-    OwnNormals,
-    find_texel_normals,
-    most_seen,
-)
+from isogi_core.frame.view_texels import LEAST_SEEN
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_report.speed import make_renderer, view_of
@@ -48,9 +44,9 @@ def test_normals_of_other_views_are_not_found_again(
     view = orbital.view(size=24)
     tiles = Tiles(2)
     asked = []
-    fill = view_texels.fill_texel_normals
+    fill = texel_normals.fill_texel_normals
     monkeypatch.setattr(
-        view_texels, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each))
+        texel_normals, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each))
     )
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
     known = OwnNormals(1 << 20)

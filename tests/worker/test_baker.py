@@ -11,7 +11,7 @@ from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost, Costs
 from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.files.scene_file import SceneSource
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl

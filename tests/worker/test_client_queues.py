@@ -5,7 +5,7 @@ import pytest
 
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from tests.worker.clock import Clock
 from worker.bake_requests import BakeRequest, Key, Viewer
 from worker.queue import MIN_PLACES, RERANK_LOSS, BakeQueue

@@ -4,7 +4,7 @@ import pytest
 from isogi_core.bake.noise import Effort
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from tests.worker.clock import Clock
 from worker import bake_requests

@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from worker.bake_requests import Key, Viewer
 from worker.queue import BakeQueue
 from worker.tasks import BakeResult

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.scaling.simulator.recording import TEXELS, Ladder, Recording, Sight
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from isogi_core.prepared.prepared_scene import Index
 from worker.tasks import BakeResult
 

@@ -17,7 +17,7 @@ from benchmarks.scaling.simulator.visitors import TARGET, Desk, Habits, Looked, 
 from benchmarks.scaling.simulator.world import World
 from isogi_core.cache.costs import Costs
 from isogi_core.files.scene_file import SceneSource
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl

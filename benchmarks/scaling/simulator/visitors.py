@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.world import Pause, Pending, World
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.demand import Demand
 from server.api.service import HEARTBEAT, REFINING, SHORTEST_PAUSE
 from server.api.stream import WANT_EVERY
 from worker.bake_requests import Viewer

@@ -1,3 +1,3 @@
-"""What a visitor's graphics card draws from: light of whole chunks, packed, and the facts of a
-scene beside it.
+"""Data for a visitor's graphics card: the light of whole chunks in blocks, and reasons why a
+card cannot draw a view.
 """

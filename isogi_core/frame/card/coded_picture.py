@@ -1,6 +1,4 @@
-"""Pictures as cards draw them of coded transfer, and how far they are from the truth, by control
-pixels.
-"""
+"""Pictures as cards draw them from transfer in few bits, and their error, by control pixels."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,7 +7,8 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.frame.card.blocks import Coding, normals_of, raw_numbers, raw_scale
+from isogi_core.frame.card.blocks import normals_of, raw_numbers, raw_scale
+from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
@@ -36,14 +35,14 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 CONTROLS = 256
-"""Control pixels of a picture."""
+"""Number of control pixels of a picture."""
 
 
 def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
-    """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes
-    as at rest.
+    """Draw the picture of a ``view`` as a card does from all texels' transfer in few bits, with
+    lobes as at rest.
 
-    Light is final at a ``target`` error. Raises what ``Loader.ensure`` does.
+    Light is final at a ``target`` error. Raises the errors of ``Loader.ensure``.
     """
     tiles = renderer.tiles
     loader = renderer.caches.of("gi")
@@ -52,10 +51,12 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
     light = RotatedLight(renderer.caches.spec("gi"), view)
     texels = renderer.texels(view, gbuffer)
     loader.ensure(texels.chunks, tiles.check)
+    # Read the numbers that a page would get.
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
         numbers = raw_numbers(reading, loader.pool)
     about = normals_of(renderer, texels, tiles)
+    # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes.
     lit = fold(coding.numbers(coding.codes(numbers)), light)
     if reading.grainy.any():
         reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
@@ -71,7 +72,9 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
 
 
 def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
-    """The light of texels by their ``raw_numbers`` (m, n); (m, LIGHT_NUMBERS)."""
+    """Return the light of texels by their ``raw_numbers`` (m, n), under a ``light``; (m,
+    LIGHT_NUMBERS).
+    """
     spec = light.spec
     lit = np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
     kept = numbers[:, :-2].reshape(len(numbers), spec.channels, spec.columns)
@@ -83,8 +86,8 @@ def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """Control pixels of a ``view``: rows of its G-buffer's points, and what two halves of paths
-    bring there.
+    """Control pixels of a ``view``: its G-buffer, and ``pixels`` with the luminance of two
+    halves of paths.
     """
 
     view: View
@@ -93,8 +96,8 @@ class Control:
 
 
 class ControlPictures:
-    """Pictures of ``views`` whose control pixels are traced once, and then measure the light of
-    texels as it grows.
+    """Pictures of several views whose control pixels are traced once, and then measure the
+    light of texels as it grows.
     """
 
     def __init__(
@@ -106,7 +109,8 @@ class ControlPictures:
     ) -> None:
         """Trace paths for pictures of about a ``target`` error.
 
-        ``report`` is given how many views are done, here and whenever they are measured.
+        ``report`` is called with the number of views that are done, here and whenever they are
+        measured.
         """
         self._renderer = renderer
         self._target = target
@@ -121,7 +125,7 @@ class ControlPictures:
         return len(self._controls)
 
     def _control(self, number: int, view: View) -> Control | None:
-        """The control pixels of a view; None where no surface is seen."""
+        """Trace the control pixels of a view; return None if no surface is seen."""
         renderer = self._renderer
         gbuffer = self._renderer.gbuffer(view)
         if not (points := len(gbuffer.points)):
@@ -134,10 +138,10 @@ class ControlPictures:
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
     def measure(self, coding: Coding) -> TotalError:
-        """The error of all pictures with the light that there is now, in the ``coding``, relative
-        to each one's light.
+        """Return the error of all pictures with the light that there is now, in a ``coding``,
+        relative to the light of each.
 
-        Raises what ``Loader.ensure`` does.
+        Raises the errors of ``Loader.ensure``.
         """
         squares = []
         for number, each in enumerate(self._controls):
@@ -146,7 +150,9 @@ class ControlPictures:
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
-        """The squared errors of a picture's control pixels, relative to its mean light; (k,)."""
+        """Return the squared errors of a picture's control pixels, relative to its mean light;
+        (k,).
+        """
         framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]

@@ -1,4 +1,4 @@
-"""What keeps a visitor's graphics card from drawing a view, so that the server draws it."""
+"""Reasons why a visitor's graphics card cannot draw a view, so that the server draws it."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,8 +7,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
 BYTES = 64 << 20
-"""Bytes of voxels that are sent at most: small cards have room for them, and networks bring them in
-some seconds.
+"""Bytes of voxels that are sent at most: small cards have room for them, and networks transfer
+them in some seconds.
 """
 
 SHADINGS = ("gi", "lambert")
@@ -16,7 +16,7 @@ SHADINGS = ("gi", "lambert")
 
 
 class Obstacle(NamedTuple):
-    """One thing that a card does not draw: its ``name``, and ``why`` in a sentence."""
+    """Something that a card does not draw: its ``name``, and a sentence that tells ``why``."""
 
     name: str
     why: str
@@ -64,10 +64,10 @@ VOLUME_TOO_LARGE = Obstacle(
 
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
-    """What keeps a card from drawing a ``view`` of a ``scene`` whose voxels take so many bytes;
-    nothing where it can.
+    """Return all reasons why a card cannot draw a ``view`` of a ``scene`` whose voxels take
+    ``nbytes`` bytes; none if it can.
 
-    ViewError where views of the scene may not ask for the view's shine.
+    Raises ViewError if views of the scene may not ask for the view's shine.
     """
     found = [obstacle for obstacle, meets in TESTS if meets(scene, view)]
     return found + ([VOLUME_TOO_LARGE] if nbytes > BYTES else [])

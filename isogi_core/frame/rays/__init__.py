@@ -1,3 +1,3 @@
-"""Light that a view has of its own, by rays: lobes, shine, walls, and the control pixels that
-measure its error.
+"""Light of single pixels by rays and paths: lobes, shine, walls, glass, and control pixels,
+which measure the error of a picture.
 """

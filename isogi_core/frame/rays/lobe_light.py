@@ -1,4 +1,11 @@
-"""Light that comes straight from lobes to the points of a view, along shadow rays."""
+"""Direct light of lobes at the points of a view, by shadow rays.
+
+Lobes have an extent, so shadows have soft edges. Rays to the middles of lobes find the shadows.
+Points are asked in SAMPLING_TURNS turns, from a coarse grid of pixels to the finest: a point
+between neighbours that agree needs no ray. Rays to the rims of lobes then find points in
+half-shadow, starting at the edges of shadows. Only these points cast many rays, and share them with
+their neighbours.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -38,30 +45,34 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 LOBE_POINTS = 4096
 RIM_PAIRS = 1024
 HALF_SEEN_PAIRS = 256
-"""Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of
-a tile.
+"""Surface points of a tile; pairs of a point and a lobe, at edges of shadows; and such pairs in
+half-shadow.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LobeLight:
-    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in ``BakeSpec.unit``, see
-    ``light_points``.
+    """Direct light of lobes at a view's surface points: ``lit`` (m, 4) float32 in
+    ``BakeSpec.unit``, as from ``light_points``.
 
-    It leaves a surface of the bake spec's own albedo.
+    The surface has the albedo of the bake spec.
     """
 
     lit: np.ndarray
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.lit.nbytes
 
     def tinted(self, tint: np.ndarray) -> "LobeLight":
-        """The light from a surface that reflects ``tint`` (3,) times as much of each colour."""
+        """Return the light of a surface that reflects ``tint`` (3,) times as much of each
+        colour.
+        """
         if (tint == 1.0).all():
             return self
+        # A grey tint scales light, and variance by its square; other tints scale luminance by a
+        # factor that depends on the colour of the light.
         if (tint == tint[0]).all():
             return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
         colours = (self.lit[:, :3] * tint).astype(np.float32)
@@ -73,10 +84,10 @@ class LobeLight:
 
 @dataclass(frozen=True, eq=False)
 class ShadowStarts:
-    """What shadow rays of one view have in common, however the light turns.
+    """All that shadow rays of one view share, however the light turns.
 
-    ``picture`` has its surface points, and ``ends`` (SAMPLING_TURNS + 1,) int64 where turns begin
-    and end in their order.
+    ``picture`` holds its surface points; points of turn t, of SAMPLING_TURNS, are from ``ends[t]``
+    to ``ends[t + 1]`` in their order.
     """
 
     picture: ShadowPoints
@@ -84,23 +95,26 @@ class ShadowStarts:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes besides the G-buffer."""
+        """The size of its arrays in bytes, without the G-buffer."""
         return sum(part.nbytes for part in self.picture[1:])
 
 
 def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
-    """What shadow rays from the points of a G-buffer begin with. Raises Cancelled."""
+    """Prepare the points of a G-buffer for shadow rays. Raises Cancelled."""
     points = gbuffer.shown(tiles)
     m = len(gbuffer.points)
-    ends = np.empty(SAMPLING_TURNS + 1, np.int64)
-    places = (
+    picture = ShadowPoints(
+        points,
+        gbuffer.rows,
         np.empty((m, 3)),
         np.empty((m, 4), np.int32),
         np.empty(m, np.bool_),
         np.empty(m, np.int32),
     )
-    picture = ShadowPoints(points, gbuffer.rows, *places)
+    ends = np.empty(SAMPLING_TURNS + 1, np.int64)
     traced = gbuffer.surface.traced(tiles.run)
+    # Find the origins of rays and the neighbours of each point, then the order in which points are
+    # asked.
     tiles.run(lambda a, b: prepare_points(traced, picture, (a, b)), m, LOBE_POINTS)
     sort_by_turn(gbuffer.pixels, gbuffer.shape[1], picture.order, ends)
     return ShadowStarts(picture, ends)
@@ -109,17 +123,19 @@ def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
 def find_lobes(
     light: RotatedLight, starts: ShadowStarts, traced: TracedSurface, tiles: Tiles
 ) -> LobeLight:
-    """Find what comes straight from the lobes of a ``light``; of a view that moves by fewer rays.
+    """Return the direct light of the lobes of a ``light``; a view that moves has fewer rays.
     Raises Cancelled.
     """
     lamps = light.lobes
     moving = light.view.moving
     shadows = Shadows(traced, starts, lamps, tiles)
+    # Rays to middles tell lit points from shadows; rays to rims find half-shadows.
     seen = shadows.middles()
     if moving:
         halves = np.empty(0, np.int64)
     else:
         halves = shadows.edges(seen)
+    # Add up the lobes that are seen whole, and then the shares of those seen in part.
     lit = np.empty((shadows.points, 4), np.float32)
     tiles.run(
         lambda a, b: light_points(starts.picture, lamps, (a, b), moving, seen, lit),
@@ -132,10 +148,9 @@ def find_lobes(
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """What the points of a picture see of directional ``lamps`` past the ``traced`` surface, by
-    rays from ``starts``.
+    """Shadow rays from ``starts`` to directional ``lamps``, past the ``traced`` surface.
 
-    It is the same however the work is cut into ``tiles``.
+    Results do not depend on how the work is cut into ``tiles``.
     """
 
     traced: TracedSurface
@@ -150,12 +165,13 @@ class Shadows:
 
     @property
     def points(self) -> int:
-        """How many points there are."""
+        """The number of points."""
         return len(self.picture.order)
 
     def middles(self) -> np.ndarray:
-        """What all points see of lobes' middles, (lobes, m) uint8."""
+        """Return the state of all lobes' middles as seen from all points, (lobes, m) uint8."""
         seen = np.empty((len(self.lamps.kinds), self.points), np.uint8)
+        # Turn after turn: a point whose neighbours of earlier turns agree takes over their state.
         for first, last in pairwise(self.starts.ends.tolist()):
 
             def _piece(a: int, b: int, first: int = first) -> None:
@@ -165,11 +181,11 @@ class Shadows:
         return seen
 
     def edges(self, seen: np.ndarray) -> np.ndarray:
-        """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in
-        half-shadow, int64.
+        """Find the pairs of a point and a lobe in half-shadow, by rays to rims; put them into
+        ``seen``, and return their numbers lobe · m + point, ascending int64.
 
-        Those that are wide are followed by points FIRST_TURN_STRIDE apart, and filled turn by turn;
-        their ends are sought as far.
+        Narrow half-shadows are followed from the edges of shadows. Wide ones are followed over
+        points FIRST_TURN_STRIDE apart, and filled turn by turn.
         """
         asked = np.empty_like(seen)
 
@@ -177,38 +193,43 @@ class Shadows:
             mark_edges(self.picture, self.lamps, (a, b), seen, asked)
 
         self.tiles.run(_piece, self.points, LOBE_POINTS)
+        # Ask the points at edges of shadows first.
         halves = self._ask(np.flatnonzero(asked), seen)
         found = [halves]
+        # Follow half-shadows over the coarse grid, as far as they reach.
         while len(halves):
-            found.append(halves := self._ask_about(halves, 0, seen, asked))
+            halves = self._ask_about(halves, 0, seen, asked)
+            found.append(halves)
+        # Fill the points between, turn by turn.
         for turn in range(1, SAMPLING_TURNS):
             found.append(self._ask_about(np.concatenate(found), turn, seen, asked))
         halves = np.concatenate(found)
+        # Look for the ends of half-shadows, as far as the coarse grid may have missed them.
         for _ in range(FIRST_TURN_STRIDE):
-            found.append(halves := self._ask_about(halves, ANY_TURN, seen, asked))
+            halves = self._ask_about(halves, ANY_TURN, seen, asked)
+            found.append(halves)
         return np.sort(np.concatenate(found))
 
     def _ask(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Put into ``seen`` what ``pairs`` see of each other by their rims; those of them in
-        half-shadow.
+        """Cast rays to rims for ``pairs``, put the results into ``seen``, and return the pairs
+        in half-shadow.
         """
-        seen.reshape(-1)[pairs] = sees = self._rims(pairs)
+        sees = self._rims(pairs)
+        seen.reshape(-1)[pairs] = sees
         return pairs[sees == LOBE_HALF_SEEN]
 
     def _ask_about(
         self, halves: np.ndarray, turn: int, seen: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
-        """The pairs about ``halves`` that are in half-shadow, too, and not ``asked`` yet: see
-        ``spread_edges``.
+        """Return the pairs near ``halves`` that are in half-shadow, too, and were not ``asked``
+        yet: see ``spread_edges``.
         """
         more = np.empty(8 * len(halves), np.int64)
         count, last = spread_edges(self.picture, self.lamps, halves, turn, seen, asked, more)
         return np.concatenate([more[last:], self._ask(more[:count], seen)])
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:
-        """What the points and lobes in ``pairs`` see of each other by their rims; (pairs,)
-        uint8.
-        """
+        """Cast rays to rims for ``pairs``; return what each sees, (pairs,) uint8."""
         sees = np.empty(len(pairs), np.uint8)
 
         def _piece(a: int, b: int) -> None:
@@ -218,39 +239,34 @@ class Shadows:
         return sees
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        """Return the shares of lobes that points see in part, and their variance; (pairs, 2)."""
         sides = np.empty(len(pairs), np.uint8)
         places = np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
-        rays, own, shares = (
-            np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)],
-            *np.empty((2, len(pairs), 2)),
-        )
+        # The more neighbours are in half-shadow, too, the fewer rays a point needs: they share
+        # theirs.
+        rays = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)]
+        traced = np.empty((len(pairs), 2))
         for count in np.unique(rays).tolist():
-            own[rays == count] = self._shares(pairs[rays == count], count)
+            traced[rays == count] = self._shares(pairs[rays == count], count)
 
-        for first, last in pairwise(
-            np.searchsorted(pairs, self.points * np.arange(len(seen) + 1)).tolist()
-        ):
+        # Mix the rays of each pair with those of its neighbours, lobe by lobe.
+        shares = np.empty((len(pairs), 2))
+        bounds = np.searchsorted(pairs, self.points * np.arange(len(seen) + 1)).tolist()
+        for first, last in pairwise(bounds):
             places[pairs[first:last] % self.points] = np.arange(first, last)
 
             def _piece(a: int, b: int, first: int = first) -> None:
-                share_rays(
-                    self.picture,
-                    self.lamps,
-                    pairs,
-                    sides,
-                    places,
-                    own,
-                    (first + a, first + b),
-                    shares,
-                )
+                part = first + a, first + b
+                share_rays(self.picture, self.lamps, pairs, sides, places, traced, part, shares)
 
             self.tiles.run(_piece, last - first, LOBE_POINTS)
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
-        """The shares of lobes that points see, by ``rays`` of each pair."""
+        """Return the shares of lobes that points see, by ``rays`` rays of each pair, and their
+        variance.
+        """
         shares = np.empty((len(pairs), 2))
 
         def _piece(a: int, b: int) -> None:
@@ -269,7 +285,7 @@ class Shadows:
 
 
 def tile_of(total: int, most: int, tiles: Tiles) -> int:
-    """The size of tiles that are even, but of a quarter of the ``most`` at least: for less no
-    thread is woken.
+    """Return the size of even tiles, at most ``most``, and at least a quarter of it: for less
+    no thread is woken.
     """
     return min(max(tiles.even(total), most // 4), most)

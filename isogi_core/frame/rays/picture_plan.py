@@ -1,8 +1,7 @@
-"""Ways to bring a picture to its target: more samples of its texels, finer texels, and light of its
-pixels' own.
+"""Plans: ways to bring a picture to its target error, and the cost of each in paths.
 
-Each way is weighed by the paths that it is expected to take, from the picture's errors as control
-pixels show them.
+There are three ways: more samples for its texels, finer texels, and light of pixels' own. Their
+costs are predicted from the errors that control pixels show.
 """
 
 import math
@@ -20,37 +19,35 @@ from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.variants import FINER_FACTOR
 
 QUIETER = 0.5
-"""What one rung leaves of the variance of a filtered picture: 0.35 to 0.7 on the engine, the bonsai
-and the chest.
+"""Share of the variance of a filtered picture that one rung leaves: 0.35 to 0.7 on the engine,
+the bonsai and the chest.
 """
 
 CLOSER = FINER_FACTOR**-2
-"""What finer texels leave of a picture's squared error besides its noise: 0.11 to 0.44."""
+"""Share of a picture's squared error besides noise that finer texels leave: 0.11 to 0.44."""
 
 COUNTED_TEXEL_SHARE = 0.25
-"""The share of a texel's paths that counts: other views, and other lights, read the texel too."""
+"""Share of a texel's paths that counts, as other views and other lights read the texel, too."""
 
 HEAVIER = 3.0
-"""What a path of a texel takes over one of a pixel, in time: 2.5 to 4.5, as it branches, and is
+"""Time of a path of a texel over that of a path of a pixel: 2.5 to 4.5, as it branches, and is
 saved and read.
 """
 
 TASK = float(1 << 14)
-"""What a chunk's rung counts beside its paths, in paths of pixels: 8 ms of a worker, see
-``worker.progress``.
+"""Cost of baking one chunk by one rung besides its paths, in paths of pixels: 8 ms of a worker,
+see ``worker.progress``.
 """
 
 FINER_TEXELS_COST = float(1 << 22)
-"""What it counts to begin with finer texels, in paths of pixels: each worker opens them, for 1 to 2
-s.
+"""Cost of starting with finer texels, in paths of pixels: each worker opens them, which takes 1
+to 2 s.
 """
 
 
 class Prices(NamedTuple):
-    """What texels count, in paths of pixels: each ``path``, each ``task``, and ``opening`` finer
-    ones.
-
-    By default those of a picture somebody waits for.
+    """Costs of texels, in paths of pixels: of each ``path``, of each ``task``, and of
+    ``opening`` finer texels. By default those for a picture that somebody waits for.
     """
 
     path: float = COUNTED_TEXEL_SHARE * HEAVIER
@@ -59,32 +56,34 @@ class Prices(NamedTuple):
 
     @property
     def of_present(self) -> "Prices":
-        """The prices where only present texels serve: finer ones have none that is finite."""
+        """The prices without finer texels, whose price is infinite."""
         return self._replace(opening=math.inf)
 
 
 AWAITED = Prices()
-"""Prices of a picture that somebody waits for."""
+"""Prices for a picture that somebody waits for."""
 
 PRESENT: Prices = AWAITED.of_present
-"""Prices of such a picture where there are no finer texels."""
+"""Prices for a picture that somebody waits for, without finer texels."""
 
 SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present
-"""Prices of a picture that stands for others, of any size: they all read its texels, and none its
-pixels' light.
+"""Prices for a picture that stands for others, of any size: all of these read its texels, and
+none the light of its pixels.
 """
 
 FINER_TEXELS_FACTOR = FINER_FACTOR**2
-"""How many times as many texels of a surface there are where the lattice is twice as fine, about:
-2.2 to 4.
+"""Factor on the number of texels of a surface if the lattice is twice as fine: 4, an upper
+estimate; measured are 2.2 to 4.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A way to bring a picture to its target: so many ``rungs`` of its texels, or of ``finer``
-    ones, and then light of their own for the pixels of a ``choice``. The rungs take so many
-    ``texel_paths``, of that the ``next`` one, in so many ``tasks``.
+    """A way to bring a picture to its target: first ``rungs`` for its texels, or for ``finer``
+    ones, then light of their own for the pixels of a ``choice``.
+
+    ``texel_paths`` is the number of paths of all rungs, ``next`` that of the first of them,
+    ``tasks`` the number of tasks for workers.
     """
 
     choice: Choice
@@ -95,32 +94,28 @@ class Plan:
     finer: bool = False
 
     def cost(self, prices: Prices) -> float:
-        """What it takes at these ``prices``, in paths of pixels."""
+        """Return the cost of the plan at these ``prices``, in paths of pixels."""
         work = prices.task * self.tasks + prices.path * self.texel_paths + self.choice.paths
         if self.finer:
             return work + prices.opening
         return work
 
     def ahead(self, first: float, last: float) -> "Ahead":
-        """What is ahead beside the next rung, and beside pixels that begin to have light now.
+        """Return the work that follows the next rung, or the pixels whose light is traced next.
 
-        A rung's ``first`` controls, and the ``last`` of all, take so many paths.
+        ``first`` is the number of paths of the controls on each rung, ``last`` that of all controls
+        at the end.
         """
         if not self.rungs:
             return Ahead(last, times=1)
-        return Ahead(
-            self.choice.paths + self.rungs * first + last,
-            self.texel_paths - self.next,
-            self.rungs + 1,
-        )
+        pixels = self.choice.paths + self.rungs * first + last
+        return Ahead(pixels, self.texel_paths - self.next, self.rungs + 1)
 
 
 class Ahead(NamedTuple):
-    """The paths that a picture is expected to take besides the samples that its texels are to have
-    now.
-
-    Paths of ``pixels``, controls among them, and of ``texels``; it is drawn so many ``times``
-    meanwhile.
+    """Work that a picture is expected to need besides the samples that its texels are to have
+    now: paths of ``pixels``, controls among them, and of ``texels``. The picture is drawn
+    ``times`` times on the way.
     """
 
     pixels: float = 0.0
@@ -129,9 +124,10 @@ class Ahead(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnLight:
-    """What light of their own costs pixels: so many ``paths`` leave the ``variance`` (m,) of each,
-    those in ``own`` have some, and the picture's mean squared error is to be ``allowed``.
+class PixelLightCost:
+    """What is known about the cost of light of pixels' own: ``paths`` paths leave the
+    ``variance`` (m,) of each point's luminance, the points in rows ``own`` have such light, and
+    ``allowed`` is the mean squared error that the picture may have.
     """
 
     variance: np.ndarray
@@ -139,16 +135,18 @@ class OwnLight:
     own: np.ndarray
     allowed: float
 
-    def beside(self, errors: np.ndarray) -> Choice:
-        """The pixels that are to have it where texels leave these squared ``errors`` (m,)."""
+    def choose(self, errors: np.ndarray) -> Choice:
+        """Choose the pixels that are to have such light if texels leave the squared ``errors``
+        (m,).
+        """
         return choose_points(errors, self.variance, self.paths, self.own, self.allowed)
 
 
 def noise_of_climbers(frame: Frame) -> float:
-    """The share of a picture's noise variance that comes from noisy texels, which alone take more
+    """Return the share of a picture's noise variance that comes from texels which would take more
     samples; from 0 to 1.
 
-    It is 0 for a picture of no texels.
+    It is 0 if the picture reads no texels.
     """
     if (lacking := frame.quality.lacking) is None:
         return 0.0
@@ -158,8 +156,8 @@ def noise_of_climbers(frame: Frame) -> float:
 
 
 def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:
-    """The paths that it takes the texels of a ``frame`` to climb no rung, one, two, and so on, from
-    this ``rung``.
+    """Return the number of paths that the texels of a ``frame`` take to climb no rung, one,
+    two, and so on, from ``rung`` as far as ``target`` allows.
     """
     paths = [0.0]
     if (lacking := frame.quality.lacking) is not None:
@@ -174,35 +172,44 @@ def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:
 
 
 def rungs_at_once(rungs: int, climbs: Sequence[float], check: float) -> int:
-    """How many of so many ``rungs`` texels climb before the picture is checked: one, or as far as
-    that takes no more paths than a ``check``.
+    """Return how many of the ``rungs`` texels climb before control pixels measure the picture
+    again: one, or as many as take no more paths than that ``check``. ``climbs`` is as from
+    ``climbs_of``.
     """
     return max(1, sum(paths <= check for paths in climbs[1 : rungs + 1]))
 
 
 def rungs_above(rung: int, target: float) -> Iterator[int]:
-    """The samples of the rungs above one, as far as a ``target`` lets texels climb."""
+    """Yield the sample counts of the rungs above ``rung``, as far as texels climb for a
+    ``target`` error.
+    """
     while (rung := next_level(rung)) <= most_samples(target):
         yield rung
 
 
 def by_rungs(
-    own: OwnLight, errors: np.ndarray, noise: np.ndarray, climbs: Sequence[float], chunks: int
+    pixels: PixelLightCost,
+    errors: np.ndarray,
+    noise: np.ndarray,
+    climbs: Sequence[float],
+    chunks: int,
 ) -> list[Plan]:
-    """The plans by a picture's present texels, from its squared ``errors`` (m,), of which ``noise``
-    (m,) falls.
+    """Return the plans that use the present texels of a picture, one for each number of rungs.
 
-    Each rung is a task of each of so many ``chunks``.
+    ``errors`` (m,) are the squared errors of its points, of which ``noise`` (m,) falls with each
+    rung. Each rung is a task for each of ``chunks`` chunks.
     """
-    left = [errors - (1.0 - QUIETER**rungs) * noise for rungs in range(len(climbs))]
-    return [
-        Plan(own.beside(each), rungs, climbs[rungs], climbs[min(rungs, 1)], rungs * chunks)
-        for rungs, each in enumerate(left)
-    ]
+    # Each rung leaves the share QUIETER of the noise, and all of the other errors.
+    plans = []
+    for rungs, paths in enumerate(climbs):
+        left = errors - (1.0 - QUIETER**rungs) * noise
+        first = climbs[min(rungs, 1)]
+        plans.append(Plan(pixels.choose(left), rungs, paths, first, rungs * chunks))
+    return plans
 
 
 def by_finer(
-    own: OwnLight,
+    pixels: PixelLightCost,
     errors: np.ndarray,
     noise: np.ndarray,
     texels: int,
@@ -210,36 +217,32 @@ def by_finer(
     rung: int,
     target: float,
 ) -> list[Plan]:
-    """The plans by finer texels in the place of so many, in ``chunks``, on a ``rung``; they begin
-    with the first one.
+    """Return the plans that replace the ``texels`` of a picture, in ``chunks`` chunks, by finer
+    ones.
 
-    Of a picture's squared ``errors`` (m,) ``noise`` (m,) becomes less with each doubling of
-    samples, the rest at once.
+    Of the squared ``errors`` (m,) at the present ``rung``, ``noise`` (m,) falls with each doubling
+    of the samples of finer texels, which begin at the first rung; the rest falls once, by CLOSER.
     """
-    apart = CLOSER * np.maximum(errors - noise, 0.0)
+    interpolation = CLOSER * np.maximum(errors - noise, 0.0)
     paths = FINER_TEXELS_FACTOR * texels
     plans = []
     for rungs, level in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=1):
-        left = apart + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
-        plans.append(
-            Plan(
-                own.beside(left),
-                rungs,
-                paths * level,
-                paths * FIRST_LEVEL,
-                FINER_TEXELS_FACTOR * rungs * chunks,
-                True,
-            )
-        )
+        # Samples double from the present rung to this level, or halve: the noise follows.
+        left = interpolation + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
+        tasks = FINER_TEXELS_FACTOR * rungs * chunks
+        choice = pixels.choose(left)
+        plans.append(Plan(choice, rungs, paths * level, paths * FIRST_LEVEL, tasks, finer=True))
     return plans
 
 
 def controls_to(measured: TotalError, likely: float, target: float) -> int:
-    """How many controls it takes to say that a picture is at its ``target``, once its error is as
-    ``likely``.
+    """Return the number of control pixels that shows a picture to be at its ``target``, if its
+    error is ``likely``.
 
-    The logarithm of the interval's width falls with the root of their number.
+    The width of the logarithm of an interval falls with the root of their number.
     """
+    # The interval must fit between the likely error and the target; ``wide`` is its present half
+    # width.
     if 0.0 < likely < target:
         room = math.log(target / likely)
     else:

@@ -1,4 +1,4 @@
-"""Whole paths from the pixels' own points, with what is known of their noise."""
+"""Trace whole paths from the surface points of pixels, and estimate their noise."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,29 +20,32 @@ from isogi_core.plan.budget import survival_for
 
 PATH_POINTS = 256
 MAX_PATHS = 1 << 16
-"""Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms
-until it can end.
+"""Surface points of a tile if each of them sends paths, and paths of a tile, at most: some 30
+ms until it can be cancelled.
 """
 
 PASS_PATHS = 1 << 21
 PASS_POINTS = 1 << 18
-"""Paths, and points, of one pass of a picture at most: about a second of two cores. Other work may
-go first between two passes, and sums take memory for one.
+"""Paths and points of one pass of a picture, at most: about a second of two cores. Between two
+passes other work may go first, and sums take memory for one.
 """
 
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
-"""What neighbours count along an axis, where variances are pooled."""
+"""Weights of neighbours along an axis, where variances are pooled."""
 
 POOLED_REACH = len(BINOMIAL) // 2
 POOLED_PIXELS = 1 << 20
-"""Pixels along an axis that neighbours are away at most, and pixels that are pooled together."""
+"""Distance along an axis of the farthest neighbours, in pixels; and number of pixels that are
+pooled together.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Paths from the surface points of ``gbuffer`` under a ``light``, on the threads of ``tiles``.
+    """Paths from the surface points of a ``gbuffer`` under a ``light``, on the threads of
+    ``tiles``.
 
-    They have the plan's own ``bounces`` by default.
+    They have ``bounces`` bounces, by default those of the plan.
     """
 
     light: RotatedLight
@@ -52,7 +55,7 @@ class Paths:
 
     @cached_property
     def survival(self) -> float:
-        """The chance with which a path goes on from its second and later hits."""
+        """The probability that a path continues after its second and later hits."""
         plan = self.light.spec.prepared.scene.plan
         if self.bounces is None:
             return plan.survival
@@ -60,11 +63,12 @@ class Paths:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64.
+        """The weight R^(k + 1) of light after k = 0 … bounces, over the probability to get there;
+        (bounces + 1, 3) float64.
 
-        Where paths carry the colours that they meet they count 1 at the start, which is all that is
-        read of these. The eye's rays that pass a surface reach the first that reflects them by one
-        bounce more.
+        Paths that carry the albedo of each hit start with the weight 1, and nothing else of the
+        weights is read. Through glass, the eye's ray takes one bounce more, to the first surface
+        that reflects it.
         """
         scene = self.light.spec.prepared.scene
         if self.bounces is None:
@@ -78,7 +82,7 @@ class Paths:
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
     def of(self, rows: np.ndarray) -> "Paths":
-        """The paths of those points alone that are in these ``rows``, ascending."""
+        """Return the paths from the points in these ascending ``rows`` alone."""
         return replace(self, gbuffer=self.gbuffer.part(rows, self.tiles))
 
     def add(
@@ -89,38 +93,45 @@ class Paths:
         count: int,
         progress: Callable[[int], object] | None = None,
     ) -> None:
-        """Add samples first … first + count of each replica to ``sums`` (points, replicas, 3)
-        float64, in place.
+        """Trace the samples ``first`` … ``first + count`` of each replica, and add their light to
+        ``sums`` (points, replicas, 3) float64.
 
-        Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the
-        number of paths that each piece traced. Of a surface that shines as many rays of shine are
-        among them. Raises Cancelled.
+        Replicas are the randomisations from number ``stream`` on. ``progress`` is called with the
+        number of paths that each piece traced. If the surface shines, as many rays of shine are
+        traced. Raises Cancelled.
         """
-        buffer = self.gbuffer
-        alone = self.light.shine is None and not self.light.coloured
+        gbuffer = self.gbuffer
         prepared = self.light.spec.prepared
         replicas = range(stream, stream + sums.shape[1])
-        own = sums if alone else np.zeros_like(sums)
-        refracts = prepared.scene.surfaces.material.refracts
-        if refracts:
-            points = sight_lines(buffer)
+        # Colours and shine change the light of the new paths, so it is summed apart: the light in
+        # ``sums`` has been changed already.
+        changed = self.light.shine is not None or self.light.coloured
+        if changed:
+            new = np.zeros_like(sums)
         else:
-            points = buffer.shown(self.tiles)
-        traced = buffer.surface.traced(self.tiles.run)
+            new = sums
+        # Through glass, paths start on the eye's rays just before the surface.
+        if prepared.scene.surfaces.material.refracts:
+            points = sight_lines(gbuffer)
+        else:
+            points = gbuffer.shown(self.tiles)
+        traced = gbuffer.surface.traced(self.tiles.run)
         around = self.light.surroundings
         met = prepared.met(self.light.seen.albedo, traced.cells, self.tiles.run)
         rules = PathRules(self.weights, self.survival)
         samples = SampleRange(first, count)
 
+        # Trace all replicas of some points together.
         def _piece(a: int, b: int) -> None:
             starts = path_starts(traced, points.part(slice(a, b)), replicas)
-            here = own[a:b].reshape(-1, 3)
+            here = new[a:b].reshape(-1, 3)
             if isinstance(met, Open):
                 added = here
             else:
                 added = np.zeros_like(here)
             add_path_light(met, starts, samples, rules, around, added)
-            if added is not here:  # goes among walls are added up one by one
+            # Among walls each call sums up its samples before they are added.
+            if added is not here:
                 here += added
             add_glow(here, self.light, traced, starts, rules, samples)
             if progress is not None:
@@ -129,25 +140,28 @@ class Paths:
         self.tiles.run(
             _piece, len(sums), max(min(PATH_POINTS, MAX_PATHS // (sums.shape[1] * count)), 1)
         )
+        # Reflect by the colours of the surface, and let it shine.
         if self.light.coloured:
-            own *= buffer.albedos(self.light.spec.prepared.colours, self.tiles)[: len(own), None]
+            new *= gbuffer.albedos(prepared.colours, self.tiles)[: len(new), None]
         if self.light.shine is not None:
-            given = range(first, first + count), len(self.weights) - 1
-            add_shine(own, self.light, buffer, stream, *given, self.tiles)
-        if not alone:
-            sums += own
+            numbers = range(first, first + count)
+            bounces = len(self.weights) - 1
+            add_shine(new, self.light, gbuffer, stream, numbers, bounces, self.tiles)
+        if changed:
+            sums += new
 
     def prepare(self) -> None:
-        """Do what comes before the first paths, by tracing one: find normals, map the surface,
-        compile.
+        """Do all that comes before the first paths, by tracing one: find normals, map active
+        cells, and compile.
         """
         self.add(np.zeros((min(len(self.gbuffer.points), 1), 1, 3)), 0, 0, 1)
 
 
 def passes(points: int, samples: int, tiles: Tiles) -> Iterator[slice]:
-    """Consecutive slices of so many ``points`` that send ``samples`` paths each: those of one pass.
+    """Yield consecutive slices of ``points`` points that send ``samples`` paths each, one for each
+    pass.
 
-    Gives way to other work between two of them. Raises Cancelled.
+    Other work may go first between two of them. Raises Cancelled.
     """
     size = max(min(PASS_PATHS // samples, PASS_POINTS), 1)
     for first in range(0, points, size):
@@ -157,18 +171,18 @@ def passes(points: int, samples: int, tiles: Tiles) -> Iterator[slice]:
 
 
 def variance_of_mean(means: np.ndarray) -> np.ndarray:
-    """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3);
-    (m,) float64.
+    """Return the variance of the luminance of the mean over independent replicas ``means`` (m,
+    replicas, 3); (m,) float64.
     """
     return np.asarray((means @ LUMINANCE_WEIGHTS).var(axis=1, ddof=1) / means.shape[1])
 
 
 def replicas_for(samples: int) -> int:
-    """How many replicas a frame of ``samples`` paths per pixel is made of.
+    """Return the number of replicas of a frame of ``samples`` paths per pixel.
 
-    More of them estimate the error better, and make it larger, since each is a shorter sequence: at
-    256 paths eight have 1.1 times the error of four (engine under uffizi and grace, CT head under
-    noon_grass).
+    More replicas estimate the error better, and make it larger, since each is a shorter sequence:
+    at 256 paths eight have 1.1 times the error of four (engine under uffizi and grace, CT head
+    under noon_grass).
     """
     if samples < 8:
         return 2
@@ -180,17 +194,17 @@ def replicas_for(samples: int) -> int:
 def pooled_variance(
     variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | None = None
 ) -> np.ndarray:
-    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights
-    BINOMIAL both ways.
-
-    Or of the pixels ``shown`` (m,), of something else.
+    """Average the ``variance`` (m,) of each surface pixel, or of each of the pixels ``shown``, with
+    those of its neighbours, by the weights BINOMIAL both ways.
 
     A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold
-    86 % of Gaussian errors, and none where all replicas met the same by chance. With these they
-    held 91 to 96 % of the pixels of frames of 8 to 256 paths (engine under uffizi and grace, CT
-    head under noon_grass, MNI under constant light).
+    86 % of Gaussian errors, and none if all replicas met the same by chance. Pooled, they held 91
+    to 96 % of the pixels of frames of 8 to 256 paths (engine under uffizi and grace, CT head under
+    noon_grass, MNI under constant light).
     """
-    pixels = gbuffer.pixels if shown is None else shown
+    pixels = shown
+    if pixels is None:
+        pixels = gbuffer.pixels
     height, width = gbuffer.shape
     pooled = np.empty(len(pixels))
     rows = max(POOLED_PIXELS // width, 1)
@@ -199,6 +213,8 @@ def pooled_variance(
     for first in range(0, height, rows):
         last = min(first + rows, height)
         a, b = rows_among(pixels, width, first - POOLED_REACH, last + POOLED_REACH)
+        # Filter the variances and the presence of pixels alike, and divide: pixels that are not
+        # there do not count.
         both = np.zeros((2, last - first + 2 * POOLED_REACH, width))
         places = pixels[a:b].astype(np.int64) - width * (first - POOLED_REACH)
         both.reshape(2, -1)[:, places] = variance[a:b], np.ones(b - a)
@@ -214,7 +230,7 @@ def pooled_variance(
 
 
 def rows_among(pixels: np.ndarray, width: int, first: int, last: int) -> tuple[int, int]:
-    """Where those of rows ``first`` to ``last`` of a picture begin and end among ascending
+    """Return where rows ``first`` to ``last`` of a picture begin and end among ascending
     ``pixels``.
     """
     ends = np.array([max(first, 0) * width, last * width], pixels.dtype)

@@ -1,4 +1,4 @@
-"""Paths from points of a picture: where they start, and sums of what they bring by replicas that
+"""Paths from points of a picture: where they start, and sums of their light by replicas, which
 show the noise.
 """
 
@@ -19,8 +19,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 
 def path_starts(traced: TracedSurface, points: SurfacePoints, replicas: range) -> PathStarts:
-    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a
-    point side by side.
+    """Return the starts of paths of some ``replicas``, by number, from the points of a picture:
+    all replicas of a point in turn.
     """
     each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
     seeds = seeds_of(np.column_stack([points.pixels[each], replicas.start + replica]))
@@ -28,10 +28,10 @@ def path_starts(traced: TracedSurface, points: SurfacePoints, replicas: range) -
 
 
 def sight_lines(gbuffer: GBuffer) -> SurfacePoints:
-    """Where the eye's rays are just before the points of a G-buffer, and their unit world ways as
-    normals; float64.
+    """Return points just before those of a G-buffer on the eye's rays, with the unit world
+    directions of these rays as normals; float64.
 
-    In glass rays soon part from those that start a rounding beside.
+    Rays through glass soon diverge from those that start a rounding error apart.
     """
     spacing = np.array(gbuffer.spacing)
     ways = (gbuffer.points - np.array(gbuffer.eye)) * spacing
@@ -49,28 +49,29 @@ def add_glow(
     rules: PathRules,
     samples: SampleRange,
 ) -> None:
-    """Add a ``SampleRange`` of E/π of what glows at ``starts`` about a surface to ``sums`` (g, 3),
-    where there is any.
+    """Trace a ``SampleRange`` of paths that gather glow at ``starts`` about a surface, and add
+    their E/π to ``sums`` (g, 3); do nothing if nothing glows.
 
-    Bounces count as in ``light_in_room``, the first weight of the ``rules`` all.
+    The weights of the ``rules`` count bounces as in ``light_in_room``.
     """
     prepared = light.spec.prepared
     if not prepared.scene.lighting.glowing.any:
         return
     radiances = light.glow * prepared.scene.lighting.glowing.radiances
-    own = np.zeros((len(sums), radiances.size))
-    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, own)
-    sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)
+    # Paths gather each glow as if of radiance 1, so that its strength and colour come last.
+    gathered = np.zeros((len(sums), radiances.size))
+    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, gathered)
+    sums += np.einsum("gkc,kc->gc", gathered.reshape(-1, *radiances.shape), radiances)
 
 
 HALVES = 2
-"""Independent randomisations, where neighbours tell of noise, too."""
+"""Number of independent randomisations if neighbours show noise, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoisyLight:
-    """What rays bring to points of a picture: ``light`` (m, 3) linear RGB, and its luminance's
-    ``variance`` (m,).
+    """Light that rays bring to points of a picture: ``light`` (m, 3) linear RGB, and the
+    ``variance`` (m,) of its luminance.
     """
 
     light: np.ndarray
@@ -78,8 +79,8 @@ class NoisyLight:
 
     @classmethod
     def of(cls, means: np.ndarray, gbuffer: GBuffer, tiles: Tiles) -> Self:
-        """The light of halves' ``means`` (m, 1 or 2, 3); of a single half, neighbouring pixels give
-        the noise.
+        """Return the light by the ``means`` (m, 1 or 2, 3) of halves; if there is one half,
+        neighbouring pixels show the noise.
 
         Raises Cancelled.
         """
@@ -96,10 +97,10 @@ class NoisyLight:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The ``sums`` (m, replicas, 3) of ``counts`` (m,) rays, or paths, of each replica from as many
-    points.
+    """The ``sums`` (m, replicas, 3) of the light of rays, or paths, from m points; ``counts`` (m,)
+    are their numbers in each replica.
 
-    Points whose noise is small enough take no more: the others have as many rays as any.
+    Points whose noise is small take no more of them: all others have the same number, the largest.
     """
 
     sums: np.ndarray
@@ -107,47 +108,48 @@ class Estimate:
 
     @classmethod
     def none(cls, points: int, replicas: int = HALVES) -> "Estimate":
-        """No rays from so many points."""
+        """Return an estimate without rays from ``points`` points."""
         return cls(np.zeros((points, replicas, 3)), np.zeros(points, np.int64))
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         return self.sums.nbytes + self.counts.nbytes
 
     @property
     def most(self) -> int:
-        """The most rays of each replica that any point has."""
+        """The largest number of rays of each replica from any point."""
         return int(self.counts.max(initial=0))
 
     @property
     def version(self) -> bytes:
-        """Names the rays that were cast."""
+        """A name of the rays that were cast."""
         return repr(int(self.counts.sum())).encode()
 
     @property
     def means(self) -> np.ndarray:
-        """What a ray of each replica brings on the average; (m, replicas, 3)."""
+        """The mean light of a ray of each replica; (m, replicas, 3)."""
         return np.asarray(self.sums / np.maximum(self.counts, 1)[:, None, None])
 
     def next(self, rays: int) -> range:
-        """The numbers of the rays that points take next: so many, one at least, and at most as many
-        as there are.
+        """Return the numbers of the rays that points take next: ``rays`` of them, at least one,
+        and at most as many as there are.
         """
         count = self.most
         return range(count, count + min(max(rays, 1), count or 1))
 
     def noisy(self, variance: np.ndarray, allowed: float) -> np.ndarray:
-        """Rows of the points that are to have more rays: none where the picture's noise is what is
-        ``allowed``, a luminance; of points whose own ``variance`` (m,) is more.
+        """Return the rows of the points that are to have more rays: none if the root of the
+        mean ``variance`` (m,) is at most ``allowed``, a luminance; else points with more than
+        that.
         """
         if not len(variance) or float(variance.mean()) <= allowed**2:
             return np.empty(0, np.int64)
         return np.flatnonzero((variance > allowed**2) & (self.counts == self.most))
 
     def joined(self, places: np.ndarray, added: np.ndarray, last: int) -> "Estimate":
-        """The sums with what was ``added`` (k, replicas, 3) to the points in ``places``: these have
-        ``last`` rays.
+        """Return the sums with the light ``added`` (k, replicas, 3) to the points in rows
+        ``places``, which have ``last`` rays then.
         """
         found = replace(self, sums=self.sums.copy(), counts=self.counts.copy())
         found.sums[places] += added

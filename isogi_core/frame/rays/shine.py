@@ -1,9 +1,8 @@
-"""Shine: rays of a microfacet lobe from the points of a picture; what they bring, and what is seen
-where they end.
+"""Shine: rays of a microfacet lobe from the points of a picture, and the light at their ends.
 
-A shiny surface mirrors light to the eye alone: light that it sends to other places of the scene is
-diffuse, as in the texels. So shine needs nothing baked, and what a ray sees of the surface is what
-its texels, or paths from there, show.
+A shiny surface mirrors light to the eye alone; light that it sends to other places of the scene is
+diffuse, as texels have it. So shine needs no bake, and a ray takes the light of the surface that it
+meets from texels, or from paths that start there.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.files.vector import triple
-from isogi_core.frame.gbuffer import GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import GBuffer, OtherPoints
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
@@ -44,27 +43,31 @@ from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
 
 PLASTIC = 0.04
-"""What plastic mirrors head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of 1.5."""
+"""Reflectance of plastic head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of
+1.5.
+"""
 
-ASIDE = 0.5
+TOWARDS_LIGHTS = 0.5
 ROUGH = 0.4
-"""Share of the rays that are drawn towards lights from this roughness on; of smoother lobes the
-less, as their own rays find lights better.
+"""Share of the rays that are drawn towards lights from this roughness on. Smoother lobes have a
+smaller share, as their rays find lights better.
 """
 
 WAYS = 8
-"""Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then
-worth several.
+"""Candidates of which each ray is chosen if there are lights to aim at: one ray then tells as
+much as several.
 """
 
 LOW_WORD = np.uint64(0xFFFFFFFF)
-"""What of a ray's sequence names the sequence of a path in the open from its end."""
+"""Bits of the sequence of a ray that become the sequence of the path from its end, if the path
+is in the open.
+"""
 
 RAYS_TOGETHER = 1 << 14
 PATHS_TOGETHER = 256
 RAYS_OF_PATHS = 1 << 17
-"""Rays that are cast together, paths from their ends, and rays whose ends are kept together where
-all send paths.
+"""Rays that are cast together; paths that are traced together from their ends; and rays whose
+ends are kept together if all of them send paths.
 """
 
 NO_ROOM = Room(
@@ -78,55 +81,65 @@ NO_ROOM = Room(
 
 @lru_cache(maxsize=64)
 def energy_of(alpha: float) -> np.ndarray:
-    """The table of ``fill_energy``."""
+    """Return the table of ``fill_energy`` for a lobe's ``alpha``."""
     energy = np.empty((ENERGY_STEPS + 1, 2))
     fill_energy(alpha, energy)
     return energy
 
 
 def lobe_of(light: RotatedLight) -> ShineLobe:
-    """The lobe of the surface in a ``light``; metal mirrors its albedo head on. A surface without
-    shine has none.
+    """Return the lobe of the surface under a ``light``; metal mirrors by its albedo. A surface
+    without shine has a lobe that mirrors nothing.
     """
     shine = light.shine or DULL
     albedo = light.albedo
     metal = shine.kind == "metal"
-    aside = ASIDE * min(1.0, shine.roughness / ROUGH)
-    facing = triple(albedo if metal else np.full(3, PLASTIC))
-    return ShineLobe(shine.alpha, facing, shine.strength, metal, aside, energy_of(shine.alpha))
+    towards_lights = TOWARDS_LIGHTS * min(1.0, shine.roughness / ROUGH)
+    # The colour that is mirrored head on.
+    if metal:
+        facing = triple(albedo)
+    else:
+        facing = triple(np.full(3, PLASTIC))
+    energy = energy_of(shine.alpha)
+    return ShineLobe(shine.alpha, facing, shine.strength, metal, towards_lights, energy)
 
 
 def lights_of(light: RotatedLight, ways: int) -> ShineLights:
-    """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of
-    so many ``ways``.
+    """Return the lights that rays of shine may be drawn towards, and those that they may meet,
+    under a rotated ``light``. Each ray is chosen of ``ways`` candidates.
     """
     around = light.surroundings
     room = light.spec.prepared.scene.lighting.room
     kinds, places, edges, colours = around.lamps
+    # Sort the lamps: discs of lobes, areas, and those without an extent.
     discs = (kinds == DIRECTIONAL) & edges.any(axis=(1, 2))
     flat = kinds == AREA
     sharp = (kinds != AREA) & ~discs
     squares = (edges[discs, 0] ** 2).sum(axis=1)[:, None]
-    lit = np.array([any(wall.radiance) for wall in room.walls], bool)
-    twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[lit]
-    given = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)[lit]
+    luminous = np.array([any(wall.radiance) for wall in room.walls], bool)
+    twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[luminous]
+    radiances = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)
+    # Areas and luminous walls are panels. The radiance of an area is π times its colour.
     panels = Panels(
-        np.concatenate([places[flat], room.corners[lit]]),
-        np.concatenate([edges[flat], room.edges[lit]]),
-        np.concatenate([np.pi * colours[flat], given]),
+        np.concatenate([places[flat], room.corners[luminous]]),
+        np.concatenate([edges[flat], room.edges[luminous]]),
+        np.concatenate([np.pi * colours[flat], radiances[luminous]]),
         np.concatenate([np.zeros(int(flat.sum())), twofold]),
-        np.concatenate([np.ones(int(flat.sum())), np.zeros(int(lit.sum()))]),
+        np.concatenate([np.ones(int(flat.sum())), np.zeros(int(luminous.sum()))]),
     )
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
-    several = len(around.table[0]) or len(panels.corners) or len(far.towards)
+    # If there is no light to aim at, all candidates are alike, and one is enough.
+    if not (len(around.table[0]) or len(panels.corners) or len(far.towards)):
+        ways = 1
+    # Rays that end on a surface are expected to bring the mean radiance of the environment.
     ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)
-    return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
+    return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways)
 
 
 def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-    """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32.
-    Raises Cancelled.
+    """Return the share of diffuse light that shine leaves at each point of a G-buffer; (m, 3)
+    float32. Raises Cancelled.
     """
     lobe = lobe_of(light)
     shown = gbuffer.shown(tiles)
@@ -141,12 +154,13 @@ def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class ShineRays:
-    """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have
-    ``brought`` (rays, 3).
+    """Rays of shine from the points of a G-buffer, ``each`` from every point, in order.
 
-    ``ends`` are of the h rays that end on something lit, ascending. Random numbers there belong to
-    ``seeds`` (h,). ``hits`` shows what these rays see, as a picture of one row, which has a
-    ``number`` of its own.
+    - ``brought`` (rays, 3): light that rays bring by themselves.
+    - ``ends``: ends of the h rays that meet the surface or a wall, ascending.
+    - ``seeds`` (h,): random sequences of paths from these ends.
+    - ``hits``: a picture of one row that shows these ends.
+    - ``number``: number of that picture, so that a cache tells it from others.
     """
 
     each: int
@@ -158,18 +172,18 @@ class ShineRays:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         ends = (self.brought, self.ends.weights, *self.ends.points, self.ends.met, self.seeds)
         return sum(each.nbytes for each in ends) + self.hits.nbytes
 
     @property
     def seen(self) -> np.ndarray:
-        """The numbers of the rays that end on something lit; (h,) uint32."""
+        """The numbers of the rays that meet the surface or a wall; (h,) uint32."""
         return np.asarray(self.ends.points.pixels)
 
     def view(self, view: View) -> View:
-        """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse
-        light.
+        """Return a view of ``hits``, diffuse and moving; all else is of the ``view`` that the
+        rays start from.
         """
         row = replace(
             view, width=max(len(self.seen), 1), height=1, strip=(self.number, self.number + 1)
@@ -177,8 +191,8 @@ class ShineRays:
         return replace(row, moving=True, smooth=False, shine=DULL)
 
     def gather(self, light: np.ndarray) -> np.ndarray:
-        """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3)
-        float64.
+        """Return the light of each ray, if ``light`` (h, 3) leaves the points at their ends;
+        (points, each, 3) float64.
         """
         total = self.brought.astype(np.float64)
         total[self.seen] += self.ends.weights * light.astype(np.float64)
@@ -186,11 +200,11 @@ class ShineRays:
 
 
 NUMBERS = count()
-"""Numbers of pictures that no two of them share."""
+"""Numbers of pictures, all different."""
 
 
 def room_of(light: RotatedLight) -> Room:
-    """The walls about a surface with its colours, or of the albedo that is seen."""
+    """Return the walls about a surface with its colours, or of the albedo of the view."""
     prepared = light.spec.prepared
     if prepared.scene.many_albedos:
         return prepared.room(light.seen.albedo)
@@ -205,10 +219,10 @@ def cast_rays(
     tiles: Tiles,
     ways: int = WAYS,
 ) -> ShineRays:
-    """Cast rays of shine from each point of a G-buffer: of each of the ``replicas`` the
-    ``samples``.
+    """Cast rays of shine from each point of a G-buffer: the ``samples`` of each of the
+    ``replicas``.
 
-    Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``.
+    Replicas are numbers of independent randomisations; each ray is chosen of ``ways`` candidates.
     Raises Cancelled.
     """
     shown = gbuffer.shown(tiles)
@@ -222,47 +236,42 @@ def cast_rays(
     points = SurfacePoints(here, around, np.arange(total, dtype=np.uint32))
     ends = ShineEnds(brought, weights, points, np.empty(total, np.int8))
 
+    # Cast all rays of some points together: a random sequence for each pixel and replica.
     def _piece(a: int, b: int) -> None:
         some = shown.part(slice(a, b))
-        own = slice(a * each, b * each)
+        rays = slice(a * each, b * each)
         point, replica, sample = (
             part.ravel() for part in np.indices((b - a, len(replicas), len(samples)))
         )
-        seeds = seeds_of(
-            np.column_stack([some.pixels[point], streams.SHINE_STREAM + replicas.start + replica])
-        )
+        stream = streams.SHINE_STREAM + replicas.start + replica
+        seeds = seeds_of(np.column_stack([some.pixels[point], stream]))
         draws = ShineDraws(point, seeds, samples.start + sample)
-        cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
+        cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, rays))
 
-    tiles.run(
-        _piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1)
-    )
+    count = len(shown.pixels)
+    tiles.run(_piece, count, max(min(RAYS_TOGETHER // each, tiles.even(count)), 1))
+    # Keep the ends that need light of their own, with random sequences that follow from pixel,
+    # replica and sample.
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [
-        shown.pixels[point],
-        streams.SHINE_STREAM + replicas.start + replica,
-        samples.start + sample,
-    ]
+    stream = streams.SHINE_STREAM + replicas.start + replica
+    seeds = seeds_of(np.column_stack([shown.pixels[point], stream, samples.start + sample]))
     kept = some_of(ends, seen)
-    seeds = seeds_of(np.column_stack(words))
     return ShineRays(each, brought, kept, seeds, seen_by(kept, gbuffer), next(NUMBERS))
 
 
 def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
-    """The ``ends`` of some rays."""
+    """Return the ``ends`` of some rays."""
     return ShineEnds(ends.brought[rows], ends.weights[rows], ends.points.part(rows), ends.met[rows])
 
 
 def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
-    """The picture of one row that shows where rays end, as a G-buffer beside the one that they
-    start from.
-    """
+    """Return a G-buffer of one row that shows the ``ends`` of rays."""
     met = ends.met
     on = ends.met == MET_ISOSURFACE
     shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
-    walls = PointsBeside(shown.pixels[~on], shown.points[~on], met[~on])
+    walls = OtherPoints(shown.pixels[~on], shown.points[~on], met[~on])
     row = GBuffer.of_points(gbuffer.surface, gbuffer.eye, shown.points)
     return row.of_these(shown.part(on), walls)
 
@@ -270,46 +279,53 @@ def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
 def paths_from(
     rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles
 ) -> np.ndarray:
-    """What leaves where rays end that are ``seen``, those in ``rows`` (k,), by one path each; (k,
-    3) float64.
+    """Trace one path of ``bounces`` bounces from each end in ``rows`` (k,) of the rays; return the
+    light that leaves there, (k, 3) float64.
 
-    Paths have so many ``bounces``. Raises Cancelled.
+    Raises Cancelled.
     """
     traced = rays.hits.surface.traced(tiles.run)
-    found = np.zeros((len(rows), 3))
     ends = some_of(rays.ends, rows)
-    on = ends.met == MET_ISOSURFACE
     points = ends.points
-    survival = survival_for(light.reflecting, bounces)
-    walls = np.where(on, NO_WALL, ends.met)
+    on_surface = ends.met == MET_ISOSURFACE
+    walls = np.where(on_surface, NO_WALL, ends.met)
     starts = starts_at(points.points, points.normals, traced.isovalue, rays.seeds[rows], walls)
-    own = starts
-    carried = PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    survival = survival_for(light.reflecting, bounces)
     met = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run)
-    rules = carried
     one = SampleRange(0, 1)
+    # Paths of glow, and paths among walls or colours, carry the albedos that they meet. Paths in
+    # the open have sequences of their own, and the albedo's powers as weights.
+    glow_rules = PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    light_starts = starts
+    light_rules = glow_rules
     if isinstance(met, Open):
         words = np.column_stack(
             [(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)]
         )
-        own = starts._replace(seeds=seeds_of(words))
-        rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
+        light_starts = starts._replace(seeds=seeds_of(words))
+        light_rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
+    arrived = np.zeros((len(rows), 3))
 
     def _piece(a: int, b: int) -> None:
-        add_paths(met, starts_between(own, a, b), one, rules, light.surroundings, found[a:b])
-        add_glow(found[a:b], light, traced, starts_between(starts, a, b), carried, one)
+        some = starts_between(light_starts, a, b)
+        add_paths(met, some, one, light_rules, light.surroundings, arrived[a:b])
+        add_glow(arrived[a:b], light, traced, starts_between(starts, a, b), glow_rules, one)
 
     tiles.run(_piece, len(rows), PATHS_TOGETHER)
+    # Reflect the light by surface or wall, and add what a wall emits.
     room = room_of(light)
     albedos = albedos_at(points.points, light)
-    given = np.zeros((len(rows), 3))
-    albedos[~on] = room.albedos[ends.met[~on]]
-    given[~on] = room.radiances[ends.met[~on]]
-    return np.asarray(given + albedos * found)
+    emitted = np.zeros((len(rows), 3))
+    on_wall = ~on_surface
+    albedos[on_wall] = room.albedos[ends.met[on_wall]]
+    emitted[on_wall] = room.radiances[ends.met[on_wall]]
+    return np.asarray(emitted + albedos * arrived)
 
 
 def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:
-    """The albedo of the surface at ``points`` (k, 3) float32 in index space; (k, 3) float64."""
+    """Return the albedo of the surface at ``points`` (k, 3) float32 in index space; (k, 3)
+    float64.
+    """
     if not light.coloured:
         return np.tile(light.albedo, (len(points), 1))
     found = np.empty((len(points), 3), np.float32)
@@ -325,10 +341,10 @@ def trace_shine(
     bounces: int,
     tiles: Tiles,
 ) -> np.ndarray:
-    """Sums of what shine brings to each point, by whole paths: rays of all ``samples``, and a path
-    from each end.
+    """Return sums of the light that shine brings to each point, by whole paths: rays of all
+    ``samples``, and a path from each end; (points, replicas, 3) float64.
 
-    Returns (points, replicas, 3) float64. Raises Cancelled.
+    Raises Cancelled.
     """
     rays = cast_rays(light, gbuffer, replicas, samples, tiles)
     seen = paths_from(rays, np.arange(len(rays.seen)), light, bounces, tiles)
@@ -344,10 +360,10 @@ def add_shine(
     bounces: int,
     tiles: Tiles,
 ) -> None:
-    """Let a surface shine that scatters ``sums`` (points, replicas, 3) of so many samples, in
-    place; see ``Paths.add``.
+    """Let a surface shine whose diffuse light is ``sums`` (points, replicas, 3), in place; see
+    ``Paths.add``.
 
-    Shine takes its share of what is scattered, and adds what it mirrors. Raises Cancelled.
+    Shine takes its share of diffuse light, and adds the light that it mirrors. Raises Cancelled.
     """
     replicas = range(stream, stream + sums.shape[1])
     sums *= light_below(light, gbuffer, tiles)[:, None]

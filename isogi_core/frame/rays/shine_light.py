@@ -1,10 +1,9 @@
-"""The shine of a view: one ray a pixel at once, of what texels show now, and more while the view
-rests.
+"""The shine of a view: first one ray for each pixel, and more while the view rests.
 
-What the first rays bring is filtered: pixels side by side whose normals are alike share it. They
-tell its noise, and how much the last step of the filter changed tells what that blurs. Once the
-texels' light is final, more are cast, in halves that tell their noise, until it is a share of the
-target error. They are kept, in memory, with the view.
+The first rays take the light that texels show now. They are filtered over neighbouring pixels with
+similar normals; the rays show their noise, and the change by the last pass of the filter shows how
+much it blurs. Once the light of texels is final, more rays are cast, in halves that show their
+noise, until this is a share of the target error. They are kept in memory, with the view.
 """
 
 import threading
@@ -26,10 +25,11 @@ from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, lig
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import colour_surface
+from isogi_core.frame.texel_normals import TexelNormals
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, check_key, texels_until
-from isogi_core.frame.view_texels import TexelNormals, ViewTexels
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.shine import filter_shine, light_ends
@@ -39,12 +39,12 @@ from isogi_core.model.material import DULL
 
 MIN_RAYS = 8
 MAX_RAYS = 1 << 12
-"""Rays of each half from a point: so many find highlights that a few miss; and at most."""
+"""Rays of each half from a point, at least and at most; fewer may miss a highlight."""
 
 STEP_RAYS = 1 << 20
 ENDS_TOGETHER = 1 << 18
-"""Rays of a step, about, of a point at least one of each half, and as many again as there are at
-most; and those whose ends are looked up together.
+"""Rays of a step, about: at least one of each half from a point, at most as many as there are;
+and rays whose ends are looked up together.
 """
 
 SHINE_NOISE_SHARE = 0.5
@@ -52,16 +52,16 @@ SHINE_NOISE_SHARE = 0.5
 
 FILTER_STEPS = (1, 2)
 ALIKE = 0.2
-"""How far apart the pixels are that the filter of first rays looks at, step after step; and how
-much their unit normals differ at most of what mirrors sharply: rougher lobes see as much from
+"""Distances between the pixels that each pass of the filter mixes; and largest difference
+between the unit normals of these for a sharp mirror. Rougher lobes see about the same from
 normals farther apart.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class SeenLight:
-    """What rays see where they end: ``light`` (h, 3) linear RGB, its ``states`` (h,), and what
-    names it.
+    """Light at the ends of rays: ``light`` (h, 3) linear RGB, its ``states`` (h,), and a
+    ``version`` that names it.
     """
 
     light: np.ndarray
@@ -71,9 +71,13 @@ class SeenLight:
 
 @dataclass(eq=False)
 class ShineLight:
-    """The shine of a view in a ``light``: what it leaves of diffuse light, ``below``; its first
-    ``rays``; and the ``sums`` of those that were cast since the texels' light is final. Threads
-    wait for each other.
+    """The shine of a view under a ``light``.
+
+    - ``below`` (m, 3): share of diffuse light that shine leaves.
+    - ``rays``: the first rays.
+    - ``sums``: rays that were cast since the light of texels is final.
+
+    Only the thread that holds the ``lock`` changes it.
     """
 
     light: RotatedLight
@@ -85,44 +89,39 @@ class ShineLight:
 
     @classmethod
     def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
-        """The shine of a surface that shines in a ``light``, with its first rays. Raises
-        Cancelled.
-        """
+        """Cast the first rays of a view's shine. Raises Cancelled."""
         rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
-        return cls(
-            light,
-            gbuffer,
-            light_below(light, gbuffer, tiles),
-            rays,
-            Estimate.none(len(gbuffer.points)),
-        )
+        below = light_below(light, gbuffer, tiles)
+        return cls(light, gbuffer, below, rays, Estimate.none(len(gbuffer.points)))
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return self.below.nbytes + self.rays.nbytes + self.sums.nbytes
 
     @property
     def count(self) -> int:
-        """The most rays of each half that any point has; 0 where nothing but the first rays was
+        """The largest number of rays of each half from any point; 0 if only the first rays were
         cast.
         """
         return self.sums.most
 
     @property
     def version(self) -> bytes:
-        """Names the rays that it is made of, but for what texels show where the first ones end."""
+        """A name of the rays that it is made of, without the light at the ends of the first
+        ones.
+        """
         return repr(self.light.shine).encode() + self.sums.version
 
     def is_shown(self, frame: Frame) -> bool:
-        """Whether a ``frame`` shows all rays that were cast."""
+        """Return True if a ``frame`` shows all rays that were cast."""
         return frame.quality.rays.startswith(self.version)
 
     def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write it into a picture of diffuse light, of which the share ``below`` stays; errors are
-        of both.
+        """Add the shine to a picture of diffuse light, of which the share ``below`` stays.
 
-        All rays bring it, or the first ones where these have ``seen`` light. Raises Cancelled.
+        It is the light of the first rays if they have ``seen`` light, else of all later rays.
+        Raises Cancelled.
         """
         if seen is None:
             brought = self._sharp(tiles)
@@ -130,6 +129,7 @@ class ShineLight:
             brought = self._filtered(self.rays.gather(seen.light), tiles)
         darkest = MIN_LIGHT * self.light.spec.unit
 
+        # Both errors are independent, so their squares add up.
         def _piece(a: int, b: int) -> None:
             pixels = self.gbuffer.pixels[a:b]
             diffuse = framebuffer.radiance[pixels] * self.below[a:b]
@@ -145,7 +145,7 @@ class ShineLight:
         tiles.run(_piece, len(self.below), tiles.even(len(self.below)))
 
     def _filtered(self, means: np.ndarray, tiles: Tiles) -> NoisyLight:
-        """What single rays bring, ``means`` (m, 1, 3), filtered over the picture. Raises
+        """Filter the light of single rays, ``means`` (m, 1, 3), over the picture. Raises
         Cancelled.
         """
         gbuffer = self.gbuffer
@@ -153,6 +153,7 @@ class ShineLight:
         single = NoisyLight.of(means, self.gbuffer, tiles)
         rows = gbuffer.rows
         normals = gbuffer.normals(tiles)
+        # The rougher the lobe, the farther normals may differ.
         width = float(np.hypot(ALIKE, 2.0 * shine.alpha))
         steps = [np.column_stack([single.light, single.variance]).astype(np.float32)]
         for step in FILTER_STEPS:
@@ -164,16 +165,17 @@ class ShineLight:
 
             tiles.run(_piece, len(before), tiles.even(len(before)))
             steps.append(after)
+        # Count the change by the last pass as an error: the filter may have blurred as much.
         blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE_WEIGHTS) ** 2
         return NoisyLight(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
     def _sharp(self, tiles: Tiles) -> NoisyLight:
-        """What all rays bring that were cast since the texels' light is final."""
+        """Return the light of all rays that were cast since the light of texels is final."""
         return NoisyLight.of(self.sums.means, self.gbuffer, tiles)
 
     def noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
-        """Rows of the points that are to have more rays: all at first, none where the picture's
-        noise is allowed.
+        """Return the rows of the points that are to have more rays: all at first, none once the
+        noise of the picture is ``allowed``.
         """
         if self.count < MIN_RAYS:
             return np.arange(len(self.gbuffer.points))
@@ -182,8 +184,8 @@ class ShineLight:
 
 @dataclass(frozen=True, eq=False)
 class ViewShine(Refinement[ShineLight]):
-    """The shine of views, among what is ``kept``; ``texels``, ``walls`` and ``checks`` tell what
-    its rays see.
+    """The shine of views, among results that are ``kept``; ``texels``, ``walls`` and ``checks``
+    give the light at the ends of its rays.
     """
 
     kept: LruCache[Any]
@@ -199,32 +201,28 @@ class ViewShine(Refinement[ShineLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> bytes:
-        """Let the surface in a picture shine; what names the rays that were taken, and the light
-        that they read.
-        """
+        """Add shine to a picture; return a name of the rays, and of the light at their ends."""
         shine = self._of(light, gbuffer, tiles)
+        # Rays that were cast later have their light in their sums.
         if shine.count:
-            ends = None
-        else:
-            ends = self._ends(shine.rays, light, target, tiles)
+            shine.put(None, framebuffer, tiles)
+            return shine.version
+        ends = self._ends(shine.rays, light, target, tiles)
         shine.put(ends, framebuffer, tiles)
-        return shine.version + (ends.version if ends else b"")
+        return shine.version + ends.version
 
     def of(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles
     ) -> ShineLight | None:
-        """See ``Refinement``."""
-        shines = light.shine is not None and len(frame.gbuffer.pixels) > 0
-        if shines:
-            return self._of(light, frame.gbuffer, tiles)
-        return None
+        """Return the shine in a ``frame``, None if it has none: see ``Refinement``."""
+        if light.shine is None or not len(frame.gbuffer.pixels):
+            return None
+        return self._of(light, frame.gbuffer, tiles)
 
     def advance(
         self, found: ShineLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Cast more rays where the noise is above its share of the ``target``: see
-        ``Refinement``.
-        """
+        """Cast more rays if the noise is above its share of the ``target``: see ``Refinement``."""
         places = found.noisy(SHINE_NOISE_SHARE * target * frame.true_mean, tiles)
         if not len(places) or found.count >= MAX_RAYS:
             return False
@@ -232,8 +230,8 @@ class ViewShine(Refinement[ShineLight]):
         return True
 
     def _cast(self, shine: ShineLight, places: np.ndarray, target: float, tiles: Tiles) -> None:
-        """Cast as many rays again from the points at ``places``; paths go on from where light is
-        not final.
+        """Double the rays from the points in rows ``places``. Paths start from ends whose light
+        is not final.
         """
         some = shine.gbuffer.part(places, tiles)
         each = HALVES * len(places)
@@ -241,11 +239,13 @@ class ViewShine(Refinement[ShineLight]):
         bounces = bounces_of_truth(shine.light)
         added = np.zeros((len(places), HALVES, 3))
         together = max(ENDS_TOGETHER // each, 1)
+        # Look up the ends of some rays after the other, as they take memory.
         for first in range(0, len(numbers), together):
             rays = cast_rays(
                 shine.light, some, range(HALVES), numbers[first : first + together], tiles
             )
             seen = self._ends(rays, shine.light, target, tiles)
+            # The texels of this picture of ends are of no further use.
             for kind in (ViewTexels, TexelNormals):
                 self.kept.drop((kind, surface_key(rays.view(shine.light.view)), False))
             short = np.flatnonzero(seen.states != FINAL)
@@ -254,16 +254,18 @@ class ViewShine(Refinement[ShineLight]):
         shine.sums = shine.sums.joined(places, added, numbers.stop)
 
     def _of(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> ShineLight:
-        """The shine of a view, with its first rays at least."""
+        """Return the shine of a view, kept or begun now with its first rays."""
         make = partial(ShineLight.begun, light, gbuffer, tiles)
         return self.kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
 
     def _ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
-        """What rays of shine see by texels and walls as they are lit now; unshadowed light where
-        nothing is lit yet.
+        """Return the light at the ends of ``rays``, by texels and walls as they are lit now;
+        unshadowed light if nothing is lit yet.
         """
         hits = rays.hits
         seen = RotatedLight(light.spec, rays.view(light.view))
+        # The ends are a picture of one row: shade it as any other, from texels, lobes, colours and
+        # walls.
         texels = self.texels.under(seen.view, hits, tiles)
         check = self.checks.held(light.view, target)
         until = texels_until(Until(target, FIRST_LEVEL), light.view, check.known if check else None)
@@ -277,7 +279,7 @@ class ViewShine(Refinement[ShineLight]):
 
 
 def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
-    """The walls that rays see, fronts and backs apart: what was met of each is one side."""
+    """Return the walls that rays see, fronts and backs apart."""
     walls = rays.hits.walls
     hits = rays.hits
     if not len(walls.pixels):
@@ -290,14 +292,15 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
 def add_lobes_seen(
     rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
 ) -> None:
-    """Add what comes straight from lobes of a ``light`` where rays end, one shadow ray to each, to
-    the picture of that.
+    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, by one shadow
+    ray to each lobe.
 
     Raises Cancelled.
     """
     if not light.spec.lobes:
         return
     hits = rays.hits
+    # Random points on lobes belong to the sequences of the rays.
     lamps = light.lobes
     shown = hits.shown(tiles)
     seeds = rays.seeds[hits.pixels]

@@ -1,9 +1,8 @@
-"""The light of walls: what texels on them hold for the isovalue that is shown, as far as time
-allowed.
+"""The light of walls: of the sides that a view sees, about the isovalue that is shown.
 
-The first picture has a few coarse ones, or what lies between the isovalues around that were lit
-before; each step while the view rests then makes them fine, and takes as many paths again. The
-store keeps them.
+The first picture has a few coarse texels on each wall, or light between those isovalues nearby that
+were lit before. Each step while the view rests makes texels fine first, and then doubles their
+paths. The store keeps them.
 """
 
 import threading
@@ -22,12 +21,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.pixel_rays import (
-    passes,
-    pooled_variance,
-    replicas_for,
-    variance_of_mean,
-)
+from isogi_core.frame.rays.pixel_rays import passes, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.rays.wall_texels import (
     COARSE_WALL_TEXELS,
     FINE_WALL_TEXELS,
@@ -51,49 +45,50 @@ from isogi_core.prepared.prepared_scene import Surface
 
 @dataclass(eq=False)
 class WallLight:
-    """The light of a side of a wall about the ``surface`` that is shown: its ``texels``, as far as
-    they have come.
+    """The light of one side of a wall about the ``surface`` that is shown: its ``texels``, as far
+    as they have converged.
 
-    What is ``lent`` by the isovalues around stands in for texels that err more. Threads wait for
-    each other.
+    Light ``interpolated`` between the nearest isovalues that were lit before stands in while the
+    texels have a larger error; None if there is none. Only the thread that holds the ``lock``
+    changes it.
     """
 
     light: RotatedLight
     surface: Surface
     texels: WallTexels
-    lent: WallTexels | None = None
+    interpolated: WallTexels | None = None
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes once its texels are fine, or finer if they are."""
-        own = self.texels.nbytes * (
-            1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
-        )
-        return own + (self.lent.nbytes if self.lent else 0)
+        """The size of its arrays in bytes; texels that are coarse are counted as fine ones."""
+        size = self.texels.nbytes
+        if not self.texels.fine:
+            size *= (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
+        if self.interpolated:
+            size += self.interpolated.nbytes
+        return size
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
-        """The wall's texels where these are final at a ``target``, else the ones with the least
-        error that have light.
+        """Return the wall's texels if they are final at the ``target`` error, else the light with
+        the least error.
 
         Raises Cancelled.
         """
         with self.lock:
-            own = self.texels
-            if (
-                self.lent
-                and not own.final(target)
-                and not (own.count and own.error <= self.lent.error)
-            ):
-                return self.lent
-            self.lent = None
+            if self.interpolated and not self.texels.final(target):
+                better = self.texels.count and self.texels.error <= self.interpolated.error
+                if not better:
+                    return self.interpolated
+            # From now on the texels are better than the light of other isovalues.
+            self.interpolated = None
             if not self.texels.count:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
 
     def grow(self, target: float, tiles: Tiles) -> bool:
-        """Bring its texels a step nearer to a ``target`` error; False if they are final. Raises
-        Cancelled.
+        """Take one step of the texels towards a ``target`` error; return False if they are
+        final. Raises Cancelled.
         """
         with self.lock:
             if self.texels.final(target):
@@ -104,11 +99,11 @@ class WallLight:
 
 @dataclass(eq=False)
 class RoomLight:
-    """The light of all walls in one ``state``, about the ``surface`` that is shown: that of each
-    side that was seen.
+    """The light of all walls in one ``state``, about the ``surface`` that is shown: of each of
+    their ``sides`` that was seen.
 
-    It begins with what the ``store`` kept of it, and with what lies between the isovalues around
-    that it kept.
+    It begins with the light that the ``store`` kept of this state, and of the nearest isovalues on
+    either side.
     """
 
     light: RotatedLight
@@ -120,70 +115,78 @@ class RoomLight:
 
     @classmethod
     def of(cls, light: RotatedLight, surface: Surface, store: WallStore) -> "RoomLight":
-        """The light about a ``surface`` that a ``light`` falls on, as far as a ``store`` kept
-        it.
+        """Return the light of walls about a ``surface`` under a ``light``, as far as the
+        ``store`` kept it.
         """
         found = cls(
             light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store
         )
-        own = found._kept(found.state)
-        lent = found._lent()
-        for side in {*own, *lent}:
-            found.sides[side] = WallLight(
-                light, surface, own.get(side) or found._begun(side), lent.get(side)
-            )
+        kept = found._kept(found.state)
+        interpolated = found._interpolated()
+        for side in {*kept, *interpolated}:
+            texels = kept.get(side) or found._begun(side)
+            found.sides[side] = WallLight(light, surface, texels, interpolated.get(side))
         return found
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """The size of its arrays in bytes."""
         return sum(each.nbytes for each in list(self.sides.values()))
 
     def is_shown(self, frame: Frame) -> bool:
-        """True: a step from a ``frame`` that is behind takes paths for walls that still need
-        some.
+        """Return True always: if a ``frame`` is older than this light, a step still traces
+        paths for walls that need some.
         """
         return True
 
     def side(self, side: Side) -> WallLight:
-        """The light of one side."""
+        """Return the light of one side of a wall, or begin it."""
         if side not in self.sides:
             self.sides.setdefault(side, WallLight(self.light, self.surface, self._begun(side)))
         return self.sides[side]
 
     def keep(self, grown: Sequence[WallTexels]) -> None:
-        """Have the store keep what of these has ``grown``."""
+        """Keep the texels that have ``grown`` in the store."""
+        # Put the texels of all sides with the same fineness into one lattice, whose planes are
+        # halves of sides.
         for across in sorted({each.across for each in grown if each.fine}):
             shape = 4 * len(self.light.spec.prepared.scene.lighting.room.walls), across, across
             means = np.zeros((*shape, 3))
             counts = np.zeros(shape, np.int64)
-            for each in (each for each in grown if each.across == across):
-                rows, columns = each.settled.shape
-                own = planes_of((each.wall, each.side)), slice(rows), slice(columns)
-                means[own] = np.moveaxis(each.means, 2, 0)
-                counts[own] = each.count * each.asked
+            for texels in (each for each in grown if each.across == across):
+                rows, columns = texels.settled.shape
+                there = planes_of((texels.wall, texels.side)), slice(rows), slice(columns)
+                means[there] = np.moveaxis(texels.means, 2, 0)
+                counts[there] = texels.count * texels.asked
             self.store.keep(self.state, (means, counts))
 
     def _begun(self, side: Side) -> WallTexels:
+        """Return coarse texels of a ``side`` without paths."""
         return WallTexels.begun(self.light, *side, COARSE_WALL_TEXELS)
 
     def _kept(self, state: WallState, finest: int = MAX_WALL_TEXELS) -> dict[Side, WallTexels]:
-        """What the store kept in a ``state``, no finer than the ``finest``."""
+        """Return the texels that the store kept in a ``state``, as fine as ``finest`` at most,
+        by their sides.
+        """
         kept: dict[int, Planes] = {}
+        # Finer texels were kept only where coarser ones are, too.
         while (across := FINE_WALL_TEXELS << len(kept)) <= finest and (
             planes := self.store.planes(state, across)
         ) is not None:
             kept[across] = planes
-        sides = (
-            product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1))
-            if kept
-            else ()
-        )
-        found = {side: WallTexels.restored(self.light, side, kept) for side in sides}
+        if not kept:
+            return {}
+        walls = self.light.spec.prepared.scene.lighting.room.walls
+        found = {
+            side: WallTexels.restored(self.light, side, kept)
+            for side in product(range(len(walls)), (1, -1))
+        }
         return {side: texels for side, texels in found.items() if texels is not None}
 
-    def _lent(self) -> dict[Side, WallTexels]:
-        """What lies between the light that was kept at the nearest isovalues around."""
+    def _interpolated(self) -> dict[Side, WallTexels]:
+        """Interpolate the light that was kept at the nearest isovalues on either side, by the
+        sides of walls.
+        """
         around = self.store.around(self.state)
         if around is None:
             return {}
@@ -191,6 +194,7 @@ class RoomLight:
         share = (self.state.isovalue - around[0].isovalue) / (
             around[1].isovalue - around[0].isovalue
         )
+        # A side must be known at both isovalues.
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()
@@ -199,8 +203,8 @@ class RoomLight:
 
 @dataclass(frozen=True, eq=False)
 class WallView:
-    """The walls in a picture, each of which shows one of its ``sides`` (k,) int: 1 its front, -1
-    its back.
+    """The walls in a picture, each seen from one of its ``sides`` (walls,): 1 for its front, -1
+    for its back.
     """
 
     gbuffer: GBuffer
@@ -209,15 +213,18 @@ class WallView:
 
     @classmethod
     def of(cls, gbuffer: GBuffer, light: RotatedLight) -> "WallView":
-        """The walls that a G-buffer shows."""
+        """Return the walls that a G-buffer shows, from the side of its eye."""
         room = light.spec.prepared.room(light.seen.albedo)
         eye = np.multiply(gbuffer.eye, gbuffer.spacing)
+        # A wall shows its front if the eye is on the side of its normal.
         front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
         return cls(gbuffer, light, np.where(front, 1, -1))
 
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
-        """The walls that a G-buffer shows, seen from ``sides`` (m,): fronts and backs apart."""
+        """Return the walls that a G-buffer shows, whose points are seen from ``sides`` (m,):
+        fronts and backs apart.
+        """
         count = len(light.spec.prepared.scene.lighting.room.walls)
         walls = gbuffer.walls
         found = [(side, np.flatnonzero(sides == side)) for side in (1, -1)]
@@ -229,7 +236,7 @@ class WallView:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """How many pixels each wall has; (k,)."""
+        """The number of pixels of each wall; (walls,)."""
         return np.bincount(self.gbuffer.walls.numbers, minlength=len(self.sides))
 
     @property
@@ -240,13 +247,14 @@ class WallView:
     def put(
         self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles
     ) -> int:
-        """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels
-        that are not final.
+        """Write the light of ``texels``, of each wall that is seen, into a picture; return the
+        number of pixels that are not final.
 
         Raises Cancelled.
         """
         walls = self.gbuffer.walls
         prepared = self.light.spec.prepared
+        # All texels of a side of a wall share one state.
         finals = {each.wall: each.final(target) for each in texels}
         table = self._table(texels, finals)
         darkest = np.float32(MIN_LIGHT * self.light.spec.unit)
@@ -260,12 +268,13 @@ class WallView:
         return sum(int(self.counts[wall]) for wall, final in finals.items() if not final)
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
-        """The texels as kernels take them, and which walls are final."""
+        """Return the texels as kernels take them, with the state of each wall."""
         light = [each.leaving for each in texels]
         count = len(self.light.spec.prepared.scene.lighting.room.walls)
         firsts, rows, columns = np.zeros((3, count), np.int64)
         states = np.zeros(count, np.uint8)
         ends = np.cumsum([0, *map(len, light)])
+        # The texels of all walls are in one array; the table tells where those of each wall begin.
         for each, first in zip(texels, ends, strict=False):
             k = each.wall
             firsts[k] = first
@@ -279,8 +288,8 @@ class WallView:
         return WallTable(np.concatenate(light), firsts, rows, columns, states)
 
     def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write the walls into a path-traced picture, as many paths from each pixel. Raises
-        Cancelled.
+        """Path-trace the walls in a picture, with as many paths from each pixel as the view
+        asks for. Raises Cancelled.
         """
         walls = self.gbuffer.walls
         plan = self.light.spec.prepared.scene.plan
@@ -307,7 +316,9 @@ class WallView:
         put_noise(framebuffer, walls.pixels, pooled, darkest, target)
 
     def _starts(self, some: slice, replicas: int, isovalue: Isovalue) -> PathStarts:
-        """Where paths of so many ``replicas`` start from some of the pixels that show walls."""
+        """Return the starts of paths of ``replicas`` replicas from ``some`` of the pixels that
+        show walls.
+        """
         walls = self.gbuffer.walls
         shown = np.arange(some.start, some.stop)
         each, replica = (part.ravel() for part in np.indices((len(shown), replicas)))
@@ -317,8 +328,8 @@ class WallView:
         return starts_at(walls.points[each], normals, isovalue, seeds, walls.numbers[each])
 
     def _normals_of(self, numbers: np.ndarray) -> np.ndarray:
-        """The normals of the sides that are seen of the walls with these ``numbers`` (m,); (m,
-        3).
+        """Return the normals, on the sides that are seen, of the walls with these ``numbers``
+        (m,); (m, 3).
         """
         room = self.light.spec.prepared.room(self.light.seen.albedo)
         return np.asarray((self.sides[:, None] * room.normals)[numbers])
@@ -326,8 +337,8 @@ class WallView:
     def put_locally(
         self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles
     ) -> None:
-        """Write the walls into a picture by a local model, whose shadows are those of the surface.
-        Raises Cancelled.
+        """Shade the walls in a picture by a local model, with shadows of the surface. Raises
+        Cancelled.
         """
         walls = self.gbuffer.walls
         gbuffer = self.gbuffer
@@ -335,6 +346,7 @@ class WallView:
         traced = gbuffer.surface.traced(tiles.run)
         normals = self._normals_of(walls.numbers).astype(np.float32)
         shown = SurfacePoints(walls.points, normals, walls.pixels)
+        # Each wall has its own albedo, and so its own model.
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)
             model = self.light.local_model(shading, depths, np.array(room.walls[number].albedo))
@@ -346,10 +358,10 @@ class WallView:
 
 
 class ViewWalls(Refinement[RoomLight]):
-    """The walls about a ``volume``, whose light is among what is ``kept`` of views."""
+    """The walls about a ``volume``; renderers keep their light among the results of views."""
 
     def __init__(self, kept: LruCache[Any], volume: Volume, store: WallStore) -> None:
-        """Keep the light of walls where results of views are, and in a ``store``."""
+        """Keep the light of walls in ``kept``, and in a ``store``."""
         self._kept = kept
         self._volume = volume
         self._store = store
@@ -362,16 +374,18 @@ class ViewWalls(Refinement[RoomLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> tuple[int, str]:
-        """Write the walls into a picture; how many of their pixels are not final, and what names
-        the paths taken.
+        """Write the walls into a picture; return the number of their pixels that are not final, and
+        a name of the paths taken.
 
         Raises Cancelled.
         """
         view = light.view
         walls = WallView.of(gbuffer, light)
+        # Walls are shaded as the surface is: by paths, by a local model, or by texels.
         if view.shading == "path_traced":
             walls.put_paths(target, framebuffer, tiles)
         elif view.shading != "gi":
+            # There is no vicinity shading of walls: Lambert's model stands in.
             if view.shading == "vicinity":
                 shading = "lambert"
             else:
@@ -387,8 +401,8 @@ class ViewWalls(Refinement[RoomLight]):
     def add(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """A ``frame`` with the walls that it shows, which are written into its picture. Raises
-        Cancelled.
+        """Write the walls into a ``frame`` that shows some, and return it with its new state.
+        Raises Cancelled.
         """
         if not len(frame.gbuffer.walls.pixels):
             return frame
@@ -403,8 +417,8 @@ class ViewWalls(Refinement[RoomLight]):
     def put_seen(
         self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles
     ) -> str:
-        """Write what several views see of walls into one picture; what names the paths taken.
-        Raises Cancelled.
+        """Write the walls of several ``views`` into one picture; return a name of the paths
+        taken. Raises Cancelled.
         """
         version = ""
         for walls in views:
@@ -414,26 +428,25 @@ class ViewWalls(Refinement[RoomLight]):
         return version
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> RoomLight:
-        """See ``Refinement``."""
+        """Return the light of the walls in a ``frame``: see ``Refinement``."""
         return self._room(WallView.of(frame.gbuffer, light))
 
     def advance(
         self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Have the walls in a ``frame`` that are not final take as many paths again: see
-        ``Refinement``.
-        """
+        """Double the paths of the walls in a ``frame`` that are not final: see ``Refinement``."""
         return self.grow([WallView.of(frame.gbuffer, found.light)], target, tiles)
 
     def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
-        """Have the walls in some ``views`` of one light, that are not final, take as many paths
-        again.
+        """Take a step of all walls in some ``views`` of one light that are not final; return False
+        if all are.
 
-        The store keeps what they come to, also where this raises Cancelled.
+        The store keeps them, also if this raises Cancelled.
         """
         room = self._room(views[0])
         grown = list[WallTexels]()
         try:
+            # A wall that several views see takes one step.
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
                 if lit.grow(target, tiles):
@@ -444,13 +457,13 @@ class ViewWalls(Refinement[RoomLight]):
         return bool(grown)
 
     def _best(self, walls: WallView, target: float, tiles: Tiles) -> list[WallTexels]:
-        """The texels of the sides that are seen. Raises Cancelled."""
+        """Return the best texels of the sides that are seen. Raises Cancelled."""
         room = self._room(walls)
         return [room.side(side).best(target, tiles) for side in walls.seen]
 
     def _room(self, walls: WallView) -> RoomLight:
-        """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside
-        views.
+        """Return the light of walls for the isovalue, the albedo and the glow of a view, kept
+        or begun now.
         """
         light = walls.light
         surface = walls.gbuffer.surface

@@ -1,8 +1,7 @@
-"""Texels of walls: a lattice on each, lit for the isovalue that is shown, as fine as their light
-asks for.
+"""Texels of walls: a lattice on each side of a wall, lit for the isovalue that is shown.
 
-The first are a few coarse ones. Where what lies between fine ones is the greater part of their
-error, at edges of shadows and in caustics, there are twice as many each way, and twice as many
+The first texels are few and coarse. If interpolation is the larger part of their error, as at edges
+of shadows and in caustics, twice as many along each axis replace them there, and twice as many
 again.
 """
 
@@ -33,11 +32,12 @@ MAX_WALL_TEXELS = 256
 """Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
 
 EDGY = 1.0 / 12.0
-"""What interpolation adds to the variance, over the squared second differences of texels' light, at
-an edge.
+"""Variance by interpolation next to an edge, over the squared second differences of the texels'
+light.
 
-That is anywhere between two texels: these are twice its height squared together, and a ramp in its
-place errs by a sixth of that. Where light is smooth it is a tenth of this.
+For an edge of height h anywhere between two texels, the squares of the second differences sum to 2
+h², and a ramp in place of the edge has the mean squared error h² / 6. Where light is smooth the
+error is a tenth of this.
 """
 
 FIRST_PATHS = 8
@@ -53,8 +53,8 @@ def light_starts(
     samples: SampleRange,
     tiles: Tiles,
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see
-    ``add_paths``.
+    """Trace a ``SampleRange`` of paths from ``starts`` about a ``surface``; return sums (g, 3) of
+    E/π, of glow, too. See ``add_paths``.
 
     Raises Cancelled.
     """
@@ -66,6 +66,7 @@ def light_starts(
     def _piece(a: int, b: int) -> None:
         some = starts_between(starts, a, b)
         add_paths(met, some, samples, rules, light.surroundings, sums[a:b])
+        # No glow is gathered in scenes of matter that light passes.
         if not isinstance(met, Through):
             add_glow(sums[a:b], light, traced, some, rules, samples)
 
@@ -75,17 +76,19 @@ def light_starts(
 
 @dataclass(frozen=True, eq=False)
 class WallTexels:
-    """Texels on a side of the wall number ``wall``: E/π by halves of ``count`` paths, ``means``
-    (rows, columns, 2, 3).
+    """Texels on one side of a wall.
 
-    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There
-    are so many ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off
-    ``radiance`` (3,). Where coarser ones were fine enough, ``settled`` (rows, columns) is what they
-    told to be ``unsharp``, and no paths are sent from texels; it is NaN elsewhere, and for all of
-    the first.
-
-    What is mixed of texels at two other isovalues has no paths, is ``made_of`` these, and errs by
-    the variance ``moved`` (rows, columns), too, as light is another in between.
+    - ``wall``: number of the wall; ``side``: 1 for its front, -1 for its back.
+    - ``albedo`` (3,), ``radiance`` (3,): reflected share, and emitted light, of the wall.
+    - ``means`` (rows, columns, 2, 3): E/π by two halves of ``count`` paths; rows are along the
+      second edge of the wall.
+    - ``across``: number of texels along the longest edge of any wall.
+    - ``settled`` (rows, columns): NaN for texels that paths start from, which are ``asked``. All
+      others are interpolated from coarser texels; it is the variance that interpolation had there.
+    - ``made_of``: name of the texels that these were mixed of, from two other isovalues; empty if
+      they have paths of their own.
+    - ``moved`` (rows, columns): variance that mixing adds, as light changes between the isovalues;
+      None if they are not mixed.
     """
 
     wall: int
@@ -101,14 +104,13 @@ class WallTexels:
 
     @classmethod
     def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
-        """Texels that no path has been sent from yet, ``across`` of them along the longest edge of
-        any wall.
+        """Return texels without paths, ``across`` of them along the longest edge of any wall,
+        and as dense on all others.
         """
         room = light.spec.prepared.room(light.seen.albedo)
         edges = np.linalg.norm(room.edges, axis=2)
-        columns, rows = (
-            np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
-        )
+        sizes = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2)
+        columns, rows = sizes.astype(int).tolist()
         means = np.zeros((rows, columns, 2, 3))
         settled = np.full((rows, columns), np.nan)
         return cls(wall, side, room.albedos[wall], room.radiances[wall], means, across, settled)
@@ -117,38 +119,41 @@ class WallTexels:
     def restored(
         cls, light: RotatedLight, side: Side, kept: Mapping[int, Planes]
     ) -> "WallTexels | None":
-        """Texels on a ``side`` of a wall with what was ``kept`` of them, as fine as that is; None
-        where nothing was.
+        """Return the texels on a ``side`` of a wall that were ``kept``, as fine as these are; None
+        if none were.
 
-        ``kept`` is by how many are across. What was not asked is what coarser ones tell.
+        ``kept`` is by the number of texels across. Where finer texels were not asked, coarser ones
+        are interpolated.
         """
         found: WallTexels | None = None
+        # Go from coarse to fine; each fineness fills in what the coarser one left to ask.
         for across, (means, counts) in sorted(kept.items()):
             begun = cls.begun(light, *side, across)
             rows, columns = begun.settled.shape
-            own = planes_of(side), slice(rows), slice(columns)
-            asked = counts[own][0] > 0
+            there = planes_of(side), slice(rows), slice(columns)
+            asked = counts[there][0] > 0
+            # The coarsest texels must be complete; finer ones may be in parts.
             if not asked.any() or (found is None and not asked.all()):
                 break
             if found is not None:
                 begun = found.finer(light, asked)
-            some = np.where(asked[..., None, None], np.moveaxis(means[own], 0, 2), begun.means)
-            found = replace(begun, means=some, count=int(counts[own].max()))
+            some = np.where(asked[..., None, None], np.moveaxis(means[there], 0, 2), begun.means)
+            found = replace(begun, means=some, count=int(counts[there].max()))
         return found
 
     @property
     def fine(self) -> bool:
-        """Whether they are fine enough to stay."""
+        """True if the texels are as fine as those that stay."""
         return self.across >= FINE_WALL_TEXELS
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take, with what is found of them."""
+        """The size of its arrays in bytes, those found later included."""
         return 2 * self.means.nbytes
 
     @property
     def version(self) -> str:
-        """Names the paths that were taken."""
+        """A name of the paths that were taken."""
         if self.made_of:
             return self.made_of
         if self.across == FINE_WALL_TEXELS:
@@ -157,27 +162,28 @@ class WallTexels:
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR;
-        (rows, columns).
+        """Variance by noise of the luminance that leaves each texel, pooled with its
+        neighbours; (rows, columns).
         """
         halves = self.means @ (LUMINANCE_WEIGHTS * self.albedo)
         return pooled(((halves[..., 0] - halves[..., 1]) / 2.0) ** 2)
 
     @cached_property
     def unsharp(self) -> np.ndarray:
-        """Variance of the luminance that light between texels adds, as it is interpolated; (rows,
-        columns).
+        """Variance by interpolation of the luminance between texels; (rows, columns).
 
-        It is found by how light bends. About an edge that is half as much between next texels as
-        between those two apart; where it is less, light is smoother than that.
+        It is estimated from second differences. At an edge, those between next texels are half as
+        large as those between texels two apart; if they are smaller, light is smoother than an
+        edge.
         """
-        near, far = self._bends(1), self._bends(2)
+        near = self._bends(1)
+        far = self._bends(2)
         found = EDGY * near * np.minimum(2.0 * near / np.maximum(far, 1e-30), 1.0)
         return np.where(self.asked, found, self.settled)
 
     def _bends(self, step: int) -> np.ndarray:
-        """Squared second differences of light between texels a ``step`` apart, both ways, less
-        those of noise.
+        """Return the squared second differences of light between texels ``step`` apart, along
+        both axes, less those that noise makes.
         """
         light = self.luminance
         found = np.zeros(self.settled.shape)
@@ -187,13 +193,14 @@ class WallTexels:
                     light.take(np.arange(k * step, light.shape[axis] - (2 - k) * step), axis)
                     for k in range(3)
                 )
+                # Second differences of independent noise have 1 + 4 + 1 times its variance.
                 ends = [(step * int(a == axis),) * 2 for a in range(2)]
                 found += np.pad((low - 2.0 * here + high) ** 2, ends) - 6.0 * self.variance
         return np.maximum(pooled(found), 0.0)
 
     @property
     def asked(self) -> np.ndarray:
-        """Whether paths are sent from each texel; (rows, columns) bool."""
+        """Mark the texels that paths start from; (rows, columns) bool."""
         return np.isnan(self.settled)
 
     @property
@@ -202,8 +209,8 @@ class WallTexels:
         return np.asarray(self.means.mean(axis=2) @ (LUMINANCE_WEIGHTS * self.albedo))
 
     def relative(self, variance: np.ndarray) -> float:
-        """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no
-        light arrives.
+        """Return the relative error of all texels together with a ``variance`` (rows, columns);
+        0 if no light arrives.
         """
         mean = float(self.luminance.mean())
         if mean > 0.0:
@@ -212,13 +219,20 @@ class WallTexels:
 
     @property
     def error(self) -> float:
-        """All that they err by, relative."""
-        return self.relative(
-            self.variance + self.unsharp + (0.0 if self.moved is None else self.moved)
-        )
+        """The relative error of all texels together, by noise, interpolation and mixing."""
+        return self.relative(self._all_variance)
+
+    @property
+    def _all_variance(self) -> np.ndarray:
+        """Variance of the luminance of each texel by noise, interpolation and mixing; (rows,
+        columns).
+        """
+        if self.moved is None:
+            return self.variance + self.unsharp
+        return self.variance + self.unsharp + self.moved
 
     def final(self, target: float) -> bool:
-        """Whether their error is within a ``target``, or as small as it may become."""
+        """Return True if their error is within a ``target``, or as small as it can become."""
         return (
             self.fine
             and self.count > 0
@@ -227,52 +241,52 @@ class WallTexels:
         )
 
     def has_enough_paths(self, target: float) -> bool:
-        """Whether their noise is within a ``target``, or they have taken all paths that they
-        may.
+        """Return True if their noise is within a ``target``, or if they have all paths that
+        they may take.
         """
         return self.count >= MAX_PATHS or self.relative(self.variance) <= target
 
     def too_coarse(self, target: float) -> bool:
-        """Whether what lies between them errs more than they do, and by more than half of a
-        ``target``.
+        """Return True if interpolation has a larger error than noise, and more than half of a
+        ``target``; finer texels would help then.
         """
-        if (
-            not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS
-            or self.unsharp.mean() <= self.variance.mean()
-        ):
+        if not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS:
+            return False
+        if self.unsharp.mean() <= self.variance.mean():
             return False
         return self.relative(self.unsharp) > 0.5 * target
 
     def nearer(
         self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles
     ) -> "WallTexels":
-        """The texels a step nearer to a ``target``: fine ones, more paths, or twice as fine ones.
-        Raises Cancelled.
+        """Return the texels a step nearer to a ``target``: fine ones, more paths, or twice as
+        fine ones. Raises Cancelled.
         """
+        # Begin fine texels first, then reduce noise, then interpolation.
         if not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(
-                light, surface, tiles
-            )
+            fine = WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS)
+            return fine.grown(light, surface, tiles)
         if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
-        return self.finer(light, self._unsharp_places(light, target)).grown(
-            light, surface, tiles, self.count
-        )
+        finer = self.finer(light, self._unsharp_places(light, target))
+        return finer.grown(light, surface, tiles, self.count)
 
     def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
-        """Which of twice as many texels each way are to be asked; (2 rows, 2 columns) bool, about.
+        """Mark the finer texels, twice as many along each axis, that paths are to start from; (2
+        rows, 2 columns) bool, about.
 
-        So many are that the others are unsharp by less than a quarter of the ``target``.
+        All others stay interpolated: their errors together are below a quarter of the ``target``.
         """
-        least = np.sort(self.unsharp, axis=None)
-        allowed = least.size * (0.25 * target * float(self.luminance.mean())) ** 2
-        few = least[min(int(np.searchsorted(np.cumsum(least), allowed)), least.size - 1)]
+        # Sort the errors; the smallest ones, whose sum is allowed, may stay interpolated.
+        errors = np.sort(self.unsharp, axis=None)
+        allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
+        first = min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
-        return np.asarray(self.unsharp[self._near(finer)] >= few)
+        return np.asarray(self.unsharp[self._near(finer)] >= errors[first])
 
     def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
-        """Twice as many each way, dark where they are ``asked``; elsewhere, what these tell of the
-        places between.
+        """Return twice as many texels along each axis: dark if they are ``asked``, else
+        interpolated from these.
         """
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
         settled = np.where(asked, np.nan, self.unsharp[self._near(finer)])
@@ -280,23 +294,26 @@ class WallTexels:
         return replace(finer, means=known, settled=settled)
 
     def _places(self, finer: "WallTexels") -> list[np.ndarray]:
-        """Where the rows and the columns of ``finer`` ones lie between those of these."""
+        """Return the positions of the rows and the columns of ``finer`` texels, counted in
+        those of these.
+        """
         sizes = zip(finer.settled.shape, self.settled.shape, strict=True)
         return [(np.arange(a) + 0.5) * b / a - 0.5 for a, b in sizes]
 
     def _near(self, finer: "WallTexels") -> tuple[np.ndarray, ...]:
-        """The texels that are nearest to ``finer`` ones, as an index."""
+        """Return the index of the texels that are nearest to ``finer`` ones."""
         return np.ix_(*(np.rint(each).astype(int) for each in self._places(finer)))
 
     def mixed(self, other: "WallTexels", share: float, made_of: str) -> "WallTexels":
-        """What lies between these and those at an ``other`` isovalue, which has so much of a
+        """Interpolate between these texels and those at an ``other`` isovalue, which has this
         ``share``.
 
-        Where light is another at both, it is taken to change from one to the other somewhere
-        between, all at once: a mean of both then errs by share (1 - share) of the squared
-        difference (the Bernoulli distribution's variance).
+        Where the light differs, it is taken to change somewhere between the two, all at once. A
+        mean of both then has the squared error share · (1 - share) times the squared difference
+        (variance of Bernoulli's distribution).
         """
         means = (1.0 - share) * self.means + share * other.means
+        # Take the noise of both out of their squared difference.
         apart = (self.luminance - other.luminance) ** 2 - self.variance - other.variance
         moved = share * (1.0 - share) * np.maximum(pooled(apart), 0.0)
         return replace(self, means=means, count=0, made_of=made_of, moved=moved)
@@ -304,35 +321,38 @@ class WallTexels:
     def grown(
         self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST_PATHS
     ) -> "WallTexels":
-        """The texels after ``more`` paths of each half of the ones asked, rounded as the store
-        keeps them.
+        """Return the texels after ``more`` paths of each half of those that are asked, rounded as
+        the store keeps them.
 
         Raises Cancelled.
         """
         plan = light.spec.plan
         asked = self.asked
         count = self.count + more
+        # Trace more samples of the same sequences, from the texels that are asked alone.
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         starts = self._starts(light, surface)
         samples = SampleRange(self.count, more)
         added = light_starts(light, surface, starts, rules, samples, tiles).reshape(-1, 2, 3)
         means = self.means.copy()
         layer = wall_layer(light.spec.prepared.scene)
-        means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[
-            ..., 0
-        ]
+        # Update the running means, rounded as if they had been read from the store.
+        updated = (means[asked] * self.count + added) / count
+        means[asked] = round_light(updated[..., None], layer)[..., 0]
         return replace(self, means=means, count=count)
 
     def _starts(self, light: RotatedLight, surface: Surface) -> PathStarts:
-        """Where the paths of each asked texel's halves start: in its middle."""
+        """Return the starts of the paths of both halves of each asked texel: in its middle."""
         room = light.spec.prepared.room(light.seen.albedo)
         (rows, columns) = self.settled.shape
         row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
+        # Start in the middle of each texel, on the side that is seen.
         edges = room.edges[self.wall]
         points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
+        # The random sequence of a half of a texel is named by wall, side, row, column and half.
         words = np.column_stack(
             [
                 np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)),
@@ -351,15 +371,13 @@ class WallTexels:
         light = np.minimum(
             self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max
         )
-        variance = (self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))[
-            ..., None
-        ]
-        return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
+        leaving = np.concatenate([light, self._all_variance[..., None]], axis=2, dtype=np.float32)
+        return leaving.reshape(-1, 4)
 
 
 def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """``values`` (h, w, …) at places between ``rows`` and ``columns``, linearly; beyond the ends
-    the ends'.
+    """Interpolate ``values`` (h, w, …) linearly at positions between ``rows`` and ``columns``;
+    beyond the ends, return the values at the ends.
     """
     for axis, places in enumerate((rows, columns)):
         first = np.clip(np.floor(places).astype(int), 0, values.shape[axis] - 2)
@@ -369,7 +387,7 @@ def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
 
 
 def pooled(variance: np.ndarray) -> np.ndarray:
-    """Variances (rows, columns), each a mean with its neighbours', by NEAR."""
+    """Average ``variance`` (rows, columns) over neighbours, by the weights BINOMIAL."""
     for axis in (0, 1):
         padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
         variance = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis) @ (

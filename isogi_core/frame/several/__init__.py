@@ -1,3 +1,3 @@
-"""Several surfaces in one picture: what rays meet, layer behind layer, the light of each side, and
-their sum.
+"""Several surfaces in one picture: depth peels of their layers, the light of each side, and the
+sum of all.
 """

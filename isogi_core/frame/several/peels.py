@@ -1,5 +1,5 @@
-"""Depth peels: all surfaces that a view shows, front to back, until what is behind hardly counts,
-or a wall is met.
+"""Depth peels: all surfaces along the rays of a view, front to back, until a wall is met or
+what is behind hardly counts.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_of, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, OtherPoints, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight
 from isogi_core.kernels.tracing.peels import (
@@ -27,11 +27,11 @@ from isogi_core.prepared.prepared_scene import Surface
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Where rays meet surfaces, ray by ray and front to back, (m,) each.
+    """Points where rays meet surfaces, ray by ray and front to back, (m,) each.
 
-    They are the picture indices of ``pixels``, or other numbers of rays, ``points`` (m, 3) float32
-    in index space, and the ``sides`` that are seen, their ``ranks`` and ``weights``, as of
-    ``Peeled``.
+    - ``pixels`` uint32: picture indices, or other numbers of the rays.
+    - ``points`` (m, 3) float32: in index space.
+    - ``sides``, ``ranks``, ``weights``: as in ``Peeled``.
     """
 
     pixels: np.ndarray
@@ -42,18 +42,23 @@ class Hits:
 
     @classmethod
     def joined(cls, parts: Sequence["Hits"]) -> "Hits":
-        """The hits of several sets of rays, one set after the other."""
-        names = ("pixels", "points", "sides", "ranks", "weights")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        """Concatenate the hits of several sets of rays."""
+        return cls(
+            np.concatenate([part.pixels for part in parts]),
+            np.concatenate([part.points for part in parts]),
+            np.concatenate([part.sides for part in parts]),
+            np.concatenate([part.ranks for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
 
     def rows_of(self, side: Side) -> np.ndarray:
-        """The rows of those that are of a ``side``."""
+        """Return the rows of the hits on a ``side``."""
         return np.flatnonzero(np.minimum(self.sides, FIRST_WALL_SIDE) == side.peeled)
 
-    def beside(self, rows: np.ndarray) -> PointsBeside:
-        """The hits in some ``rows``, which are on walls or faces."""
+    def others(self, rows: np.ndarray) -> OtherPoints:
+        """Return the hits in some ``rows``, which are on walls or on faces of a window."""
         sides = self.sides[rows]
-        return PointsBeside(
+        return OtherPoints(
             self.pixels[rows],
             self.points[rows],
             np.where(sides < FIRST_WALL_SIDE, sides, sides - FIRST_WALL_SIDE),
@@ -62,10 +67,10 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class SideLayers:
-    """What a picture shows of one side, layer behind layer, as one tall picture: a G-buffer of so
-    many ``layers``.
+    """All that a picture shows of one side of a surface: a G-buffer of ``layers`` pictures, one
+    below the other, layer behind layer.
 
-    ``weights`` (m,) float32 are the shares of their pixels' light that its points have.
+    ``weights`` (m,) float32 are the shares of their pixels' light that come from its points.
     """
 
     gbuffer: GBuffer
@@ -74,8 +79,8 @@ class SideLayers:
 
     @property
     def each(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Layer by layer the rows of its points, and the picture indices that these have in it,
-        each of them once.
+        """Yield for each layer the rows of its points, and their picture indices in it, each
+        once.
         """
         height, width = self.gbuffer.shape
         size = height // self.layers * width
@@ -87,9 +92,12 @@ class SideLayers:
 
 @dataclass(frozen=True, eq=False)
 class Peels:
-    """All that a view shows: its ``sides``, in what is ``first`` the surfaces in front of all
-    others, and the share ``left`` (h, w) float32 of what lies behind everything. ``walls`` is the
-    picture of walls alone.
+    """All that a view shows.
+
+    - ``first``: G-buffer of the surfaces in front of all others.
+    - ``sides``: layers of each side of a surface that is seen.
+    - ``left`` (h, w) float32: share of the light that comes from behind everything.
+    - ``walls``: G-buffer of the walls alone.
     """
 
     first: GBuffer
@@ -99,14 +107,16 @@ class Peels:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """The size of its arrays in bytes."""
         layers = sum(each.gbuffer.nbytes + each.weights.nbytes for each in self.sides.values())
         return self.first.nbytes + layers + self.left.nbytes + self.walls.nbytes
 
 
 @dataclass(frozen=True, eq=False)
 class Peeler:
-    """Casts rays of a view's ``camera`` at ``shells``, with what is in ``sight`` beside them."""
+    """Casts rays of a ``camera`` at surfaces, the ``shells``, and at walls and planes in its
+    ``sight``.
+    """
 
     shells: Shells
     camera: Pinhole
@@ -121,15 +131,17 @@ class Peeler:
         tiles: Tiles,
         walls: Walls | None = None,
     ) -> "Peeler":
-        """The peeler of some ``surfaces``, which the shares ``clears`` of rays pass, and of
-        ``walls``.
+        """Return the peeler of some ``surfaces`` and ``walls`` in a ``view``; ``clears``
+        (surfaces,) are the shares of rays that pass a surface.
 
-        A surface at the isovalue of one before it is that one: it is left out.
+        A surface at the isovalue of an earlier one coincides with it, and is left out.
         """
         field = surfaces[0].field
         levels = [float(each.isovalue) for each in surfaces]
+        # A surface that lets all rays pass is not seen.
         clears = np.where([level in levels[:k] for k, level in enumerate(levels)], 1.0, clears)
         maps = [each.cells(tiles.run) for each in surfaces]
+        # Kernels take a fixed number of maps: repeat the first.
         filled = tuple(maps + [maps[0]] * (MAX_SURFACES - len(maps)))
         sight = sight_of(view, field.spacing, walls)
         return cls(
@@ -139,11 +151,12 @@ class Peeler:
         )
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[Hits, np.ndarray]:
-        """What is met through places (n,) of the picture, by their numbers; and the share left
-        behind, (n,) float64.
+        """Cast rays through places (n,) of the picture; return their hits, with the numbers of
+        the rays, and the share of light (n,) float64 that is left behind all of these.
         """
         corner, right, down = (np.array(each)[:, None] for each in self.camera[1:])
         directions = np.ascontiguousarray(corner + x * right + y * down)
+        # Provide room for all layers of each ray, and a wall; keep as many rows as are filled.
         room = (MAX_PEELED_LAYERS + 1) * len(x)
         left = np.empty(len(x))
         sides, ranks = np.empty((2, room), np.int8)
@@ -154,8 +167,8 @@ class Peeler:
         return Hits(*(each[:count].copy() for each in peeled)), left
 
     def whole(self, view: View, tiles: Tiles) -> tuple[Hits, np.ndarray]:
-        """All that its view shows, and the share (h, w) float32 of what is behind. Raises
-        Cancelled.
+        """Cast the rays of all pixels of a ``view``; return their hits, and the share (h, w)
+        float32 of what is behind. Raises Cancelled.
         """
         count = view.width * view.height
         found = dict[int, Hits]()
@@ -171,41 +184,52 @@ class Peeler:
 
 
 def side_layers(hits: Hits, side: Side, first: GBuffer, surface: Surface) -> SideLayers:
-    """The ``hits`` of a ``side`` of a ``surface``, some at least, as layers of the picture that
-    ``first`` is of.
+    """Return the layers of a ``side`` of a ``surface`` among the ``hits``, at least one, in the
+    picture of the G-buffer ``first``.
     """
     (height, width) = first.shape
     rows = hits.rows_of(side)
     ranks = hits.ranks[rows]
     layers = int(ranks.max()) + 1
+    # Sort the hits by layer: the k-th hit of a ray on this side is in layer k, whose picture lies
+    # below those before.
     rows = np.concatenate([rows[ranks == rank] for rank in range(layers)])
     places = hits.pixels[rows] + hits.ranks[rows].astype(np.uint32) * np.uint32(height * width)
-    shown = (layers * height, width), first.spacing, first.eye, surface
-    return SideLayers(GBuffer(*shown, places, hits.points[rows]), layers, hits.weights[rows])
+    shape = (layers * height, width)
+    gbuffer = GBuffer(shape, first.spacing, first.eye, surface, places, hits.points[rows])
+    return SideLayers(gbuffer, layers, hits.weights[rows])
 
 
 def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
-    """The G-buffer of what is in front, and of the faces of a window; it has the ``surface`` of the
-    one that slides.
+    """Return the G-buffer of the surfaces in front, of the walls and of the faces of a window;
+    ``surface`` is the one that slides.
     """
     spacing = surface.field.spacing
+    # The first hit of each ray is in front.
     front = np.append(True, hits.pixels[1:] != hits.pixels[:-1])[: len(hits.pixels)]
     face = hits.sides == WINDOW_FACE
     wall = hits.sides >= FIRST_WALL_SIDE
     on = np.flatnonzero(front & ~face & ~wall)
-    shown = (view.height, view.width), spacing, view_pinhole(view, spacing).eye, surface
-    walls, faces = (hits.beside(np.flatnonzero(each)) for each in (front & wall, face))
-    return GBuffer(*shown, hits.pixels[on], hits.points[on], walls=walls, faces=faces)
+    return GBuffer(
+        (view.height, view.width),
+        spacing,
+        view_pinhole(view, spacing).eye,
+        surface,
+        hits.pixels[on],
+        hits.points[on],
+        walls=hits.others(np.flatnonzero(front & wall)),
+        faces=hits.others(np.flatnonzero(face)),
+    )
 
 
 def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
-    """The picture of walls alone among some ``hits``, and what they count in that which ``first``
-    is of; None where there are none.
+    """Return the picture of the walls alone among the ``hits``, and their weights in the
+    picture of the G-buffer ``first``; None in place of these if there are no walls.
     """
     rows = hits.rows_of(WALLS_SIDE)
-    shown = (first.shape, first.spacing, first.eye, first.surface)
-    seen = hits.beside(rows)
-    picture = GBuffer(*shown, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
+    seen = hits.others(rows)
+    view = (first.shape, first.spacing, first.eye, first.surface)
+    picture = GBuffer(*view, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
     if not len(rows):
         return picture, None
-    return picture, SideLayers(GBuffer(*shown, seen.pixels, seen.points), 1, hits.weights[rows])
+    return picture, SideLayers(GBuffer(*view, seen.pixels, seen.points), 1, hits.weights[rows])

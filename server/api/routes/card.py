@@ -13,7 +13,8 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.blocks import Look, SeenChunk, known_light, known_transfer, look_at
+from isogi_core.frame.card.blocks import known_light, known_transfer
+from isogi_core.frame.card.looks import Look, SeenChunk, look_at
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene

@@ -10,7 +10,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from isogi_core.files.formats.archive import MAX_MEMBERS
-from isogi_core.frame.framing import PANORAMA_FORMAT, paint_panorama
+from isogi_core.frame.panorama import PANORAMA_FORMAT, paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema

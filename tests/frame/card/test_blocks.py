@@ -16,23 +16,18 @@ from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import UNLIT_VERSION
 from isogi_core.frame.card import blocks
+from isogi_core.frame.card.block_format import CODES, FLAT, coarse, words_of
 from isogi_core.frame.card.blocks import (
-    CODES,
-    FLAT,
-    Coding,
-    coarse,
     coded_chunks,
-    coding_for,
     fold_chunks,
     known_light,
     known_transfer,
-    look_at,
     raw_scale,
-    seen_chunks,
     transfer_chunks,
-    words_of,
 )
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
+from isogi_core.frame.card.coding import Coding, coding_for
+from isogi_core.frame.card.looks import look_at, seen_chunks
 from isogi_core.frame.known_blocks import KnownBlocks, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer

@@ -14,25 +14,22 @@ from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays import pixel_rays
-from isogi_core.frame.rays.control_pixels import (
+from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, chances, measure_total
+from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.tail_error import (
     BORDERS,
     ODD,
     TAIL_SHARE,
     TAIL_STANDARD_ERRORS,
-    ControlPixels,
     TailError,
-    TotalError,
     bounds,
-    chances,
     falls_below,
     gamma_quantile,
     measure_tail,
-    measure_total,
     shares_above,
     shares_of,
     tail_of,
 )
-from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.tiles import Interruption
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene

@@ -21,14 +21,11 @@ from isogi_core.frame.rays.own_light import (
     REPLICAS,
     Choice,
     Growth,
-    NoisyPixels,
     PixelLight,
-    Surroundings,
     choose_points,
-    correct,
-    filter_pixels,
     foreseen_paths,
 )
+from isogi_core.frame.rays.pixel_filter import NoisyPixels, Surroundings, correct, filter_pixels
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
 from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.tiles import Tiles

@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.frame import TAIL, Frame, PictureState, Quality
+from isogi_core.frame.frame import TAIL, Frame, Quality
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
     MAX_CONTROLS,
@@ -24,6 +24,7 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     CLOSER,
@@ -35,7 +36,7 @@ from isogi_core.frame.rays.picture_plan import (
     SHARED_PRICES,
     TASK,
     Ahead,
-    OwnLight,
+    PixelLightCost,
     Plan,
     by_finer,
     by_rungs,
@@ -43,8 +44,8 @@ from isogi_core.frame.rays.picture_plan import (
     noise_of_climbers,
     rungs_at_once,
 )
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.texel_reading import Reading, grade_rows
-from isogi_core.frame.view_checks import PictureCheck
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
@@ -460,9 +461,9 @@ CHUNKS = 20
 NONE = np.empty(0, np.int64)
 
 
-def own_light(allowed: float) -> OwnLight:
+def own_light(allowed: float) -> PixelLightCost:
     """Pixels of the luminance 1, whose light has a variance of 0.01 after 256 paths."""
-    return OwnLight(np.full(PIXELS, 0.01), 256, NONE, allowed)
+    return PixelLightCost(np.full(PIXELS, 0.01), 256, NONE, allowed)
 
 
 def cheapest(apart: float, noise: float, texels: int) -> Plan:
@@ -501,23 +502,23 @@ def test_finer_texels_begin_with_their_first_samples_again() -> None:
     own = own_light(1.0)
     errors = np.full(9, 0.05)
     noise = np.full(9, 0.01)
-    own = OwnLight(np.full(9, 0.01), 256, NONE, 1e-12)
+    own = PixelLightCost(np.full(9, 0.01), 256, NONE, 1e-12)
     asked: list[np.ndarray] = []
-    by_finer(OwnLightSeen(own, asked), errors, noise, 10, CHUNKS, 4 * FIRST_LEVEL, WANTED)
+    by_finer(CostSeen(own, asked), errors, noise, 10, CHUNKS, 4 * FIRST_LEVEL, WANTED)
     assert asked[0] == pytest.approx(CLOSER * 0.04 + 0.01 / QUIETER**2)
     assert asked[2] == pytest.approx(CLOSER * 0.04 + 0.01) and asked[3][0] < asked[2][0]
 
 
-class OwnLightSeen(OwnLight):
+class CostSeen(PixelLightCost):
     """Notes the errors that it is asked about."""
 
-    def __init__(self, own: OwnLight, asked: list[np.ndarray]) -> None:
+    def __init__(self, own: PixelLightCost, asked: list[np.ndarray]) -> None:
         super().__init__(own.variance, own.paths, own.own, own.allowed)
         object.__setattr__(self, "asked", asked)
 
-    def beside(self, errors: np.ndarray):  # type: ignore[no-untyped-def]
+    def choose(self, errors: np.ndarray):  # type: ignore[no-untyped-def]
         self.asked.append(errors)  # type: ignore[attr-defined]
-        return super().beside(errors)
+        return super().choose(errors)
 
 
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:

@@ -2,7 +2,7 @@
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.several.composer import parts_of
+from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.model.view import View
 from tests.frame.conftest import Workbench, refine_chunk
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.several.mixed_reading import Level, MixedReading, mixed
 from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
-from isogi_core.frame.texel_reading import Level, MixedReading, Reading, mixed
+from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import (

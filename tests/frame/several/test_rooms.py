@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.several.composer import parts_of
+from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.transport.room_paths import light_in_room

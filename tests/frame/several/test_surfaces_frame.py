@@ -10,9 +10,9 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.film import develop, linear_table
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.framing import point_at
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.several.composer import parts_of
+from isogi_core.frame.several.composed_frame import parts_of
+from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import read_window

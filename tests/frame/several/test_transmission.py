@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.several.composer import parts_of
+from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import evaluate_harmonics

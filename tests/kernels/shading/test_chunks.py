@@ -5,7 +5,7 @@ numbers these.
 import numpy as np
 import pytest
 
-from isogi_core.frame.view_texels import first_texels
+from isogi_core.frame.demand import first_texels
 from isogi_core.kernels.shading.chunks import Pages, find_rows, ones, touch_chunks, weigh_chunks
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW

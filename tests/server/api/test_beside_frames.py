@@ -11,8 +11,8 @@ import pytest
 
 from isogi.client import Isogi
 from isogi_core.frame import renderer
-from isogi_core.frame.framing import paint_panorama
 from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.frame.panorama import paint_panorama
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.isosurface_mesh import surface_size

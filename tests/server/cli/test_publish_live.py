@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.card.blocks import Coding
+from isogi_core.frame.card.coding import Coding
 from server.exports.page_files import imports, joined_modules, module_order
 from tests.card_twin import read_coded
 from tests.published import document_in, files_in

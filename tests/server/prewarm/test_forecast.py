@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Effort, Until
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.plan.assembly import load_scene
 from server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified

@@ -14,8 +14,8 @@ from isogi_core.cache import upkeep as pruning
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import census_of, trim_projected
 from isogi_core.frame import projected_texels
+from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene

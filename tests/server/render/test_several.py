@@ -12,7 +12,7 @@ import pytest
 
 from isogi_core.errors import ReportError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.several.composer import parts_of
+from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene

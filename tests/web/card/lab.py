@@ -17,7 +17,8 @@ import numpy as np
 from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Until
-from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, transfer_chunks
+from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
-from isogi_core.frame.card.blocks import seen_chunks
+from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
 from tests.loaded import load_scene

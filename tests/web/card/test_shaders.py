@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.card.blocks import words_of
+from isogi_core.frame.card.block_format import words_of
 from isogi_core.kernels.shading.framebuffer import FINAL, srgb, tone
 from isogi_core.kernels.shading.irradiance_ratio import Unshadowed, agree, unshadowed_light
 from isogi_core.kernels.shading.lobes import irradiance

@@ -1,0 +1,341 @@
+"""The check of one picture: measure its total error by control pixels, and take the step that
+brings it to its target at the lowest cost.
+
+All texels of the picture climb a ladder of sample counts together (16, 32, 64, …). On each rung,
+control pixels measure the error of the picture as it is shown, filtered or not. Then one of three
+ways is taken: all texels climb on, finer texels replace them, or the pixels with the largest errors
+get light from paths of their own. The way with the fewest expected paths to the target wins. Each
+step follows from the light of the texels and from the earlier steps on the same rung alone, so that
+the same view gets the same bits for every client and after every restart.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from isogi_core.bake.texel_light import next_level
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import (
+    CONTROLS_IF_MISSED,
+    FIRST_CONTROLS,
+    MAX_CONTROLS,
+    ControlPixels,
+    TotalError,
+    chances,
+    draw_places,
+    paths_for,
+    spread_errors,
+    trace_controls,
+    variance_of_halves,
+)
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth
+from isogi_core.frame.rays.picture_plan import (
+    QUIETER,
+    Ahead,
+    PixelLightCost,
+    Plan,
+    Prices,
+    by_finer,
+    by_rungs,
+    climbs_of,
+    controls_to,
+    noise_of_climbers,
+    rungs_at_once,
+)
+from isogi_core.frame.rays.picture_state import PictureState
+from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
+from isogi_core.frame.tiles import Tiles
+
+STRICTER = 0.9
+"""Factor on the error that is aimed at, for each attempt with light of pixels' own."""
+
+
+DOUBTFUL = 0.5
+"""Share of the target below which no attempt aims. If the measured error is smaller than that,
+the controls are in doubt, not the light.
+"""
+
+
+@dataclass(eq=False)
+class PictureCheck:
+    """The check of one picture.
+
+    - ``light``, ``gbuffer``: of the view.
+    - ``known``: what the check has found so far.
+    - ``growing``: light of pixels that is being traced for the next attempt; None if there is none.
+    - ``pace``: seconds that a path of a pixel takes; None before any was traced.
+    - ``coarse``: True if finer texels are to be shown in place of this picture.
+    - ``declined``: True if finer texels were refused.
+    - ``ahead``: work that is expected to remain; None before the picture was measured.
+
+    Only the thread that holds the ``lock`` takes a step.
+    """
+
+    light: RotatedLight
+    gbuffer: GBuffer
+    known: PictureState
+    growing: Growth | None = None
+    pace: float | None = None
+    coarse: bool = False
+    declined: bool = False
+    ahead: Ahead | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
+
+    def is_shown(self, frame: Frame) -> bool:
+        """Return True if a ``frame`` was drawn with the controls and the rung that are known
+        now.
+        """
+        shown = frame.quality.known
+        return (
+            shown is not None
+            and shown.controls is self.known.controls
+            and shown.enough == self.known.enough
+        )
+
+    def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+        """Take one step from a ``frame`` of this picture towards its target; return False if there
+        is no step to take.
+
+        ``uncertainty`` (m,) is the uncertain luminance of each surface point, by which controls are
+        drawn; ``prices`` weigh the ways to the target. Raises Cancelled.
+        """
+        taken = (
+            frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
+        )
+        self.known = replace(self.known, ended=not taken)
+        return taken
+
+    def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+        """Take the step that is due; return False if there is none."""
+        # Light of pixels that was begun is finished first.
+        if self.growing is not None:
+            return self._grow(self.growing, tiles)
+        # On a new rung, or with new light of pixels, the picture is measured again.
+        if self.known.outdated or frame.measured is None:
+            return self._begin_rung(frame, uncertainty, tiles)
+        # Once pixels have light of their own, texels climb no more: it would be traced in vain.
+        if not self.known.attempt:
+            climbs = climbs_of(frame, self._rung(frame), self.known.target)
+        else:
+            climbs = [0.0]
+        # While the interval holds the target, draw more controls, unless a rung decides for less.
+        if not self._decided(frame.measured):
+            drawn = 2.0 * self.known.paths * frame.measured.controls
+            wanted = self._control_paths(frame.measured, frame.measured.likely)
+            self.ahead = Ahead(max(wanted - drawn, drawn), times=1)
+            costs = [prices.path * each for each in climbs]
+            if self._climbing_decides(frame, frame.measured, costs):
+                return self._climb(frame)
+            return self._add_controls(frame.measured, uncertainty, tiles)
+        # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
+        # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
+        # shows them.
+        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
+        first = 2.0 * self.known.paths * FIRST_CONTROLS
+        last = self._control_paths(frame.measured, self._aim(frame.measured))
+        self.coarse = plan.finer
+        self.ahead = plan.ahead(first, last)
+        if plan.rungs:
+            return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
+        return self._grow(Growth(plan.choice, self.known.own), tiles)
+
+    def decline(self) -> None:
+        """Go on without finer texels: memory has no room for them."""
+        self.known = replace(self.known, ended=False)
+        self.coarse = False
+        self.declined = True
+
+    def _decided(self, measured: TotalError) -> bool:
+        """Return True if more controls would not help a picture that is not at its target: its
+        interval lies above the target, or as many controls are drawn as may be.
+        """
+        if measured.likely <= self.known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
+        return measured.low > self.known.target or measured.controls >= most
+
+    def _climbing_decides(
+        self, frame: Frame, measured: TotalError, climbs: Sequence[float]
+    ) -> bool:
+        """Return True if one rung would bring the interval below the target at a lower cost than
+        doubling the controls.
+
+        ``climbs`` are the costs of no rung, of one, and so on, in paths of pixels.
+        """
+        more = 2.0 * self.known.paths * measured.controls
+        gained = (1.0 - QUIETER) * noise_of_climbers(frame)
+        quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
+        return quiet and len(climbs) > 1 and more > climbs[1]
+
+    def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+        """Draw the first controls of a rung, or of an attempt, with paths for the larger of
+        target and noise.
+        """
+        known = self.known
+        paths = paths_for(max(self.known.target, frame.noise))
+        first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
+        self.known = replace(
+            known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
+        )
+        return True
+
+    def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+        """Draw as many more controls as it takes to decide: at least as many as there are, at
+        most three times as many.
+        """
+        known = self.known
+        before = len(self.known.controls.places)
+        # Predict the number that decides, within the most that are worth their paths.
+        if measured.likely <= known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
+        wanted = min(controls_to(measured, measured.likely, known.target), most)
+        count = int(np.clip(wanted - before, before, 3 * before))
+        more = self._draw(uncertainty, before, count, known.paths, tiles)
+        self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
+        return True
+
+    def _draw(
+        self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
+    ) -> ControlPixels:
+        """Draw ``count`` controls of ``paths`` paths in each half, after the ``before`` ones
+        that there are.
+        """
+        attempt = self.known.attempt
+        places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
+        begun = time.perf_counter()
+        halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
+        self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
+        # A weight is the chance of a point if all are drawn evenly, over its chance here.
+        weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
+        return ControlPixels(places, weights, halves)
+
+    def _climb(self, frame: Frame, rungs: int = 1) -> bool:
+        """Have texels double their samples once for each of the ``rungs``; they are baked when
+        asked for.
+        """
+        self.known = replace(self.known, enough=next_level(self._rung(frame)) << (rungs - 1))
+        return True
+
+    def _cheapest(
+        self,
+        frame: Frame,
+        measured: TotalError,
+        uncertainty: np.ndarray,
+        climbs: Sequence[float],
+        prices: Prices,
+        tiles: Tiles,
+    ) -> Plan:
+        """Return the plan that costs least at these ``prices`` and brings the picture to the error
+        that is aimed at.
+
+        Plans use the present texels, or finer ones if no pixel has light of its own yet. Pixels
+        that have such light keep it.
+        """
+        known = self.known
+        noise = frame.pixel_noise**2
+        variance = variance_of_halves(uncertainty, known.controls)
+        aim = self._aim(measured)
+        allowed = (aim * frame.true_mean) ** 2
+        pixels = PixelLightCost(variance, known.paths, known.own.places, allowed)
+        errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
+        # Few controls may find an error below the noise that is known to be there: scale all errors
+        # up to it.
+        known_error = (measured.likely * frame.true_mean) ** 2
+        errors *= max(known_error / max(float(errors.mean()), 1e-300), 1.0)
+        errors, noise = self._by_regions(errors, noise, tiles)
+        # Count the texels and chunks that each rung would bake.
+        texels = 0
+        chunks = 0
+        if frame.quality.lacking:
+            texels = len(frame.quality.lacking.texels.places)
+            chunks = len(frame.quality.lacking.texels.chunks)
+        # Weigh all numbers of rungs, for these texels and for finer ones.
+        falling = np.minimum(noise_of_climbers(frame) * noise, errors)
+        plans = by_rungs(pixels, errors, falling, climbs, chunks)
+        if texels and not (known.attempt or self.declined):
+            plans += by_finer(
+                pixels, errors, noise, texels, chunks, self._rung(frame), known.target
+            )
+        return min(plans, key=lambda plan: plan.cost(prices))
+
+    def _by_regions(
+        self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Average squared ``errors`` and variances of ``noise`` (m,) over neighbouring pixels,
+        so that pixels that are chosen form regions: borders of scattered pixels would show.
+        Raises Cancelled.
+        """
+        around = Surroundings(self.gbuffer, tiles)
+        found = np.column_stack([noise, errors])
+        for step, _ in FILTER_PASSES:
+            found, _ = around.means(found, noise, step)
+        return found[:, 1], found[:, 0]
+
+    def _aim(self, measured: TotalError) -> float:
+        """Return the relative error that the next attempt aims at: below the target, lower with
+        each attempt, and not far below the ``measured`` error.
+        """
+        target = self.known.target
+        return min(
+            AIM * STRICTER**self.known.attempt * target,
+            max(STRICTER * measured.likely, DOUBTFUL * target),
+        )
+
+    def _control_paths(self, measured: TotalError, likely: float) -> float:
+        """Return the number of paths of all controls that show a picture with a ``likely``
+        error to be at its target.
+        """
+        return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
+
+    def _rung(self, frame: Frame) -> int:
+        """Return the present rung: the samples that all texels of the ``frame`` have that need
+        more.
+        """
+        if frame.quality.lacking is None:
+            return self.known.enough
+        samples = frame.quality.lacking.reading.samples
+        lit = samples[samples > 0]
+        if not len(lit):
+            return self.known.enough
+        return max(self.known.enough, int(lit.min()))
+
+    def _grow(self, growth: Growth, tiles: Tiles) -> bool:
+        """Trace further paths from the points of a ``growth``; return False if they have all that
+        they may.
+
+        Once their noise is small enough, the picture shows their light, and is measured again as
+        the next attempt.
+        """
+        count = growth.next
+        if count > MOST_PATHS:
+            return False
+        # Count the paths of this step apart, so that other threads see its progress.
+        self.growing = Growth(growth.choice, growth.light)
+        begun = time.perf_counter()
+        light = growth.light.grown(
+            growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note
+        )
+        self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
+        self.growing = Growth(growth.choice, light)
+        # The light is good enough: show it, and drop the controls, which measured the picture
+        # without it.
+        if count == MOST_PATHS or self.growing.enough:
+            known = self.known
+            self.known = PictureState(
+                known.target, own=light, attempt=known.attempt + 1, enough=known.enough
+            )
+            self.growing = None
+        return True

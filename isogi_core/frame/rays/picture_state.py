@@ -1,0 +1,57 @@
+"""The state of the check of a picture, as frames hold it."""
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.frame.rays.control_pixels import ControlPixels
+from isogi_core.frame.rays.own_light import PixelLight
+
+
+@dataclass(frozen=True, eq=False)
+class PictureState:
+    """All that the check of a picture knows besides the light of its texels. Each step of the check
+    replaces the record as a whole, so that another thread reads the values of one step.
+
+    - ``target``: relative error that the picture is to reach.
+    - ``controls``: control pixels of the present attempt.
+    - ``uncertainty`` (m,): uncertain luminance of each surface point; controls were drawn by it.
+    - ``own``: light that pixels have from paths of their own.
+    - ``attempt``: number of times that pixels have got light of their own; each has new controls.
+    - ``ended``: True if the last step found nothing to do.
+    - ``enough``: samples that texels are to have, the present rung.
+    - ``drawn``: value of ``enough`` when the controls were drawn.
+    - ``paths``: number of paths in each half of a control.
+    """
+
+    target: float
+    controls: ControlPixels = field(default_factory=ControlPixels.none)
+    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
+    own: PixelLight = field(default_factory=PixelLight.none)
+    attempt: int = 0
+    ended: bool = False
+    enough: int = FIRST_LEVEL
+    drawn: int = 0
+    paths: int = 0
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
+
+    @property
+    def outdated(self) -> bool:
+        """True if the controls were drawn on a lower rung than the present one."""
+        return self.drawn < self.enough
+
+    @property
+    def version(self) -> bytes:
+        """The name of the light that pixels have of their own: equal for equal light, empty if
+        no pixel has any.
+        """
+        own = self.own
+        if not len(own.places):
+            return b""
+        return repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
