@@ -121,12 +121,15 @@ def make_vertices(n):
 
 
 @kernel()
-def columns(room, count):
-    """View the first ``count`` paths of a (3 n,) array
-    as (3, count rounded up to whole vectors).
+def columns(flat, count):
+    """View the beginning of the (3 n,) array ``flat`` as vectors of ``count`` paths: (3, count
+    rounded up to whole SIMD vectors).
+
+    Rows follow each other without gaps, so that the arrays of a wave with few paths stay in the
+    cache. A view for another count finds other numbers.
     """
     n = whole(count)
-    return room[: 3 * n].reshape(3, n)
+    return flat[: 3 * n].reshape(3, n)
 
 
 @kernel()
