@@ -402,6 +402,8 @@ def advance_among(scene, state, vertices, following, bounce, rules):
     """Move the paths that continue to their hit points on surfaces or walls."""
     rays = state.wave.rays
     count = vertices.count
+    # Normals need the isovalue and the side that ``stand_on`` sets. ``next_vertex`` takes all hits
+    # for points of isosurfaces; vertices on walls replace its result last.
     compact(rays, vertices, following)
     stand_on(scene, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
     next_vertex(scene.field, rays, count, following)
