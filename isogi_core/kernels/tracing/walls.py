@@ -52,12 +52,14 @@ def nearest_wall(walls, o, d, own, reach):
 
     A ray never meets its ``own`` wall, which it starts on. Takes vectors of rays as well.
     """
+    # Begin with no wall, as a number or a vector as ``own`` is.
     found = own * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
         # Find the ray's hit on the wall's plane, and its coordinates along the two edges.
         x = o[0] - walls.corners[k, 0]
         y = o[1] - walls.corners[k, 1]
         z = o[2] - walls.corners[k, 2]
+        # A ray parallel to the plane has an infinite t or NaN, and fails the comparisons below.
         slope = inner(walls.planes, k, d)
         t = divide(-inner(walls.planes, k, (x, y, z)), slope)
         p = x + t * d[0], y + t * d[1], z + t * d[2]
