@@ -67,8 +67,8 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     """Return the standard error of the luminance of one part, (texels,) float64: see
     ``BakeSpec.gains``.
 
-    It is at least a quarter of that of uniform noise, in case band 0 was estimated too small by
-    chance.
+    Its square is at least a quarter of the variance that follows if band 0 has the noise of the
+    bands above, in case band 0 was estimated too small by chance.
     """
     # Weight the squared noises of band 0 and of the bands above by what they add to the luminance.
     squares = part.noise.astype(np.float64) ** 2

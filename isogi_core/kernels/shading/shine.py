@@ -243,7 +243,8 @@ def end_ray(surface, room, ray, t, k, ends, i):
     """Write the end of ray number ``i`` = (origin, direction, way), at distance ``t`` on wall
     ``k``, or on the isosurface if ``k`` < 0.
 
-    A wall that is lit on its front alone is black from behind: such a ray met nothing.
+    A wall that is lit on its front alone is black from behind: such a ray counts as one that met
+    nothing, so that no light is sought at its end.
     """
     o, d, w = ray
     p = madd(o, t, d)
