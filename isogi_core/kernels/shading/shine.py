@@ -413,7 +413,8 @@ def light_ends(surface, points, lamps, seeds, lit):
     t = np.empty(count)
     for k in range(lamps.kinds.shape[0]):
         for i in range(count):
-            # Sample the direction to the lamp; points that face away from it cast no ray.
+            # Sample the direction to the lamp; points that face away from it cast no ray. The place
+            # does not matter to directional lamps, so that it stays in index space.
             p, n = point_of(points.points, i), point_of(points.normals, i)
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
