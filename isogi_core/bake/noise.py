@@ -210,8 +210,8 @@ def blend_noise(
     """
     if samples == 0:
         return latest
-    # Average both halves' variances; then reduce band 0, and what the bands above have in excess of
-    # it, by their own factors.
+    # Average both halves' variances; then reduce band 0 by its factor, and the excess of the bands
+    # above by another.
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
     return np.asarray(

@@ -198,8 +198,8 @@ def prepare_points(surface, picture, part):
         around[m, 1] = four[1]
         around[m, 2] = four[2]
         around[m, 3] = four[3]
-        # Look for half-shadows if the surface breaks off between this pixel and the next; skip every
-        # other pixel of an edge that is two pixels wide.
+        # Look for half-shadows if the surface breaks off between this pixel and the next. Skip
+        # every other pixel of an edge that is two pixels wide.
         adjacent = neighbours(rows, y, x, 0, 1)
         skipped = (x + y) & 1 and has_close_neighbours(points, m, adjacent)
         picture.edgy[m] = not skipped and not on_one_surface(points, m, adjacent)

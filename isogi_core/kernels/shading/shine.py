@@ -5,8 +5,8 @@ Directions are sampled by the lobe or towards a light: the bright parts of a sha
 lamp with an extent, or a luminaire. Their density is the mixture of all these techniques (Veach and
 Guibas 1995, balance heuristic for one sample). One of several candidate directions gets a ray,
 chosen by the light that it would bring without occlusion (Talbot et al. 2005, resampled importance
-sampling). The estimate is unbiased, whatever the ray hits. Lamps without an extent have shadow rays
-of their own.
+sampling). The estimate is unbiased, whatever the ray hits. Lamps without an extent are lit by
+further, separate shadow rays.
 """
 
 import math
