@@ -169,7 +169,8 @@ def noise_of_halves(
     front. Band 0 is judged together with band 1, by BAND_0 and ``evenness`` (m,). The bands above
     share the mean of their variances. Returns (m, 1 or 2) float64.
     """
-    # The squared difference of two half means estimates the variance of their mean.
+    # Each half mean is its sum over samples / 2. A quarter of the squared difference of both
+    # estimates the variance of their mean.
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
     # Scale the share of band 1 to the variance of band 0.

@@ -1,7 +1,7 @@
 """Light of texels: their points, radiance transfer (S1, eqs. 6 and 8), irradiance, and projection.
 
-A texel is lit on the isosurface through its point of the lattice. ``locate_texels`` finds point, normal and
-isovalue; ``bake_texels`` traces paths from there and projects their ends on spherical harmonics;
+A texel is lit on the isosurface through its point of the lattice. ``locate_texels`` finds point,
+normal and isovalue; ``bake_texels`` traces paths from there and projects their ends on harmonics;
 ``bake_irradiance`` sums the light of an environment that does not turn. ``project_texels`` moves
 texels onto one given isosurface.
 
