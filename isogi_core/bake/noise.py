@@ -184,13 +184,13 @@ def noise_of_halves(
 
 
 def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
-    """Return the variance of band 0 over that of a band 1 coefficient, for random paths; (m,)
-    float64.
+    """Return the variance of band 0 over the mean variance of a coefficient of band 1, for random
+    paths; (m,) float64.
 
-    ``mean`` (m, >= 4) is that of X Y_i(ω), ``second`` (m,) that of X² Y_0(ω), over ``samples``
-    paths that bring light X from ω. Under uniform light band 0 has the smaller variance: an open
-    texel has none at all. One path more is counted in both, so that a few that agree do not claim
-    certainty.
+    Of ``samples`` paths that bring light X from ω, ``mean`` (m, >= 4) is the mean of X Y_i(ω), and
+    ``second`` (m,) that of X² Y_0(ω). Under uniform light band 0 has the smaller variance: at an
+    open texel all paths bring the same, and it has none. One path's square is added to both, so
+    that a few paths that agree do not claim certainty.
     """
     # As Y_0 = 1 / √(4π), this is the second moment of X Y_0; the mean over m of that of X Y_1m is
     # the same.
