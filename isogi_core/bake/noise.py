@@ -70,7 +70,7 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     Its square is at least a quarter of the variance that follows if band 0 has the noise of the
     bands above, in case band 0 was estimated too small by chance.
     """
-    # Weight the squared noises of band 0 and of the bands above by what they add to the luminance.
+    # Weight the squared noises of band 0 and of the bands above by their parts in the luminance.
     squares = part.noise.astype(np.float64) ** 2
     gains = spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))

@@ -1,8 +1,8 @@
 """Refinement: add samples to texels, level by level (16, 32, 64, …).
 
-After each level light is rounded to what the store keeps. A texel with n samples therefore has the
-same bits for any number of workers and of calls, and the parts of a texel that climb next follow
-from what the store holds of it alone.
+After each level light is rounded to the numbers that the store keeps. A texel with n samples
+therefore has the same bits for any number of workers and of calls, and the parts of a texel that
+climb next follow from its record in the store alone.
 
 ``find_kept`` serves cuts: if no path of a texel met matter that a cut takes away, all of its paths
 keep their points, and its light keeps its bits.
@@ -202,7 +202,7 @@ def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeS
     for sample, some in by_sampler(parts):
         layers = [part.layer for part in some]
         sampled = sample(layers, place, void, spec, samples, total - samples)
-        # Blend them into mean and noise of each part, and round to what the store keeps.
+        # Blend them into mean and noise of each part, and round as the store does.
         for part, (halves, second) in zip(some, sampled, strict=True):
             add(part, rows, halves, second, total, spec)
             part.samples[rows] = np.where(void, VOID, total)
@@ -235,7 +235,7 @@ def add(
 
     N² is at least the number of coefficients that the layer keeps; further ones only serve its
     noise (NOISE_ORDER). ``second`` (m,) are sums of squares, see ``evenness``. Mean and noise are
-    rounded to what the store keeps, so that texels that are read have the same bits.
+    rounded as the store rounds them, so that texels that are read have the same bits.
     """
     layer = part.layer
     samples = int(part.samples[rows[0]])
@@ -511,8 +511,8 @@ def find_kept(
     """Return which of the ``texels`` (m, 3; z, y, x) keep their ``light`` in a cut of a ``whole``
     volume; (m,) bool.
 
-    A texel keeps it if its point, and all points that its paths met so far, are far from what is
-    taken away. With ``walks``, paths of texels that might have met something there are traced once
+    A texel keeps it if its point, and all points that its paths met so far, lie in the box that is
+    left. With ``walks``, paths of texels that might have met something there are traced once
     more, each texel's only until the first hit there; otherwise such texels lose their light.
     """
     prepared = whole.prepared

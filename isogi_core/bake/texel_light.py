@@ -3,7 +3,7 @@ rounding.
 
 The store keeps light as half floats or bytes, noise and sample counts as bytes. Sample counts climb
 levels, each twice the one before. Light in memory is rounded as well after each level, so that a
-texel has the same bits whether it was read or just baked.
+texel that is read has the same bits as one that was just baked.
 """
 
 from collections.abc import Sequence

@@ -201,11 +201,11 @@ def see_middles(surface, picture, lamps, part, seen):
 
 
 @kernel()
-def is_seen(seen, m, what):
+def is_seen(seen, m, state):
     """Return True if there is a point ``m`` (not -1)
-    and ``seen`` (m,) holds the state ``what`` for it.
+    and ``seen`` (m,) holds this ``state`` for it.
     """
-    return m >= 0 and seen[m] == what
+    return m >= 0 and seen[m] == state
 
 
 @kernel()

@@ -131,8 +131,8 @@ def cast_at_all(scene, state, origins, count):
 def cast_past(scene, state, k, origins, count, going):
     """Find the next crossing with surface ``k`` of those rays that have just passed it.
 
-    Rays are the first ``going`` of the pending ones; ``origins`` are where they started. Distances
-    to other surfaces stay valid: those crossings still lie ahead.
+    Rays are the first ``going`` of the pending ones, which started from ``origins``. Distances to
+    other surfaces stay valid: those crossings still lie ahead.
     """
     # List the rays whose last crossing was on surface k.
     n = whole(going)
@@ -261,7 +261,7 @@ def follow_rays(scene, state, points, bounce, count, aimed):
             break
         for k in range(scene.surfaces.clears.shape[0]):
             cast_past(scene, state, k, origins, count, going)
-    # End rays that have too many crossings where they are: shadow rays of these bring no light.
+    # End rays that have too many crossings at the last of these; such a shadow ray brings no light.
     for j in range(going):
         state.passed[state.pending[j]] = 0.0
     # A surface was nearer than the wall that ``cast_at_all`` found.
