@@ -274,8 +274,10 @@ class BakeSpec:
         return mixing_of(self.albedo, self.plan)
 
     def term_of(self, layer: Layer) -> Term:
-        """Return the term that a ``layer`` belongs to; of several, the last. A layer that is
-        not in the plan belongs to the terms of its kind, or to the first one.
+        """Return the term that a ``layer`` belongs to; of several, the last: for nodes that is the
+        highest albedo, which errors are relative to.
+
+        A layer that is not in the plan belongs to the terms of its kind, or to the first one.
         """
         # Find the terms whose layers are of this kind.
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
@@ -471,7 +473,8 @@ def to_luminance(
     light: np.ndarray, albedo: tuple[float, float, float], channels: int
 ) -> np.ndarray:
     """Return the luminance of the reflected ``light`` (3, n²), divided among the channels of
-    the transfer; (channels, n²).
+    the transfer: a row for each colour, or their sum if the transfer has one channel; (channels,
+    n²).
     """
     weighted = (LUMINANCE_WEIGHTS * np.array(albedo))[:, None] * light
     if channels == 3:

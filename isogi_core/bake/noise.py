@@ -67,10 +67,10 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     """Return the standard error of the luminance of one part, (texels,) float64: see
     ``BakeSpec.gains``.
 
-    It is at least a quarter of that of uniform noise, in case band 0 was estimated too small by
-    chance.
+    Its square is at least a quarter of the variance that follows if band 0 has the noise of the
+    bands above, in case band 0 was estimated too small by chance.
     """
-    # Weight the squared noises of band 0 and of the bands above by what they add to the luminance.
+    # Weight the squared noises of band 0 and of the bands above by their parts in the luminance.
     squares = part.noise.astype(np.float64) ** 2
     gains = spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
@@ -169,7 +169,8 @@ def noise_of_halves(
     front. Band 0 is judged together with band 1, by BAND_0 and ``evenness`` (m,). The bands above
     share the mean of their variances. Returns (m, 1 or 2) float64.
     """
-    # The squared difference of two half means estimates the variance of their mean.
+    # Each half mean is its sum over samples / 2. A quarter of the squared difference of both
+    # estimates the variance of their mean.
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
     # Scale the share of band 1 to the variance of band 0.
@@ -183,13 +184,13 @@ def noise_of_halves(
 
 
 def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
-    """Return the variance of band 0 over that of a band 1 coefficient, for random paths; (m,)
-    float64.
+    """Return the variance of band 0 over the mean variance of a coefficient of band 1, for random
+    paths; (m,) float64.
 
-    ``mean`` (m, >= 4) is that of X Y_i(ω), ``second`` (m,) that of X² Y_0(ω), over ``samples``
-    paths that bring light X from ω. Under uniform light band 0 has the smaller variance: an open
-    texel has none at all. One path more is counted in both, so that a few that agree do not claim
-    certainty.
+    Of ``samples`` paths that bring light X from ω, ``mean`` (m, >= 4) is the mean of X Y_i(ω), and
+    ``second`` (m,) that of X² Y_0(ω). Under uniform light band 0 has the smaller variance: at an
+    open texel all paths bring the same, and it has none. One path's square is added to both, so
+    that a few paths that agree do not claim certainty.
     """
     # As Y_0 = 1 / √(4π), this is the second moment of X Y_0; the mean over m of that of X Y_1m is
     # the same.
@@ -210,8 +211,8 @@ def blend_noise(
     """
     if samples == 0:
         return latest
-    # Average both halves' variances; then reduce band 0, and what the bands above have in excess of
-    # it, by their own factors.
+    # Average both halves' variances; then reduce band 0 by its factor, and the excess of the bands
+    # above by another.
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
     return np.asarray(

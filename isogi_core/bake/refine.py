@@ -1,8 +1,8 @@
 """Refinement: add samples to texels, level by level (16, 32, 64, …).
 
-After each level light is rounded to what the store keeps. A texel with n samples therefore has the
-same bits for any number of workers and of calls, and the parts of a texel that climb next follow
-from what the store holds of it alone.
+After each level light is rounded to the numbers that the store keeps. A texel with n samples
+therefore has the same bits for any number of workers and of calls, and the parts of a texel that
+climb next follow from its record in the store alone.
 
 ``find_kept`` serves cuts: if no path of a texel met matter that a cut takes away, all of its paths
 keep their points, and its light keeps its bits.
@@ -202,7 +202,7 @@ def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeS
     for sample, some in by_sampler(parts):
         layers = [part.layer for part in some]
         sampled = sample(layers, place, void, spec, samples, total - samples)
-        # Blend them into mean and noise of each part, and round to what the store keeps.
+        # Blend them into mean and noise of each part, and round as the store does.
         for part, (halves, second) in zip(some, sampled, strict=True):
             add(part, rows, halves, second, total, spec)
             part.samples[rows] = np.where(void, VOID, total)
@@ -230,10 +230,12 @@ def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
 def add(
     part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, total: int, spec: BakeSpec
 ) -> None:
-    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have
-    ``total`` samples.
+    """Add sums over new samples, the ``halves`` (m, 2, channels, N²), to the mean and the noise of
+    ``rows``, which then have ``total`` samples.
 
-    ``second`` (m,) are sums of squares, see ``evenness``.
+    N² is at least the number of coefficients that the layer keeps; further ones only serve its
+    noise (NOISE_ORDER). ``second`` (m,) are sums of squares, see ``evenness``. Mean and noise are
+    rounded as the store rounds them, so that texels that are read have the same bits.
     """
     layer = part.layer
     samples = int(part.samples[rows[0]])
@@ -269,7 +271,7 @@ def seeds_of(words: np.ndarray) -> np.ndarray:
 
 
 def some_located(located: Located, rows: np.ndarray) -> Located:
-    """Return the place of the texels in some ``rows``."""
+    """Return the place of the texels in some ``rows``, and which of these are void."""
     (texels, points, normals, isovalues), void = located
     points, normals = (np.ascontiguousarray(v[:, rows]) for v in (points, normals))
     return (texels[rows], points, normals, isovalues[rows]), void[rows]
@@ -335,8 +337,11 @@ Sample = Callable[[ActiveCells, Place, np.ndarray, SampleRange, np.ndarray], Non
 
 
 def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """Return the sampler of a surface with one albedo; its path weights are computed once for
-    all groups of texels.
+    """Return the sampler of a surface with one albedo.
+
+    The weight of a path follows from the number of its bounces, so that paths carry no colours. The
+    tables of weights are computed once for all groups of texels: a row for each channel of the
+    ``layers``, then one for the square of each layer's luminance.
     """
     counts = np.vstack([spec.shares(layers), spec.squares(layers)])
     plan = spec.plan
@@ -351,7 +356,9 @@ def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) ->
 
 
 def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """Return the sampler of a surface whose albedo varies with data."""
+    """Return the sampler of a surface whose albedo varies with data: its paths carry the product
+    of the albedos that they meet.
+    """
     rules = spec.coloured_rules(layers, orders)
 
     def _sample(
@@ -372,8 +379,12 @@ def sample_irradiance(
     samples: int,
     count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield sums of the irradiance of fixed light, and zeros in place of squares; a layer with
-    one channel takes the first of three equal ones.
+    """Yield sums of the irradiance of fixed light, over both halves of ``count`` samples after the
+    first ``samples``, and zeros in place of squares.
+
+    Squares serve layers of harmonics alone: see ``noise_of_new``. The environment is as the scene
+    has it, unturned. Sums have three channels; a layer with one channel takes the first of three
+    equal ones.
     """
     prepared = spec.prepared
     sums = np.zeros((len(void), 2, 3))
@@ -500,8 +511,8 @@ def find_kept(
     """Return which of the ``texels`` (m, 3; z, y, x) keep their ``light`` in a cut of a ``whole``
     volume; (m,) bool.
 
-    A texel keeps it if its point, and all points that its paths met so far, are far from what is
-    taken away. With ``walks``, paths of texels that might have met something there are traced once
+    A texel keeps it if its point, and all points that its paths met so far, lie in the box that is
+    left. With ``walks``, paths of texels that might have met something there are traced once
     more, each texel's only until the first hit there; otherwise such texels lose their light.
     """
     prepared = whole.prepared

@@ -3,7 +3,7 @@ rounding.
 
 The store keeps light as half floats or bytes, noise and sample counts as bytes. Sample counts climb
 levels, each twice the one before. Light in memory is rounded as well after each level, so that a
-texel has the same bits whether it was read or just baked.
+texel that is read has the same bits as one that was just baked.
 """
 
 from collections.abc import Sequence
@@ -281,7 +281,9 @@ class Light:
         return np.concatenate(sums, axis=2)
 
     def _of(self, term: Term) -> list["Part"]:
-        """Return the parts of a ``term``, or the one channel of its part if the term has a node."""
+        """Return the parts of a ``term``. If it has a node, return that channel of its part alone:
+        such a term is one albedo or one glow of several that its layer keeps.
+        """
         parts = [self.parts[i] for i in term.layers]
         if term.node is None:
             return parts

@@ -116,8 +116,8 @@ def mark_texels(lattice, points, coarse, slots, read):
     row.
 
     These are all eight texels of a point's cell, or the two ``coarse`` ones: see
-    ``find_coarse_corners``. ``slots`` (z, y, x) numbers the touched chunks. Each thread needs its
-    separate ``read``.
+    ``find_coarse_corners``. A row is that of one chunk, so that it has 32 texels at most. ``slots``
+    (z, y, x) numbers the touched chunks. Each thread needs its separate ``read``.
     """
     bits = lattice.bits
     last = (1 << bits) - 1

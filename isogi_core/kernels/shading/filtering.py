@@ -318,7 +318,9 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
             filtered[t, REFLECTED_COLUMN + c] = (
                 kept_share * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - kept_share) * around[c]
             )
-        # Add the variance that is left of the texel's light to that of the neighbours' mean.
+        # Add the variance that is left of the texel's light to that of the neighbours' mean. By
+        # Wiener's mix a lit texel keeps the kept share of its noise; light that was only taken is
+        # as uncertain as neighbours differ.
         if unlit:
             variance_left = signal / total
         else:

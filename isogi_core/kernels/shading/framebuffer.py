@@ -87,7 +87,8 @@ def tone(x):
     """Return the tone curve at ``x`` ≥ 0: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER,
     then s + (1 - s)(1 - exp(-(y - s)/(1 - s))).
 
-    It is 0 at 0, increases everywhere, has a continuous slope, and is never above 1.
+    It is 0 at 0, increases everywhere, has a continuous slope (the second form has the slope 1 in y
+    at s), and is never above 1.
     """
     # Far above the toe the factor x/(x + TONE_TOE) is 1; without it, infinite light stays infinite.
     if x < 1e3:

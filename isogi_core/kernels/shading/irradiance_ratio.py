@@ -186,7 +186,9 @@ def blend_records(corners, m, texels, n, f):
     light, variance, and the weights; last the least grade.
 
     Weights are trilinear at the fractions ``f`` (z, y, x), times ``agree`` with the point's normal
-    ``n``; void and buried texels have weight 0. All are float32.
+    ``n``. Void and buried texels have weight 0, and grades above FINAL, which do not lower the
+    least grade. Noises of texels are independent, so that their weighted squares add up to the
+    variance. All are float32.
     """
     direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
     variance = ZERO_F32
@@ -218,10 +220,11 @@ def blend_records(corners, m, texels, n, f):
 
 @kernel()
 def stand_in(corners, m, texels, under, f):
-    """Return the light of point ``m`` if none of its texels counts: zero if any texel is buried,
-    else the unshadowed light ``under``.
+    """Return the light of point ``m`` if none of its texels counts, as all are void or buried.
 
-    ``f`` are the point's fractions (z, y, x).
+    If one with a trilinear weight at the point's fractions ``f`` (z, y, x) is buried, the point
+    lies in matter or in a hollow that no light reaches: it is black. If all are void, nothing is
+    known of its shadows, and the unshadowed light ``under`` stands in.
     """
     buried = 0.0
     for c in range(8):

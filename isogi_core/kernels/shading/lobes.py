@@ -143,11 +143,11 @@ def irradiance(cosine, s):
 
 @kernel()
 def agreed(around, m, seen):
-    """Return the state that all four neighbours ``around`` point ``m`` have ``seen`` (m,) of a
-    lobe.
+    """Return the state of a lobe that point ``m`` may adopt, by its four neighbours ``around`` and
+    the states ``seen`` (m,) of all points.
 
-    The result is LOBE_HIDDEN or LOBE_SEEN; LOBE_UNASKED if they disagree, or if the point has no
-    such neighbours on its surface.
+    It is LOBE_HIDDEN or LOBE_SEEN if all four have that state; LOBE_UNASKED, so that a ray is cast,
+    if they disagree or if the point has no such neighbours on its surface.
     """
     if around[m, 0] < 0:
         return LOBE_UNASKED
@@ -201,11 +201,11 @@ def see_middles(surface, picture, lamps, part, seen):
 
 
 @kernel()
-def is_seen(seen, m, what):
+def is_seen(seen, m, state):
     """Return True if there is a point ``m`` (not -1)
-    and ``seen`` (m,) holds the state ``what`` for it.
+    and ``seen`` (m,) holds this ``state`` for it.
     """
-    return m >= 0 and seen[m] == what
+    return m >= 0 and seen[m] == state
 
 
 @kernel()
@@ -423,19 +423,19 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
         SHADOW_POINTS, LAMPS, PAIR_ARRAY, SIDE_CODES, ORDER_ARRAY, SHARE_ROWS, PART, SHARE_ROWS
     )
 )
-def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
+def share_rays(picture, lamps, pairs, sides, places, alone, part, shares):
     """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` with the weighted mean of each
     pair's rays and those that its neighbours share, and the variance of that mean.
 
     The part (begin, end) belongs to one lobe; ``places`` (m,) are the places of that lobe's points
-    among the pairs. ``own`` (pairs, 2) are the shares by each pair's rays alone, see ``see_discs``;
+    among the pairs. ``alone`` (pairs, 2) are shares by the rays of each pair, see ``see_discs``;
     ``sides`` comes from ``find_sides``. Points share the visible fraction of the lobe above the
     horizon, and not its irradiance, as their normals differ.
     """
     for j in range(part[0], part[1]):
         k, m = divmod(pairs[j], places.shape[0])
-        mean = POINT_WEIGHT * own[j, 0]
-        variance = POINT_WEIGHT * POINT_WEIGHT * own[j, 1]
+        mean = POINT_WEIGHT * alone[j, 0]
+        variance = POINT_WEIGHT * POINT_WEIGHT * alone[j, 1]
         total = POINT_WEIGHT
         unshadowed = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
         # Add the rays of neighbours, scaled from the irradiance at their normal to that at this
@@ -450,8 +450,8 @@ def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
                 weight = NEIGHBOUR_AXES[axis][2]
                 i = places[n]
                 total = total + weight
-                mean = mean + weight * rescale * own[i, 0]
-                variance += (weight * rescale) ** 2 * own[i, 1]
+                mean = mean + weight * rescale * alone[i, 0]
+                variance += (weight * rescale) ** 2 * alone[i, 1]
         shares[j, 0] = mean / total
         shares[j, 1] = variance / total**2
 

@@ -136,6 +136,9 @@ def near_between(points, m, a, b):
 def has_close_neighbours(points, m, four):
     """Return True if point ``m`` has all ``four`` neighbours, and the nearest is at most half
     of MAX_NEIGHBOUR_VOXELS away.
+
+    At a silhouette in front of matter the point's surface then goes on to at least one side. The
+    edge has a row of such points on either side, two pixels wide, of which every other is enough.
     """
     nearest = math.inf
     for n in four:
@@ -195,7 +198,8 @@ def prepare_points(surface, picture, part):
         around[m, 1] = four[1]
         around[m, 2] = four[2]
         around[m, 3] = four[3]
-        # Look for half-shadows if the surface breaks off between this pixel and the next.
+        # Look for half-shadows if the surface breaks off between this pixel and the next. Skip
+        # every other pixel of an edge that is two pixels wide.
         adjacent = neighbours(rows, y, x, 0, 1)
         skipped = (x + y) & 1 and has_close_neighbours(points, m, adjacent)
         picture.edgy[m] = not skipped and not on_one_surface(points, m, adjacent)

@@ -5,8 +5,8 @@ Directions are sampled by the lobe or towards a light: the bright parts of a sha
 lamp with an extent, or a luminaire. Their density is the mixture of all these techniques (Veach and
 Guibas 1995, balance heuristic for one sample). One of several candidate directions gets a ray,
 chosen by the light that it would bring without occlusion (Talbot et al. 2005, resampled importance
-sampling). The estimate is unbiased, whatever the ray hits. Lamps without an extent have shadow rays
-of their own.
+sampling). The estimate is unbiased, whatever the ray hits. Lamps without an extent are lit by
+further, separate shadow rays.
 """
 
 import math
@@ -243,7 +243,8 @@ def end_ray(surface, room, ray, t, k, ends, i):
     """Write the end of ray number ``i`` = (origin, direction, way), at distance ``t`` on wall
     ``k``, or on the isosurface if ``k`` < 0.
 
-    A wall that is lit on its front alone is black from behind: such a ray met nothing.
+    A wall that is lit on its front alone is black from behind: such a ray counts as one that met
+    nothing, so that no light is sought at its end.
     """
     o, d, w = ray
     p = madd(o, t, d)
@@ -412,7 +413,8 @@ def light_ends(surface, points, lamps, seeds, lit):
     t = np.empty(count)
     for k in range(lamps.kinds.shape[0]):
         for i in range(count):
-            # Sample the direction to the lamp; points that face away from it cast no ray.
+            # Sample the direction to the lamp; points that face away from it cast no ray. The place
+            # does not matter to directional lamps, so that it stays in index space.
             p, n = point_of(points.points, i), point_of(points.normals, i)
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)

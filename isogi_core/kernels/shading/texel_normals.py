@@ -22,8 +22,10 @@ enough for its normal.
 
 @kernel()
 def blur_row(voxels, k, j, i0, i, i2):
-    """Return the smoothed value and the slope along x of a row at voxel ``i``, between its
-    neighbours ``i0`` and ``i2``, by the cubic B-spline (1, 4, 1)/6.
+    """Return value and slope along x, at voxel ``i`` of a row, of the cubic B-spline whose
+    coefficients are the voxels; ``i0`` and ``i2`` are the neighbours of ``i``.
+
+    At a voxel its weights are (1, 4, 1)/6, and those of its derivative (-1, 0, 1)/2.
     """
     low = np.float64(voxels[k, j, i0])
     here = np.float64(voxels[k, j, i])

@@ -276,8 +276,13 @@ def add_texel_light(light, m, role, transfer, row):
 
 @kernel()
 def variance_of(noise, m, gains):
-    """Return the variance of the luminance of texel ``m`` in a part, at least a quarter of that
-    of uniform noise: see ``bake.noise.deviation``.
+    """Return the variance of the luminance of texel ``m`` in a part: Σ noise² · gain over its
+    noises.
+
+    Column 0 of the ``noise`` is the standard error of a coefficient of band 0, and the last column
+    that of a coefficient of the bands above; ``gains`` are those of ``Role``. The variance is at
+    least a quarter of the one that follows if band 0 has the noise of the bands above: two halves
+    may agree in band 0 by chance. See ``bake.noise.deviation``, which this follows.
     """
     total = 0.0
     even = 0.0
@@ -398,8 +403,14 @@ JUDGE = record(
 
 @kernel()
 def second_moment(transfer, row, judge):
-    """Return the mean square of one path's luminance over all turns of the light: band 0 of Σ
-    τ·q, see ``bake.noise.path_deviation``.
+    """Return the mean square of one path's luminance over all turns of the light, in the unit of
+    the bake.
+
+    A path brings light from the one direction that it leaves in, so that its expected square is
+    the transfer τ times the squared light q. The mean over all turns keeps band 0 alone: Σ τ_0 q_0
+    over the terms. ``squares`` are of the luminance of all channels together; the transfer of the
+    middle channel stands for all: green, which has the largest part of luminance. See
+    ``bake.noise.path_deviation``.
     """
     total = 0.0
     green = transfer.shape[1] // 2
@@ -446,8 +457,8 @@ def judge_rows(rows, into, sums, judge, places):
     """
     for m in range(len(rows)):
         row = np.uint32(rows[m])
-        # The variance of one path is its second moment less the square of the mean, plus
-        # LEAST_SPREAD.
+        # The variance of one path is its second moment less the square of its mean; LEAST_SPREAD
+        # of the second moment is added for noise that does not follow the light's direction.
         deviation = math.sqrt(sums.variance[m])
         second = second_moment(into.transfer, row, judge)
         spread = max(second - mean_square(into.transfer, row, judge), 0.0) + LEAST_SPREAD * max(

@@ -50,8 +50,11 @@ def texel_before(share, count):
 
 @kernel()
 def mix_texels(table, first, columns, way, c):
-    """Return column ``c`` of a wall's texels, bilinear between the four from row ``first`` on,
-    at the fractions ``way`` (x, y).
+    """Return column ``c`` of a wall's texels, bilinear between four of them at the fractions
+    ``way`` (x, y) along the first and the second edge.
+
+    The table has a row for each texel, ``columns`` of them along the first edge: the four are rows
+    ``first``, ``first`` + 1, and those ``columns`` further on.
     """
     light = table.light
     (x, y) = way

@@ -104,7 +104,11 @@ larger volumes have ranges of macrocells.
 
 @kernel()
 def below(level):
-    """Return the largest float32 that is not above ``level``."""
+    """Return the largest float32 that is not above ``level``.
+
+    A float32 voxel is above the one if it is above the other, so that bounds in float64 can be
+    compared in float32 without error. -below(-level) is the least that is not below it.
+    """
     near = np.float32(level)
     if near > level:
         return np.nextafter(near, -SINGLE_INFINITY)

@@ -52,8 +52,10 @@ SURFACE = record(TracedSurface, FIELD_RECORD, ACTIVE_CELLS, types.float64)
 
 @kernel()
 def settle_vector(volume, rays, columns, stream, found, entries, hits):
-    """Intersect RAY_WIDTH rays, at ``columns`` of a stream, with their candidate cells; return
-    the rays that need ``cast``, as bits.
+    """Intersect RAY_WIDTH rays, at ``columns`` of a stream, with their candidate cells.
+
+    Writes certain hits, and returns the other rays as bits: they need ``cast``. ``volume`` and
+    ``found`` are those of ``traverse``.
     """
     (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = (
         volume,
@@ -70,8 +72,9 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
     d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
     solid = (word & 1) != 0
     place = where(known, cell_of(word), 0)
-    # Intersect in float64. A float32 entry later than the true one could have skipped a cell, and
-    # is not sure.
+    # Intersect in float64. The traversal tested the way up to its float32 entry into the cell. If
+    # the true entry comes later, by more than the margins of those tests allow for, a part of the
+    # way in front of it was not tested, and a hit is not sure.
     hit, near, sure = cross_cells(flat, shape, o, d, place, span, gather(isovalues, m), solid)
     late = (near - span[0]) * longest(d) - f64(gather(entries, columns))
     sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(shape))

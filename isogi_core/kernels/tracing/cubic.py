@@ -71,7 +71,8 @@ def refine(q, lo, hi, solid, wanted):
 
     Newton's method starts from the chord's root and is kept in a shrinking bracket, so that it ends
     even if the values at both ends have one sign: a root that rounding lost is at ``lo`` then. The
-    iteration ends once all lanes that are ``wanted`` have converged.
+    iteration ends once all lanes that are ``wanted`` have converged; a lane that has converged
+    stays as it is, so that its bits do not depend on the other lanes.
     """
     # Start at the root of the chord, or at the middle if rounding puts that outside.
     first, last = horner(q, lo), horner(q, hi)
@@ -112,8 +113,10 @@ def first_crossing(q, solid, blur, wanted):
     """Return the smallest t in [0, 1] at which the cubic leaves the side ``solid``, and True if
     there is one.
 
-    Lanes that are not ``wanted`` have none. A cubic that turns within ``blur`` of 0 only touches
-    the surface, and does not leave its side.
+    Lanes that are not ``wanted`` have none; t means nothing without a crossing. A cubic that turns
+    within ``blur`` of 0 only touches the surface, and does not leave its side. The value at t = 1
+    is compared without blur: its sign is also the side on which the ray enters the next cell, and
+    a surface between two cells that disagreed would be lost.
     """
     # Reject cubics whose Bernstein coefficients all lie on the starting side: they have no zero.
     across = ends_solid(q) != solid
@@ -122,7 +125,8 @@ def first_crossing(q, solid, blur, wanted):
     leaves = wanted & (across | ((b1 > 0.0) != solid) | ((b2 > 0.0) != solid))
     if not any_of(leaves):
         return q[3], leaves
-    # Split at the turning points, and take the first monotone piece that ends on the other side.
+    # Split at the turning points into monotone pieces: [0, r1], [r1, r2] and [r2, 1]. Take the
+    # first one that ends on the other side, in which the zero is the only one.
     r1, r2 = turning_points(q)
     turns = r1 > 0.0
     one = turns & beyond(horner(q, r1), solid, blur)

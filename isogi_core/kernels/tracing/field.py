@@ -135,10 +135,11 @@ def blend(w, a, b, c, d):
 
 @kernel(exact=True)
 def blend_cube(voxels, cell, weights, slopes):
-    """Return the three sums over 4×4×4 voxels around ``cell`` (i, j, k) with ``weights``, and
-    ``slopes`` along one axis each.
+    """Return the gradient of the tricubic B-spline over 4×4×4 voxels around ``cell`` (i, j, k).
 
-    Voxels beyond the border repeat the border's.
+    ``weights`` and ``slopes`` hold the four spline weights and their derivatives along x, y and z.
+    A component has the slopes along its axis, and the weights along the other two. Voxels beyond
+    the border repeat the border's.
     """
     (i, j, k) = cell
     (wx, wy, wz) = weights

@@ -176,6 +176,8 @@ def cast(field, iso, o, d, side):
     i = clamp_cell(p[0], nx) // MACROCELL_SIDE
     j = clamp_cell(p[1], ny) // MACROCELL_SIDE
     k = clamp_cell(p[2], nz) // MACROCELL_SIDE
+    # A given side is that of the start; it says nothing about the place at which a ray from outside
+    # enters the box.
     if near > 0.0:
         side = UNKNOWN_SIDE
     inv = reciprocals(d)

@@ -193,8 +193,11 @@ def opens(shells, p):
 
 @kernel()
 def first_crossings(shells, sight, eye, directions, layers, left):
-    """Find the first crossings of rays from the ``eye`` behind a window, whose faces end rays
-    as their first layer.
+    """Find the first crossing of each ray from the ``eye`` with each surface, in the part of the
+    ray that the window leaves visible.
+
+    If a ray enters that part inside of an opaque surface, the window cuts matter open there: the
+    face of the window is the ray's first and only layer, and its share ``left`` becomes 0.
     """
     s = shells.clears.shape[0]
     n = directions.shape[1]
@@ -210,12 +213,14 @@ def first_crossings(shells, sight, eye, directions, layers, left):
         crossings.ends[i], crossings.walls[i] = nearest_wall(sight.walls, eye, d, NO_WALL, math.inf)
         crossings.far[i] = min(far, crossings.ends[i])
         crossings.t[:, i] = near
+        # Show the cut face if the ray begins at a plane of the window, and no wall hides it.
         if 0.0 < near <= crossings.ends[i] and opens(shells, madd(eye, near, d)):
             layers.sides[0, i] = WINDOW_FACE
             layers.t[0, i] = near
             layers.weights[0, i] = 1.0
             left[i] = 0.0
-    # Cast the rays at each surface that can be seen.
+    # Cast the rays at each surface that can be seen, from the window on. They start on no surface:
+    # their sides are UNKNOWN_SIDE, which is its opposite, too.
     for k in range(s):
         if shells.clears[k] < 1.0:
             cast_to_next(shells, crossings, k, eye, directions, every)
@@ -281,8 +286,8 @@ def take_walls(crossings, layers, left):
 
 @kernel()
 def find_passing(layers, number, k, left, some):
-    """List the rays that go on past surface ``k`` in layer ``number`` in ``some`` (n,);
-    return their number.
+    """List in ``some`` (n,) the rays whose layer ``number`` is surface ``k``, and that have light
+    left for layers behind; return their number.
     """
     count = 0
     for i in range(left.shape[0]):

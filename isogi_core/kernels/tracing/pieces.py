@@ -32,10 +32,12 @@ def root_of(parents, place):
 
 @kernel()
 def join(parents, ranks, place, other, least):
-    """Join the piece of ``other``, a neighbour that was reached, to that of ``place``, a root.
+    """Join the piece of ``other`` to that of its neighbour ``place``, a root.
 
-    A higher piece of ``least`` voxels or more keeps its level; the piece that meets it then counts
-    as large enough too.
+    The level has fallen to ``place``; ``other`` was reached before, so that it is as high or
+    higher. All voxels of a piece that is still too small, or on the same level, take the value of
+    ``place``. A higher piece of ``least`` voxels or more keeps its level; the piece that meets it
+    then counts as large enough too, as both are connected on this level.
     """
     root = root_of(parents, other)
     if root == place:

@@ -87,7 +87,8 @@ def put_rays(shape, bricks, rays, m, stream, r):
         load(directions[1], m, RAY_WIDTH),
         load(directions[2], m, RAY_WIDTH),
     )
-    # Clip the rays to the box, and scale directions by their largest component.
+    # Clip the rays to the box, and scale directions by their largest component. Rays without a
+    # finite direction are marked for ``cast``, with numbers that do no harm here.
     near, far = clip_box(shape, o, d)
     most = longest(d)
     shrink = 1.0 / most
@@ -101,6 +102,8 @@ def put_rays(shape, bricks, rays, m, stream, r):
         mirror = mirror + where(descends, 1 << a, 0)
         store(records[a], r, here)
         store(records[3 + a], r, step)
+    # Write the side of rays that start in the box as the sign of the field less the isovalue, which
+    # is positive on the solid side: minus the sign of the side.
     side = f32(load(sides, m, RAY_WIDTH))
     store(records[6], r, f32((far - near) * most))
     store(records[7], r, f32(load(isovalues, m, RAY_WIDTH)))

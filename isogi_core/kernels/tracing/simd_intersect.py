@@ -40,11 +40,14 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
     """Intersect rays with the surface in the cells at ``place``, which they enter from a ``solid``
     side or not.
 
-    ``span`` (near, far) comes from ``clip_box``. Returns (t, distance at which the ray enters the
-    cell, sure). If sure, t equals the result of ``cross_cell``; otherwise that must be called.
+    ``place`` is the flat index of the cell's lowest corner; ``span`` (near, far) comes from
+    ``clip_box``. Returns (t, distance at which the ray enters the cell, mask of certain hits). Such
+    a hit has the t of ``cross_cell``. Rays without one miss the cell, or their case is left to
+    ``cross_cell``: call that for both.
     """
     nz, ny, nx = shape
-    # Recover the cell's indices from its flat address.
+    # Recover the cell's indices from its flat index. Vectors have no division of integers; half a
+    # step keeps rounding of the float division away from whole numbers.
     layer = i32((f64(place) + 0.5) / np.float64(nx))
     plane = i32((f64(layer) + 0.5) / np.float64(ny))
     cell = place - layer * nx, layer - plane * ny, plane
@@ -57,7 +60,8 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
         o[1], middle, d[1], cell[1], ny
     )
     sure = sure & within_cell(o[2], middle, d[2], cell[2], nz) & (through * longest(d) >= SLIVER)
-    # Cells without corners on both sides, or with holes, are not sure.
+    # Cells without corners on both sides, or with holes, are not sure. A hole is NaN, so that the
+    # sum of the corners then compares with nothing.
     c = less(corners_of(flat, place, (nx, nx * ny)), iso)
     low, high, total = extent(c)
     sure = sure & (high > 0.0) & ~(low > 0.0) & ((total <= 0.0) | (total > 0.0))

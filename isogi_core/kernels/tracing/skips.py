@@ -112,8 +112,10 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
 
 @kernel()
 def write_octant(sides, octant, shape, tops):
-    """Add the skip distances of an octant to ``tops`` (bricks,); ``sides`` (SKIP_BITS, z, y,
-    words) hold their bits.
+    """Add the skip distances of an octant to the words ``tops`` (bricks,), in its four bits.
+
+    Plane p of ``sides`` (SKIP_BITS, z, y, words) holds bit p of each brick's distance. Planes have
+    a border of one word on each side, and bits of 64 bricks along x in a word.
     """
     bz, by, bx = shape
     one = np.uint64(1)
@@ -124,7 +126,7 @@ def write_octant(sides, octant, shape, tops):
                 z = k + 1
                 y = j + 1
                 w = first // WORD_BRICKS + 1
-                # Collect the four bits of each brick's count from the four planes.
+                # Collect the four bits of each brick's distance from the four planes.
                 a = sides[0, z, y, w]
                 b = sides[1, z, y, w]
                 c = sides[2, z, y, w]

@@ -79,9 +79,11 @@ def value_span(voxels, p):
 
 
 @kernel(exact=True)
-def flat(voxels, p, own, edge):
-    """Return True if at least a share FLAT_SHARE of the voxels around ``p`` is within ``edge``
-    of its value ``own``.
+def flat(voxels, p, here, edge):
+    """Return True if at least the share FLAT_SHARE of the voxels around ``p`` is within ``edge``
+    of the value ``here`` at ``p``.
+
+    Voxels around are those of the smoothed gradient: see ``reach``.
     """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -90,18 +92,20 @@ def flat(voxels, p, own, edge):
     for k in range(zs[0], zs[1] + 1):
         for j in range(ys[0], ys[1] + 1):
             for i in range(xs[0], xs[1] + 1):
-                alike += abs(np.float64(voxels[k, j, i]) - own) <= edge
+                alike += abs(np.float64(voxels[k, j, i]) - here) <= edge
                 count += 1
     return alike >= FLAT_SHARE * count
 
 
 @kernel(exact=True)
-def at_edge(voxels, p, own, low, high):
-    """Return True if ``p`` with the value ``own`` is at the edge of a plateau; ``low`` and
+def at_edge(voxels, p, here, low, high):
+    """Return True if ``p`` with the value ``here`` is at the edge of a plateau; ``low`` and
     ``high`` are the extremes nearby.
+
+    It is if its value is near one of them, and many voxels nearby have that value.
     """
     edge = EDGE_SHARE * (np.float64(high) - np.float64(low))
-    return low < high and not low + edge < own < high - edge and flat(voxels, p, own, edge)
+    return low < high and not low + edge < here < high - edge and flat(voxels, p, here, edge)
 
 
 @kernel(exact=True)

@@ -231,14 +231,20 @@ def corner_values(flat, place, turned, sy, sz, iso):
 def certain(volume, cells, ray, c, span, sign, lanes):
     """Return the mask of those ``lanes`` in which the field certainly keeps ``sign`` in cell
     ``c`` on the ``span`` (in, out).
+
+    The field less the isovalue is a cubic along the ray. If its Bernstein coefficients all have the
+    sign, by more than float32 can be wrong, so has the cubic.
     """
-    # Gather the corners of the cell.
+    # Gather the corners of the cell. Corners are addressed among voxels; mirroring runs from the
+    # far end of the last whole brick, as the ray's mirrored coordinates do.
     flat, (_, ny, nx) = volume
     bz, by, bx = cells.shape
     stride, base = strides_of(
         ray.mirror, nx, nx * ny, (BRICK_CELLS * bx, BRICK_CELLS * by, BRICK_CELLS * bz)
     )
     turned = stride[0] < 0
+    # A mirrored lane reads its pairs along x from the lower neighbour on. Lanes that are not asked
+    # for may be anywhere, and read from the start of the array.
     place = linear(c, stride, base) + where(turned, -1, 0)
     sy, sz = where(lanes, stride[1], 0), where(lanes, stride[2], 0)
     v = corner_values(flat, where(lanes, place, 0), turned, sy, sz, ray.iso)
@@ -289,7 +295,7 @@ def put_word(found, owner, word, lanes):
 
 @kernel()
 def no_ray():
-    """Return lanes that follow no ray yet."""
+    """Return a ``Ray`` of zeros in all lanes, with which ``take_rays`` blends the first rays."""
     zero = f32(0.0)
     nought = i32(0)
     point = (zero, zero, zero)

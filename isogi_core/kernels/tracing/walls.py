@@ -46,40 +46,43 @@ def inner(rows, k, v):
 
 
 @kernel(exact=True)
-def nearest_wall(walls, o, d, own, reach):
+def nearest_wall(walls, o, d, start, reach):
     """Return the first wall that the ray o + t·d meets for 0 < t < ``reach``: (t, number), or
     (reach, NO_WALL).
 
-    A ray never meets its ``own`` wall, which it starts on. Takes vectors of rays as well.
+    A ray never meets the wall ``start`` that it starts on, a number or NO_WALL. Takes vectors of
+    rays as well.
     """
-    found = own * 0.0 + NO_WALL
+    # Begin with no wall, as a number or a vector as ``start`` is.
+    found = start * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
         # Find the ray's hit on the wall's plane, and its coordinates along the two edges.
         x = o[0] - walls.corners[k, 0]
         y = o[1] - walls.corners[k, 1]
         z = o[2] - walls.corners[k, 2]
+        # A ray parallel to the plane has an infinite t or NaN, and fails the comparisons below.
         slope = inner(walls.planes, k, d)
         t = divide(-inner(walls.planes, k, (x, y, z)), slope)
         p = x + t * d[0], y + t * d[1], z + t * d[2]
         a, b = inner(walls.across[k], 0, p), inner(walls.across[k], 1, p)
         within = (a >= -WALL_RIM) & (a <= 1.0 + WALL_RIM) & (b >= -WALL_RIM) & (b <= 1.0 + WALL_RIM)
         # Keep it if it is on the rectangle, before the nearest so far, on a side that stops rays.
-        met = within & (t > 0.0) & (t < reach) & (own != float(k)) & (slope < walls.backs[k])
+        met = within & (t > 0.0) & (t < reach) & (start != float(k)) & (slope < walls.backs[k])
         reach = where(met, t, reach)
         found = where(met, float(k), found)
     return reach, found
 
 
 @kernel()
-def meet_walls(walls, origins, directions, own, t, met):
+def meet_walls(walls, origins, directions, start, t, met):
     """Shorten the distances ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to their
     first walls.
 
-    ``own`` (n,) are the walls that they start on; ``met`` (n,) are the walls that they hit, or
+    ``start`` (n,) are the walls that they start on; ``met`` (n,) are the walls that they hit, or
     NO_WALL. n is a multiple of the vector width.
     """
     for i in range(0, t.shape[0], PATH_WIDTH):
         o, d = load_columns(origins, i), load_columns(directions, i)
-        reach, found = nearest_wall(walls, o, d, load(own, i, PATH_WIDTH), load(t, i, PATH_WIDTH))
+        reach, found = nearest_wall(walls, o, d, load(start, i, PATH_WIDTH), load(t, i, PATH_WIDTH))
         store(t, i, reach)
         store(met, i, found)

@@ -118,9 +118,10 @@ def next_label(labels, p, after):
 
 @kernel()
 def label_albedo(colours, p):
-    """Blend the albedos of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over their
-    trilinear weights w.
+    """Blend the albedos of labels at ``p``, in steps of the grid: W Σ w⁸ c / Σ w⁸ + (1 - W) c₀ over
+    their trilinear weights w.
 
+    W = Σ w is the share of labelled places at the corners around, and c₀ the colour of NO_VALUE.
     The power makes one colour change to the next within a quarter of a step, along a smooth seam of
     equal weights.
     """
@@ -143,7 +144,7 @@ def label_albedo(colours, p):
     else:
         known = 0.0
         part = 0.0
-    # Places without a label have the colour of NO_VALUE.
+    # ``part`` scales Σ w⁸ c to the share of labelled places; the rest has the colour of NO_VALUE.
     rest = 1.0 - known
     outside = colours.table[NO_VALUE]
     return part * r + rest * outside[0], part * g + rest * outside[1], part * b + rest * outside[2]

@@ -121,12 +121,16 @@ def make_vertices(n):
 
 
 @kernel()
-def columns(room, count):
-    """View the first ``count`` paths of a (3 n,) array
-    as (3, count rounded up to whole vectors).
+def columns(flat, count):
+    """View the beginning of the (3 n,) array ``flat`` as vectors of ``count`` paths: (3, count
+    rounded up to whole SIMD vectors).
+
+    The rows follow each other without gaps, as kernels demand that take contiguous arrays
+    (``cast_batch``). So the place of a vector depends on ``count``: read an array by the count that
+    it was written by.
     """
     n = whole(count)
-    return room[: 3 * n].reshape(3, n)
+    return flat[: 3 * n].reshape(3, n)
 
 
 @kernel()
@@ -637,7 +641,13 @@ def branch(wave, vertices, room, branches, stride):
 
 @split.case(PathTree)
 def branch_once(scene, state, vertices, spare, bounce, rules, source):
-    """Branch the paths that continue from their first hit."""
+    """Replace each path that continues from its first hit by its branches; later hits keep paths
+    single.
+
+    Returns the vertices of the branches, and those of the paths as spare ones. The first ray is
+    shared: it brings direct light, which converges with few rays; branches bring reflected light
+    (see ``PathTree``).
+    """
     if bounce > 0 or rules.branches == 1:
         return vertices, spare
     following = branch(state.wave.rays, vertices, spare, rules.branches, state.wave.starting)

@@ -111,11 +111,13 @@ def arriving(constant, image, matrix, table, w, cosine):
 
 @kernel()
 def unshadowed_irradiance(order, lobe, light, n, basis, c):
-    """Return unoccluded irradiance over π of channel ``c``: Σ A_l/π ℓ_lm Y_lm(n), at least 0.
+    """Return unoccluded irradiance over π of channel ``c``: Σ A_l/π ℓ_lm Y_lm(n).
 
-    ``lobe`` (n²) holds A_l/π per coefficient, ``light`` (3, n²) the turned environment, ``basis``
-    (n²) the harmonics of the unit normal ``n`` (see ``evaluate``). Source: Ramamoorthi and Hanrahan
-    2001.
+    Harmonics have this ``order``; with K = order² coefficients, ``lobe`` (K,) holds A_l/π, those of
+    the cosine lobe, ``light`` (3, K) the turned environment, and ``basis`` (K,) the harmonics of
+    the unit normal ``n`` (see ``evaluate``). A sum that is cut off after some bands may fall below
+    0 behind a bright light; irradiance cannot, so that 0 is returned. Source: Ramamoorthi and
+    Hanrahan 2001.
     """
     total = 0.0
     for i in range(order * order):
@@ -190,9 +192,12 @@ def draw_from_disc(towards, edges, u, v):
     """Sample a direction to the disc of a directional lamp, and return it with its cosine to the
     axis ``towards``.
 
-    The density per steradian is that cosine over the projected area of the disc, so that uniform
-    radiance E/area gives a surface that faces the lamp exactly E.
+    The lamp is a cap of the unit sphere with uniform radiance. Its projection along the axis is a
+    disc with the radii ``edges``; points are uniform there, so that the density per steradian is
+    cosine/area. A lamp of irradiance E has the radiance E/area. Divided by the density that is
+    E/cosine, whatever the size of the disc, and a surface that faces the lamp gets exactly E.
     """
+    # Draw a point of the projected disc, and lift it to the sphere.
     x, y = sample_disc(u, v)
     across = madd(scale(row(edges, 0), x), y, row(edges, 1))
     cosine = math.sqrt(max(1.0 - dot(across, across), 0.0))
@@ -213,6 +218,7 @@ def illuminate(lamps, k, p, n, u, v):
     # A directional lamp is at infinity.
     if lamps.kinds[k] == DIRECTIONAL:
         w, cosine = draw_from_disc(place, edges, u, v)
+        # The cosine to the axis comes from the density of ``draw_from_disc``.
         return w, math.inf, scale(colour, max(dot(n, w), 0.0) / cosine)
     # Sample a point of an area; the edges of a point lamp are zero.
     away = sub(madd(madd(place, u, row(edges, 0)), v, row(edges, 1)), p)

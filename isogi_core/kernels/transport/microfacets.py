@@ -166,7 +166,10 @@ def towards_ends(k):
 def mean_energy(alpha, cosine):
     """Return (A, B): a lobe seen at ``cosine`` reflects F₀ A + B of uniform light.
 
-    Places are denser at the rim of the disc, where facets are steep and change most.
+    Takes the mean over facets that are visible from there, at GRID² places (x, y) of the square
+    that ``sample_reflected`` maps to facets by ``sample_disc``. The sides of the square become the
+    rim of the disc, where facets are steep and change most: places are denser towards the sides,
+    and have smaller weights there.
     """
     v = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
     a = 0.0
@@ -179,7 +182,8 @@ def mean_energy(alpha, cosine):
             l = sample_reflected(alpha, v, x, y)
             total = total + width * height
             if l[2] > 0.0:
-                # The weight of a sampled direction is G₂/G₁ F; Schlick's F = F₀ (1 - edge) + edge.
+                # A sampled direction counts G₂/G₁ F, the lobe over its density. Schlick's
+                # F = F₀ (1 - edge) + edge splits it into A and B.
                 share = width * height * seen_and_lit(alpha, v[2], l[2]) / seen_from(alpha, v[2])
                 edge = grazing(dot(v, facet_between(v, l)))
                 a = a + share * (1.0 - edge)

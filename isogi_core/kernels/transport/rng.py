@@ -117,6 +117,10 @@ def sobol_2d(index):
 def laine_karras(word, seed):
     """Permute words so that each bit is changed only by lower bits and the seed.
 
+    Carries of sums and products go upwards alone. A word with an even multiple of itself added
+    (xor) keeps its lowest bit, and each further bit can be solved for when those below are known,
+    so that no two words become the same; a factor that is odd has an inverse modulo 2³².
+
     Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by
     Vegdahl 2021.
     """

@@ -202,8 +202,11 @@ def cast_among_walls(scene, state, points, count):
 
 @gather_sources.case(Surroundings)
 def gather_from_all(scene, state, vertices, bounce, light):
-    """Add the light of lamps, bright parts of the environment,
-    and luminaires at the vertices of a wave.
+    """Add the light of lamps, bright parts of the environment, and luminaires at the vertices of a
+    wave, in any scene with a ``room``.
+
+    Luminaires are the walls that emit light. As sources they are numbered after the environment, 0,
+    and the lamps, so that each draws different random numbers.
     """
     room = scene.room
     lamps = light.lamps.kinds.shape[0]
@@ -267,6 +270,8 @@ def surface_albedo(room, p):
 def carry(wave, vertices, hits, chance, room):
     """Multiply throughputs by the albedo of the wall or surface that paths hit, over the
     ``chance`` that they continue.
+
+    Call it before ``compact``, which moves paths away from the places of their rays.
     """
     rays = wave.rays
     count = vertices.count
@@ -320,9 +325,12 @@ def advance_in_room(scene, state, vertices, following, bounce, rules):
     """Move the paths that continue to their hit points on the isosurface or on a wall."""
     rays = state.wave.rays
     count = vertices.count
+    # Roulette spares the first hit: ``russian_roulette``.
     chance = rules.survival if bounce > 0 else 1.0
     carry(state.wave, vertices, following.count, chance, scene.room)
     compact(rays, vertices, following)
+    # Move distances to the places of the vertices, too: ``stand_on_walls`` reads them there. Points
+    # on walls replace those of ``next_vertex``, which takes all hits for points of the isosurface.
     for h in range(following.count):
         rays.t[h] = rays.t[rays.hits[h]]
     next_vertex(scene.field, rays, count, following)

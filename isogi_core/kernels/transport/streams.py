@@ -22,7 +22,7 @@ lamps, then luminaires.
 """
 
 MAX_CROSSINGS = 64
-"""Largest number of surfaces that a ray passes; the next one stops it."""
+"""Largest number of surfaces that a ray meets; the last of them stops it."""
 
 FIRST_ROULETTE_PAIR = 0x7FFF * PAIRS_PER_PURPOSE
 """The first pair that decides which paths continue, one for each bounce."""

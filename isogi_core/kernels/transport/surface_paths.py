@@ -129,8 +129,10 @@ def cast_at_all(scene, state, origins, count):
 
 @kernel()
 def cast_past(scene, state, k, origins, count, going):
-    """Cast the pending rays among the first ``going`` that have just passed surface ``k``
-    on from there.
+    """Find the next crossing with surface ``k`` of those rays that have just passed it.
+
+    Rays are the first ``going`` of the pending ones, which started from ``origins``. Distances to
+    other surfaces stay valid: those crossings still lie ahead.
     """
     # List the rays whose last crossing was on surface k.
     n = whole(going)
@@ -166,8 +168,11 @@ def cast_past(scene, state, k, origins, count, going):
 
 @kernel()
 def nearest_surface(state, i):
-    """Return the surface that ray ``i`` crosses next, the first of several at one place;
-    0 if there is none.
+    """Return the number of the surface that ray ``i`` crosses next, the least number if several
+    are equally far.
+
+    If the ray crosses none, all its distances are infinite, and the number is 0: check the distance
+    before use.
     """
     best = 0
     for k in range(1, state.t.shape[0]):
@@ -210,7 +215,8 @@ def goes_on(surfaces, state, i, bounce, crossing, aimed):
         reach = state.wave.shadow.reach[i]
     else:
         reach = math.inf
-    # Record the crossing, or the wall if that is nearer.
+    # Record the crossing, or the wall if that is nearer. A ray that meets neither counts as walled
+    # at an infinite distance.
     walled = state.end[i] <= state.t[k, i]
     if walled:
         rays.t[i] = state.end[i]
@@ -228,21 +234,22 @@ def goes_on(surfaces, state, i, bounce, crossing, aimed):
 
 
 @kernel()
-def follow_rays(scene, state, room, bounce, count, aimed):
-    """Follow the rays of a wave from the points in ``room`` to the surfaces that stop them.
+def follow_rays(scene, state, points, bounce, count, aimed):
+    """Follow the rays of a wave from ``points`` (3 n,) to the surfaces or walls that stop them.
 
     Writes distance, side, surface and wall of each hit. ``aimed`` rays end at their reach, and keep
     the share ``passed`` of their light.
     """
     # Find the first crossing of each ray with each surface.
-    origins = columns(room, count)
+    origins = columns(points, count)
     origins[:, count:] = math.inf
     state.passed[:count] = 1.0
     cast_at_all(scene, state, origins, count)
     for i in range(count):
         state.pending[i] = i
     going = count
-    # Handle the nearest crossing of each pending ray, and find the next one of rays that pass.
+    # Handle the nearest crossing of each pending ray. Only the surface that a ray has passed needs
+    # another cast; the first crossings with all others still lie ahead of it.
     for crossing in range(MAX_CROSSINGS):
         staying = 0
         for j in range(going):
@@ -254,8 +261,10 @@ def follow_rays(scene, state, room, bounce, count, aimed):
             break
         for k in range(scene.surfaces.clears.shape[0]):
             cast_past(scene, state, k, origins, count, going)
+    # End rays that have too many crossings at the last of these; such a shadow ray brings no light.
     for j in range(going):
         state.passed[state.pending[j]] = 0.0
+    # A surface was nearer than the wall that ``cast_at_all`` found.
     for i in range(count):
         if state.met[i] != NO_SURFACE:
             state.wave.met[i] = NO_WALL
@@ -263,8 +272,9 @@ def follow_rays(scene, state, room, bounce, count, aimed):
 
 @add_sent.case(Among)
 def add_sent_among(scene, state, vertices, bounce):
-    """Add the light of the shadow rays of a wave; surfaces let a share of it pass,
-    and walls nothing.
+    """Add the light that shadow rays bring to the paths of a wave, times their throughput.
+
+    Each surface on the way lets the share ``clear`` of it pass, and walls let nothing pass.
     """
     shadow = state.wave.shadow
     count = vertices.count
@@ -273,6 +283,7 @@ def add_sent_among(scene, state, vertices, bounce):
     lights = columns(shadow.light, count)
     carried = state.wave.carried
     gathered = state.wave.gathered
+    # Skip rays that start at infinity, NO_START: the source cannot light their vertices.
     for i in range(count):
         if state.passed[i] > 0.0 and starts[0, i] < math.inf:
             m = state.wave.rays.owners[i]
@@ -322,10 +333,12 @@ def choose_side(surfaces, state, h, k, vertex, chance):
 
 @kernel()
 def stand_on(scene, state, following, count, bounce, chance):
-    """Set surface, isovalue and side of the vertices ``following``, which rays of a ``bounce`` hit.
+    """Set surface, isovalue and side of the vertices ``following``, and multiply throughputs by the
+    light that leaves there.
 
-    ``count`` rays were cast; hits were continued with the probability ``chance``. The throughput of
-    paths on walls is multiplied by the albedo there.
+    Rays of a ``bounce`` hit these vertices: ``count`` rays were cast, and each hit was continued
+    with the probability ``chance``, by which throughputs are divided. The factor is the albedo of a
+    wall, or that of ``choose_side`` on a surface.
     """
     rays = state.wave.rays
     carried = state.wave.carried
@@ -335,9 +348,12 @@ def stand_on(scene, state, following, count, bounce, chance):
     for h in range(following.count):
         i = rays.hits[h]
         k = int(state.met[i])
+        # Move the path's state from the place of its ray to that of its vertex, as ``compact`` did
+        # with the rest; ``stand_on_walls`` needs the distance there.
         state.own[h] = state.own[i]
         state.on[h] = k
         rays.t[h] = rays.t[i]
+        # Surface 0 has an isovalue for each path; on walls isovalues are not used.
         if k <= 0:
             rays.isovalues[h] = state.own[h]
         else:
@@ -386,6 +402,8 @@ def advance_among(scene, state, vertices, following, bounce, rules):
     """Move the paths that continue to their hit points on surfaces or walls."""
     rays = state.wave.rays
     count = vertices.count
+    # Normals need the isovalue and the side that ``stand_on`` sets. ``next_vertex`` takes all hits
+    # for points of isosurfaces; vertices on walls replace its result last.
     compact(rays, vertices, following)
     stand_on(scene, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
     next_vertex(scene.field, rays, count, following)

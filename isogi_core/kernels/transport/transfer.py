@@ -1,7 +1,7 @@
 """Light of texels: their points, radiance transfer (S1, eqs. 6 and 8), irradiance, and projection.
 
-A texel is lit on the isosurface through its own point. ``locate_texels`` finds point, normal and
-isovalue; ``bake_texels`` traces paths from there and projects their ends on spherical harmonics;
+A texel is lit on the isosurface through its point of the lattice. ``locate_texels`` finds point,
+normal and isovalue; ``bake_texels`` traces paths from there and projects their ends on harmonics;
 ``bake_irradiance`` sums the light of an environment that does not turn. ``project_texels`` moves
 texels onto one given isosurface.
 
@@ -376,8 +376,10 @@ class Confines(NamedTuple):
 
 
 class Strays(NamedTuple):
-    """Marks (g,) of the starts that have a path that hits something outside of a ``box``; such
-    paths end there.
+    """A source that gathers no light: ``marks`` (g,) of the starts that have a path that hits
+    something outside of a ``box`` (2, 3).
+
+    Paths from a marked start end.
     """
 
     box: Any
@@ -399,8 +401,10 @@ def is_within(p, box):
 
 @gather_met.case(Strays)
 def mark_strays(scene, state, vertices, bounce, strays):
-    """Mark the starts of rays that hit something outside of the box;
-    return the number of paths that continue.
+    """Mark the starts of rays that hit something outside of the box.
+
+    Returns the number of paths that continue: those that hit something, and whose start is not
+    marked. Their rays are moved to the front of the list of hits.
     """
     rays = state.wave.rays
     count = vertices.count
@@ -409,6 +413,8 @@ def mark_strays(scene, state, vertices, bounce, strays):
     directions = columns(rays.directions, count)
     for h in range(partition(rays, count)):
         i = rays.hits[h]
+        # Path s g + k is sample s of start k, and its branches differ by multiples of g: see
+        # ``trace_paths`` and ``branch``.
         start = rays.owners[i] % strays.marks.shape[0]
         if not is_within(madd(column(origins, i), rays.t[i], column(directions, i)), strays.box):
             strays.marks[start] = True
@@ -420,8 +426,12 @@ def mark_strays(scene, state, vertices, bounce, strays):
 
 @kernel()
 def trace_strays(scene, starts, samples, confines, marks):
-    """Mark the ``PathStarts`` that stray in ``marks`` (g,),
-    by a ``SampleRange`` of the paths of ``trace_ends``.
+    """Mark those of g ``PathStarts`` in ``marks`` (g,) that have a path to something outside of the
+    box.
+
+    Traces the same paths as ``trace_ends`` does for a ``SampleRange``, as these depend on seeds,
+    sample numbers and the ``PathTree`` of the ``confines`` alone. Their ends and albedos are not
+    recorded.
     """
     tree = PathTree(confines.bounces, confines.survival, confines.branches)
     total = starts.isovalues.shape[0] * samples.count
@@ -586,8 +596,11 @@ MAX_BACKTRACK = 0.1
 
 @kernel(exact=True)
 def strays(voxels, p, d, level, reach):
-    """Return how far the field runs backwards from ``p`` to ``reach`` along ``d``, over its
-    distance from ``level``.
+    """Return how far the field runs away from ``level`` between ``p`` and ``reach`` along ``d``, as
+    a share of the difference between ``level`` and the field at ``p``.
+
+    On the way from a texel to its isosurface it should only come nearer; a large share says that
+    the way leads through another sheet.
     """
     here = value(voxels, p)
     nearest = abs(here - level)

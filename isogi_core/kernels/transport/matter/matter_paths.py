@@ -206,8 +206,11 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
 
 @kernel()
 def stand_at_ends(wave, passage, following, room, chance):
-    """Put the vertices ``following`` on the walls that were hit;
-    multiply by albedo over ``chance``.
+    """Put the vertices ``following`` on the walls that were hit; multiply throughputs by albedo
+    over ``chance``.
+
+    ``compact`` has moved the state of rays to the places h of their vertices; the ``passage`` still
+    has them at their former places i.
     """
     rays = wave.rays
     hits = following.count

@@ -264,13 +264,13 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
     going = count
     # Cast all pending rays to their next interface or wall, and handle one event of each.
     for step in range(MAX_STEPS):
-        rays, own = gather_rays(field, wave.rays, passage, going)
-        n = own.shape[0]
+        rays, starts = gather_rays(field, wave.rays, passage, going)
+        n = starts.shape[0]
         t = np.empty(n)
         came = np.empty(n, np.int8)
         met = np.empty(n)
         cast_batch(field, cells, rays, t, came)
-        meet_walls(walls, rays.origins, rays.directions, own, t, met)
+        meet_walls(walls, rays.origins, rays.directions, starts, t, met)
         staying = 0
         for j in range(going):
             i = passage.pending[j]

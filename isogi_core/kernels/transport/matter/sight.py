@@ -142,7 +142,12 @@ def put_leaf(leaves, place, p, weight, wall, side):
 
 @kernel()
 def choice(chances, progress, m):
-    """Return the next random number in [0, 1) of point ``m``; one half with NO_SAMPLE."""
+    """Return the next random number in [0, 1) of point ``m``.
+
+    With NO_SAMPLE it is one half: an event of probability p, taken if the number is less than p,
+    then happens if p is more than one half, so that rays follow the greater part. Choices are
+    counted from 1, and each has a dimension of its number.
+    """
     progress.made[m] += 1
     sample = chances.samples[m]
     if sample == NO_SAMPLE:
@@ -180,6 +185,9 @@ def part(surface, matter, sight, j, ray, shown):
 def meet_surface(surface, sight, count):
     """Return the hits of the first ``count`` rays on the surface: (index-space directions,
     distances, sides that they came from).
+
+    Distances are in world units, as directions are unit vectors of the world in index space, and
+    infinite if a ray misses. Arrays are filled up to whole SIMD vectors.
     """
     n = whole(count)
     directions = np.ones((3, n))
