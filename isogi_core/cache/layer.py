@@ -385,7 +385,7 @@ def layer_attributes(
     if layer.kind == "irradiance":
         lights = [light.name for light in scene.lighting.lights]
     return {
-        # Whose light it is, and the lattice that it is for.
+        # The scene and volume of the light, and the lattice that it is for.
         "format": BAKE_FORMAT,
         "scene": scene.id,
         "volume": scene.volume.name,

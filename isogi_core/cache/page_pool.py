@@ -394,18 +394,20 @@ def reflected_share(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
-    """Return the role of a ``layer`` in a bake spec, as part ``number`` and in the term number
-    ``at``.
+    """Return the role of a ``layer`` in a bake spec: how its texels, part ``number`` of the light,
+    count in the rows of the texel table as a summand of the term number ``at``.
 
-    Irradiance may be 0 because of the light alone, so it does not show that a texel is buried.
-    Light for several albedos comes from the same paths: only the last node counts their noise and
-    number.
+    Reflected light and glow are not shown before direct light is there, so their layers are not
+    ``straight``. A texel that no path leaves is buried. Transfer shows this, but irradiance may be
+    0 because of the lights alone, so it is not ``telling``.
     """
     term = spec.terms[at]
+    # Reflected light for several albedos (nodes) has a term, and a channel of the layer, for each.
     weights = white(layer, spec)
     if term.node is not None:
         weights = weights[term.node : term.node + 1]
-    # Only one of the nodes adds noise and sample level to the sums of a row.
+    # These channels come from the same paths: only the last one adds their noise and sample level
+    # to the sums of a row, so that both count once.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
