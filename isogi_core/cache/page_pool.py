@@ -402,12 +402,13 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
     0 because of the lights alone, so it is not ``telling``.
     """
     term = spec.terms[at]
-    # Reflected light for several albedos (nodes) has a term, and a channel of the layer, for each.
+    # A layer kept for several albedos, or of several glows, has a term for each of its channels:
+    # the term's node.
     weights = white(layer, spec)
     if term.node is not None:
         weights = weights[term.node : term.node + 1]
-    # These channels come from the same paths: only the last one adds their noise and sample level
-    # to the sums of a row, so that both count once.
+    # The channels come from the same paths: only the last one adds their noise and sample level to
+    # the sums of a row, so that both count once.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
@@ -438,8 +439,10 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """Return ``powers`` of the lights of each two terms, 0 above the lower order;
-    (terms, terms, channels, channels, most n²).
+    """Return ``bake.noise.powers`` of the lights of each two terms: factors of products of their
+    transfer in a texel's mean squared luminance.
+
+    They are 0 above the lower order; (terms, terms, channels, channels, most n²).
     """
     most = max(term.order for term in spec.terms) ** 2
     count = len(spec.terms)

@@ -105,7 +105,8 @@ class Bucket:
         A store without conditional writes takes the object in any case.
         """
         errors = self._obstore.exceptions
-        # Write only if there is no object, or only if its tag is that of ``former``.
+        # Write only if there is no object, or only if its tag is that of ``former``; without tags
+        # nothing can be compared.
         mode: Any = "overwrite"
         if former is None:
             mode = "create"
