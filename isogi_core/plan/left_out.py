@@ -48,7 +48,7 @@ def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int)
 
 
 MEASURED_BANDS = 5
-"""Order of the harmonics in S1."""
+"""Order of the harmonics in S1, the first of the sources that the README lists."""
 
 S1_BYTES = 3 * MEASURED_BANDS**2 * 4
 """Bytes of a texel in S1 for any light: 25 floats for each channel."""
@@ -216,7 +216,7 @@ def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield the rest of paths that roulette ends, with the rays that this saves if that was
-    measured.
+    measured: see MAX_MEASURED_ALBEDO.
     """
     if plan.survival == 1.0:
         return
@@ -224,9 +224,11 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         f"From its second hit on a path continues with probability {plan.survival:.2g}, and "
         "stands for those that end."
     )
-    long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
+    # The saving was measured on paths of at least as many bounces as the target error needs. A
+    # scene may ask for fewer, and shorter paths save less.
+    long_enough = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
     saved: tuple[Saving, ...] = ()
-    if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
+    if long_enough and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
         saved = (Saving(ROULETTE_RAYS, "percent of rays", True),)
     yield LeftOut("the rest of paths that end by chance", why, saved)
 

@@ -99,6 +99,8 @@ class Sample:
 
     def add(self, places: np.ndarray) -> None:
         """Add the next ``places`` (m,) of the stream."""
+        # Take those whose number in the stream is a multiple of the step; the first of them is
+        # -passed modulo step places ahead.
         self._taken.append(places[-self.passed % self._step :: self._step].copy())
         self.passed += len(places)
         # Too many: keep every second, and take half as many from now on.

@@ -183,8 +183,8 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
 
 
 def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
-    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``,
-    and the factor on its values.
+    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``, and
+    the factor that brings its values to units of the file: values per length, or 1 over length.
     """
     # In units of the shortest spacing, slopes stay far from the limits of float32.
     shortest = min(volume.spacing)
@@ -194,6 +194,8 @@ def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
         slope_layer(volume.voxels, spacing, z, step, values)
 
     def _bend(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        # Curvature smooths over neighbours, so find it at all voxels of the layer, and then take
+        # the places that are a step apart.
         whole = mean_curvature(volume.voxels, spacing, int(z))
         places = [
             np.minimum(np.arange(n) * int(step[0]), m - 1)
