@@ -273,7 +273,7 @@ class BakeRequest:
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
         interest = Interest(viewer, *seen, view, now, since, enough)
-        # A single viewer no longer wants what its older view did.
+        # A single viewer no longer wants the texels of its older view.
         if older is None or viewer.single:
             self.interests[viewer.client] = interest
         else:

@@ -362,19 +362,21 @@ class Baker:
                 self._healed,
             )
             if pool is None:
-                people = (0, 0)
+                workers = (0, 0)
             else:
-                people = (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
+                workers = (pool.workers, pool.deaths)
+            return Tally(*counts, *tasks, self.paths, *workers, self._kept, self._done_chunks)
 
     def stop(self) -> None:
         """Hand out no more tasks, write the light
         that is in memory, and save the measured costs.
         """
+        # Without a pool no task is handed out, and nobody waits any longer for light.
         with self._changed:
             self._pool = None
             self._pause.end()
             self._changed.notify_all()
+        # End the thread that writes due light before the rest is written.
         self._stopped.set()
         if self._looker is not None:
             self._looker.join()

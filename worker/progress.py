@@ -210,6 +210,8 @@ class TimeEstimator:
         """Return the subject of this name, marked as used now;
         a new one if it was not used for FORGET_SECONDS.
         """
+        # Take the subject out and put it in again at the end, so that the longest unused one comes
+        # first.
         now = self._clock()
         known = self._subjects.pop(name, None)
         if known is not None and now - known.asked <= FORGET_SECONDS:

@@ -524,11 +524,13 @@ class BakeQueue:
         if self.clock() - self.looked < EXPIRY_CHECK_SECONDS:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
+        # Forget finished light that no view drawn before it can still ask for.
         self._finished = {
             key: each
             for key, each in self._finished.items()
             if self.clock() - each[0] < STALE_SECONDS
         }
+        # Drop the interests that no view or page has renewed.
         for client in tuple(self._interesting):
             for request in self._older_than(client, horizon):
                 self._drop(request, client)

@@ -668,7 +668,7 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
     ``light`` is changed in place.
 
     The rows are those of one task after the other. The number of samples that a texel gets depends
-    on its own task only.
+    on its task only, and not on the other tasks.
     """
     target = tasks[0].target
     enough = tasks[0].enough

@@ -105,6 +105,7 @@ class LightWriter:
         """Write all light, and return when that is done,
         or when the store takes none, or after ``seconds``.
         """
+        # Begin again after each look: tasks that were in flight bring light, and writes fail.
         deadline = time.monotonic() + seconds
         while self.unwritten and not self.reason and time.monotonic() < deadline:
             self.write()

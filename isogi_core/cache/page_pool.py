@@ -221,6 +221,8 @@ class PagePool:
         if slot < 0:
             return UNLIT_VERSION
         if slot not in self._versions:
+            # Stamps tell how far texels are baked; entries of texels without a row, which are
+            # negative, stand for themselves.
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
             named = hashlib.blake2b(

@@ -345,6 +345,7 @@ def _in_box(lamps: LampArrays, orientation: Orientation) -> LampArrays:
 
 def _row(light: Lamp) -> Row:
     """Return kind, place, edges and colour of a lamp: see ``LampArrays``."""
+    # Colours are over π, as kernels compute E/π.
     if isinstance(light, DirectionalLight):
         colour = np.array(light.irradiance) / math.pi
         return DIRECTIONAL, *_disc(light), colour

@@ -120,6 +120,7 @@ def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
 
 def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield the lobes that the light has and the plan does not take out."""
+    # Compare the error of direct light's harmonics with that if all lobes were taken out.
     more = len(inputs.lobes) - plan.lobes
     if plan.representation == "transfer" and more:
         errors = [
@@ -193,6 +194,7 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield reflected light, or the light of paths with more bounces than the plan's."""
+    # The tail bounds the light of all longer paths; without bounces this is all reflected light.
     tail = tail_of_bounces(inputs.reflecting, plan.bounces)
     if plan.bounces == 0:
         if tail == 0.0:
@@ -246,6 +248,7 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """
     if not plan.half:
         return
+    # First compare half floats with single ones, then the plan's bytes with half floats.
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
     error = rounding_error(halved, inputs, plan.lobes)
@@ -307,6 +310,8 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield kernels that neither frames under global illumination nor their bake call."""
+    # Irradiance and transfer are baked by different kernels. Walls, several surfaces and colours
+    # need further ones, and then the plain one of the representation is idle, too.
     if plan.representation == "irradiance":
         bakes = ["bake_texels"]
     else:

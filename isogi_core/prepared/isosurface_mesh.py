@@ -183,6 +183,8 @@ def _trilinear(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.n
     """Return value (n,) and gradient (n, 3) of the trilinear field of ``corners`` (n, 8) at a
     ``place`` (n, 3).
     """
+    # The weight of a corner is the product of its factors along all axes; its derivative along an
+    # axis is ±1 in place of that axis' factor.
     factors = np.where(CELL_CORNERS[None] == 1, place[:, None], 1.0 - place[:, None])
     value = (corners * factors.prod(axis=2)).sum(axis=1)
     slopes = [
@@ -213,8 +215,8 @@ def _quads(cells: np.ndarray, inside: np.ndarray, shape: tuple[int, ...]) -> np.
         crossed = np.flatnonzero(inside[:, 0] != inside[:, 1 << axis])
         around = keys[crossed, None] + RING[axis] @ stride
         # Find the four cells around the edge; on the border of the volume, or next to a hole, some
-        # are missing, and so is the quadrilateral. At the low border the key of a missing cell
-        # would be that of another row, so these edges are excluded by their place.
+        # are missing, and so is the quadrilateral. Edges at the low border are excluded by their
+        # place: keys before it number no cells.
         place = np.minimum(np.searchsorted(keys, around), len(keys) - 1)
         whole = (keys[place] == around).all(axis=1) & (
             cells[crossed][:, np.arange(3) != axis] > 0

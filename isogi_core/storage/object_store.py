@@ -189,6 +189,8 @@ class Bucket:
         except (errors.PermissionDeniedError, errors.UnauthenticatedError) as error:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
+            # All other causes come in one class of errors: the words of the answer tell a full or
+            # read-only store from one that cannot be reached.
             message = str(error)
             number = errno.EIO
             if any(words in message for words in FULL_ANSWERS):
