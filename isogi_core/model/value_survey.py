@@ -426,6 +426,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     some = []
     z = 0
     step = sample_step(grid.shape)
+    # Sample the values, and count the voxels of each code, plane by plane.
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:

@@ -133,6 +133,7 @@ def measure_stiffness(
     lock = threading.Lock()
 
     def piece(first: int, last: int) -> None:
+        """Count the cells of some groups of layers, and add them to all counts."""
         part = np.zeros_like(counts)
         for begin in begins[first:last]:
             count_stiffness(field, ascending, begin, min(begin + thick, layers), part)

@@ -329,6 +329,7 @@ def make_field(
     """
 
     def measure() -> np.ndarray:
+        """Find the least and the greatest voxel of each macrocell."""
         found = np.empty((2, *macrocell_shape(volume.shape)), np.float32)
         fill_macrocells(volume.voxels, *found)
         return found

@@ -154,6 +154,7 @@ class Segmentation:
         """The values that occur, ascending, and 0. Raises VolumeError if one is not a whole
         number, or too large.
         """
+        # Collect the distinct values slab by slab, and check them before they become integers.
         found = [np.zeros(1, np.int64)]
         for slab in self.grid.slabs():
             distinct = _distinct(slab)
