@@ -98,13 +98,17 @@ class Interest:
         return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
-        """Return this interest merged with a ``newer`` one
-        of the same client, whose priority and view count.
+        """Return this interest merged with a ``newer`` one of the same client.
+
+        It has the texels of both, and the priority, view and time of the newer one, which knows
+        better how far the light is.
         """
         offsets, footprints, target, enough = merged((self, newer))
-        both = (offsets, footprints, target)
+        texels = (offsets, footprints, target)
         since = min(self.since, newer.since)
-        return Interest(newer.viewer, *both, newer.priority, newer.view, newer.asked, since, enough)
+        return Interest(
+            newer.viewer, *texels, newer.priority, newer.view, newer.asked, since, enough
+        )
 
 
 class MergedInterest(NamedTuple):
@@ -129,7 +133,8 @@ class BakeRequest:
     - ``effort``: the work that it takes, as far as is known.
     - ``priority``: squared visible error in all views, over the paths taken.
     - ``in_flight``: True if it has a task, which was charged to ``payers``.
-    - ``ranked``: if it lacked first light, and its priority, when it was last ranked in all queues.
+    - ``ranked``: True if it lacked first light when it was last ranked in all queues, and the
+      lowest priority by which any queue ranks it.
     - ``suspect``: True if a worker died with its task. This task may be the cause, or one next to
       it.
     - ``postponed``, ``waited``: True while another baker is at the chunk, and seconds waited for
@@ -268,7 +273,7 @@ class BakeRequest:
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
         interest = Interest(viewer, *seen, view, now, since, enough)
-        # A single viewer no longer wants what its older view did.
+        # A single viewer no longer wants the texels of its older view.
         if older is None or viewer.single:
             self.interests[viewer.client] = interest
         else:

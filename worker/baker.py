@@ -40,11 +40,11 @@ each pause is twice as long as the last.
 
 
 class Pause:
-    """A pause in baking for a ``reason``, which is empty if there is none. ``resume`` is called
-    when it is time for a try.
+    """A pause in baking for a ``reason``, which is empty if baking goes on. ``resume``, kept as
+    ``stir``, is called when it is time for a try.
 
-    The caller must hold its lock around all methods. ``resume`` is called from another thread
-    without that lock.
+    The caller must hold the baker's lock around all methods. ``resume`` is called from another
+    thread without that lock.
     """
 
     def __init__(self, clock: Callable[[], float], resume: Callable[[], None]) -> None:
@@ -65,7 +65,8 @@ class Pause:
     def begin(self, reason: str) -> None:
         """Begin or prolong the pause, as a task has failed for this ``reason``.
 
-        A single failure is ignored.
+        A single failure is ignored, as one request to a store that works may fail by chance: the
+        pause begins if the next task fails, too.
         """
         if not self._stumbled:
             self._stumbled = True
@@ -361,19 +362,21 @@ class Baker:
                 self._healed,
             )
             if pool is None:
-                people = (0, 0)
+                workers = (0, 0)
             else:
-                people = (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self.paths, *people, self._kept, self._done_chunks)
+                workers = (pool.workers, pool.deaths)
+            return Tally(*counts, *tasks, self.paths, *workers, self._kept, self._done_chunks)
 
     def stop(self) -> None:
         """Hand out no more tasks, write the light
         that is in memory, and save the measured costs.
         """
+        # Without a pool no task is handed out, and nobody waits any longer for light.
         with self._changed:
             self._pool = None
             self._pause.end()
             self._changed.notify_all()
+        # End the thread that writes due light before the rest is written.
         self._stopped.set()
         if self._looker is not None:
             self._looker.join()
@@ -445,10 +448,10 @@ class Baker:
         # While the store takes no light, more of it would only fill memory.
         if self._writer is not None and self._writer.reason:
             return 0
-        # In a pause a single task tries the store.
+        # In a pause nothing is handed out; when it is over, a single task tries the store.
         if self._pause.reason:
-            # While a view moves, half of the workers have one task each.
             return min(int(self._pause.over), pool.room)
+        # While a view moves, half of the workers have one task each.
         return min(
             max(pool.workers // 2, 1)
             if self._clock() - self._way < CLEAR_CORES_SECONDS
@@ -545,7 +548,7 @@ class Baker:
             self._kept += outcome.kept
             self._queue.finish(key, task.offsets, task.target, outcome, task.enough)
         elif isinstance(outcome, WorkersAwayError):
-            # The chunk is not to blame: it waits for the workers, as below for the store.
+            # The workers are gone, which is no fault of the chunk: try it again when others come.
             self._queue.put_off(key)
         elif isinstance(outcome, StoreAwayError):
             self._put_off(key, outcome)
@@ -556,12 +559,15 @@ class Baker:
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
         """Postpone a task that could not reach the store,
         and pause baking until the store is back.
+
+        The chunk is not to blame, so the task does not count as a failure of it.
         """
-        waited = self._pause.reason
+        former_reason = self._pause.reason
         self._queue.put_off(key)
         if self._pool is not None:
             self._pause.begin(str(error))
-        if self._pause.reason and not waited:
+        # Log the beginning of a pause only, and not each try that fails during it.
+        if self._pause.reason and not former_reason:
             log.error("baking waits for the store: %s", error)
 
     def _postpone(self, key: Key) -> None:

@@ -232,11 +232,13 @@ class LocalPool:
                 self._baked.update(kinds)
             done(result, error)
 
+        # Pickle the job here, so that the pool's thread only has to send it.
         sent = Sent(pickle.dumps(job), ended)
         with self._lock:
             closed = self._closed
             if not closed:
                 self._waiting.append(sent)
+        # After the pool was closed a job fails at once, from another thread as always.
         if closed:
             away = WorkersAwayError("The workers were stopped.")
             threading.Thread(target=done, args=(None, away), daemon=True).start()

@@ -210,6 +210,8 @@ class TimeEstimator:
         """Return the subject of this name, marked as used now;
         a new one if it was not used for FORGET_SECONDS.
         """
+        # Take the subject out and put it in again at the end, so that the longest unused one comes
+        # first.
         now = self._clock()
         known = self._subjects.pop(name, None)
         if known is not None and now - known.asked <= FORGET_SECONDS:
@@ -270,18 +272,18 @@ class Promise:
         """Return the time to report, by a new estimate ``left``."""
         asked = self._asked
         self._asked = self._clock()
-        told = self._told
+        reported = self._told
         due = self.now
-        if told is None or due is None or self._asked - asked > self._forget:
+        if reported is None or due is None or self._asked - asked > self._forget:
             return self._report(left, left.likely, math.inf)
         # The reported time is over, or far too short: the work takes longer than expected.
-        if self._asked >= self._end or left.likely > max(RAISING * due.likely, told.likely):
+        if self._asked >= self._end or left.likely > max(RAISING * due.likely, reported.likely):
             longer = left.scaled_to(max(left.likely, due.likely))
             return self._report(replace(longer, overdue=True), left.likely, math.inf)
         # Shorten the reported time in proportion to the estimates. Not if the work is overdue:
         # estimates that were too short saw only a part of it, so follow the clock.
-        if not told.overdue and self._estimate > 0.0:
-            likely = told.likely * left.likely / self._estimate
+        if not reported.overdue and self._estimate > 0.0:
+            likely = reported.likely * left.likely / self._estimate
             if likely < due.likely:
                 return self._report(left.scaled_to(likely), left.likely, self._end)
         return due
@@ -385,7 +387,8 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     to need as many paths as other texels of the bake took or will take, more if its target is
     stricter, but no more than its target allows.
     """
-    # Mean paths per texel of the bake: those taken, and those left to the same target.
+    # Mean paths per texel of the bake, those taken and those left to the same target, and mean
+    # seconds of its first light.
     total = costs.total
     left = sum(each.effort.left for each in work if each.target == work[0].target)
     rates = [costs.rate(each.chunk) for each in work]
@@ -396,9 +399,14 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     first = total.first / texels
 
     def _paths(each: Work) -> float:
-        """Return the paths that a piece of work will take."""
+        """Return the paths that a piece of work will take, except those of first light, whose
+        seconds are in ``first``.
+        """
         unlit = each.effort.unlit
+        # Paths grow with 1 / error^RATE, so a later stage of half the target takes 2^RATE times as
+        # many.
         stricter = (work[0].target / each.target) ** RATE
+        # Expected samples are those of all unlit texels of the chunk, first light included.
         if unlit and each.effort.expected:
             return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
         return each.effort.left + paths_after_first(stricter * usual, each) * unlit
@@ -411,8 +419,11 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
 
 
 def paths_after_first(usual: float, work: Work) -> float:
-    """Return the paths after first light of a texel without light,
-    if other texels take ``usual`` paths.
+    """Return the paths that a texel without light will take after first light,
+    if other texels take ``usual`` paths in all.
+
+    It takes no fewer than the least number of samples, and no more than the target allows or than
+    are ``enough``.
     """
     return min(max(usual, MIN_SAMPLES), most_samples(work.target), work.enough) - FIRST_LEVEL
 
@@ -466,7 +477,7 @@ class CostEstimate:
     stored: int = 0
 
     def times(self, more: float) -> "CostEstimate":
-        """Return the cost of ``more`` times as many texels."""
+        """Return the cost of ``more`` times as many texels. Maps are made once for all of them."""
         seconds = more * self.seconds
         processor = more * self.processor
         stored = round(more * self.stored)
@@ -499,7 +510,8 @@ def extrapolated(
         total = seconds
     else:
         total = float(each.mean()) * texels
-    # If all chunks were measured, nothing is unsure.
+    # If all chunks were measured, nothing is unsure. A process keeps the maps of active cells, so
+    # each measured chunk shows only those that the chunks before it did not need: add these up.
     return CostEstimate(
         seconds=total,
         processor=total / seconds * sum(one.processor for one in measured),

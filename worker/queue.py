@@ -102,7 +102,9 @@ class ClientQueues:
         queue.push(client, (rank, interest.ticket, request))
 
     def length(self, patient: bool, client: Hashable) -> int:
-        """Return the number of places in a client's queue, outdated ones included."""
+        """Return the number of places in a client's queue, outdated ones included: it serves a
+        rough prediction of the work that waits, and to count current ones would take longer.
+        """
         queue = self._queues[patient].get(client)
         if queue is None:
             return 0
@@ -228,8 +230,9 @@ class BakeQueue:
         """Take the next request, and mark it as in flight; None if there is nothing to do until a
         task has ended.
 
-        A suspect request, which may have killed a worker, comes last and runs alone. So it harms no
-        other, and if a worker dies again, the cause is known.
+        A suspect request, which may have killed a worker, comes last among those of its client and
+        runs alone: after it was chosen, no other starts until all tasks in flight and its task have
+        ended. So it harms no other, and if a worker dies again, the cause is known.
         """
         self._forget()
         self._bring_back()
@@ -363,8 +366,8 @@ class BakeQueue:
         return request.given_up
 
     def put_off(self, key: Key, seconds: float = 0.0) -> None:
-        """Note that a task could not be done through no fault of its chunk,
-        which waits again after ``seconds``.
+        """End a task that could not be done, for a reason that is no fault of its chunk; the
+        request waits again after ``seconds``.
         """
         request = self.requests[key]
         self._end_task(request, 0.0)
@@ -432,7 +435,11 @@ class BakeQueue:
             self._rank_for(request, client)
 
     def _rank_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Rank a request in one client's queue. The others follow when it has grown beyond this."""
+        """Rank a request in one client's queue; its places in other queues stay until its priority
+        has grown enough, see ``_add_for``.
+        """
+        # Remember the lowest priority that any queue ranks it by, so that growth is measured from
+        # there.
         lacking, priority = request.ranked
         request.ranked = lacking, min(priority, request.priority)
         self._queues.push(request, client, self.rank(request, client))
@@ -517,11 +524,13 @@ class BakeQueue:
         if self.clock() - self.looked < EXPIRY_CHECK_SECONDS:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
+        # Forget finished light that no view drawn before it can still ask for.
         self._finished = {
             key: each
             for key, each in self._finished.items()
             if self.clock() - each[0] < STALE_SECONDS
         }
+        # Drop the interests that no view or page has renewed.
         for client in tuple(self._interesting):
             for request in self._older_than(client, horizon):
                 self._drop(request, client)
@@ -578,4 +587,6 @@ def sunk(rank: Rank, now: Rank) -> bool:
     """Return True if a request's rank has become much lower,
     or if it has got the first light that it lacked.
     """
+    # The third number is the stage of first light; the fourth is negative, and grows towards 0 as
+    # the request's priority falls.
     return now[:3] > rank[:3] or now[3] - rank[3] > RERANK_LOSS * abs(rank[3])

@@ -83,11 +83,14 @@ class Whole:
     assets: Assets | None = None
 
     def planes(self, cut: SceneSource) -> str:
-        """Return the planes by which the scene ``cut`` is cut in addition to those of the whole."""
-        own, both = (str(each.document.get("cut", "")) for each in (self.source, cut))
-        if own:
-            return both.removeprefix(f"{own};")
-        return both
+        """Return the planes by which the scene ``cut`` is cut in addition to those of the whole, as
+        the setting ``cut`` of a scene lists them: separated by semicolons.
+        """
+        # A view adds its planes behind those that the whole is cut by already: leave these out.
+        former, all_planes = (str(each.document.get("cut", "")) for each in (self.source, cut))
+        if former:
+            return all_planes.removeprefix(f"{former};")
+        return all_planes
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +131,10 @@ class WholeLight:
                 chunk = None
             if chunk is None:
                 continue
-            own = np.flatnonzero(waiting[first:last] & np.isin(offsets, chunk.offsets))
-            rows.append(first + own)
-            texels.append(lattice.positions(index, offsets[own]))
-            found.append(chunk.light.rows(chunk.rows_of(offsets[own])))
+            there = np.flatnonzero(waiting[first:last] & np.isin(offsets, chunk.offsets))
+            rows.append(first + there)
+            texels.append(lattice.positions(index, offsets[there]))
+            found.append(chunk.light.rows(chunk.rows_of(offsets[there])))
         if not any(map(len, rows)):
             return kept
         whole = Light.joined(found)
@@ -139,8 +142,10 @@ class WholeLight:
         whole.agree_on_void()
         # Take light of more samples only, and only if no path of it met matter that is cut away.
         ahead = np.flatnonzero(whole.samples > light.samples[every])
-        own = np.concatenate(texels)[ahead]
-        stays = ahead[find_kept(whole.rows(ahead), own, self.chunks.spec, self.remains, walks)]
+        places_ahead = np.concatenate(texels)[ahead]
+        stays = ahead[
+            find_kept(whole.rows(ahead), places_ahead, self.chunks.spec, self.remains, walks)
+        ]
         light.put(every[stays], whole.rows(stays))
         kept[every[stays]] = True
         return kept
@@ -293,8 +298,8 @@ def prepared_scene(
     store.
     """
     if isinstance(assets, SharedScene):
-        # If the server has let go of the scene, read its files instead.
-        with suppress(SharedMemoryError):  # the server has let go of the scene: its files are read
+        # If the server has let go of the shared memory, read the scene's files instead.
+        with suppress(SharedMemoryError):
             return receive_scene(assets, most_maps())
         return opened(source)
     if assets is None:
@@ -454,7 +459,9 @@ def bake(task: BakeTask) -> BakeResult:
 
 
 def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """Do tasks of one bake and target, except those whose chunks other bakers have claimed."""
+    """Do tasks of one bake and target, except those whose chunks other bakers have claimed; return
+    a result for each, BAKED_ELSEWHERE for the excepted ones.
+    """
     first = tasks[0]
     spec, chunk_store = open_spec(
         first.source, first.plan, first.digest, first.store_url, first.assets, first.shown
@@ -462,14 +469,16 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
     claims = claims_of(first.store_url)
     digest = chunk_store.layers[0].digest
     with ExitStack() as held:
-        # Claim all chunks until the light is written, and bake those that are free.
+        # Claim each chunk until its light is written or handed back, and bake those that are free.
+        # Claims are named by the first layer, so that bakes of other plans that have it in common
+        # notice them, too.
         names = [".".join(map(str, (digest, *task.index))) for task in tasks]
         ours = [
             held.enter_context(claims.on(name, task.owner, task.insists))
             for name, task in zip(names, tasks, strict=True)
         ]
         done = iter(bake_chunks([*compress(tasks, ours)], spec, chunk_store, claims))
-        return [next(done) if own else BAKED_ELSEWHERE for own in ours]
+        return [next(done) if free else BAKED_ELSEWHERE for free in ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -659,7 +668,7 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
     ``light`` is changed in place.
 
     The rows are those of one task after the other. The number of samples that a texel gets depends
-    on its own task only.
+    on its task only, and not on the other tasks.
     """
     target = tasks[0].target
     enough = tasks[0].enough
@@ -691,24 +700,28 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
 
 
 def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """Return the results of tasks of one target, by the work that their ``light``, of one task
-    after the other, still lacks.
+    """Return the results of tasks of one target: how many texels of each are not final, how urgent
+    more light is, and the samples that it will take.
 
-    Their cost is filled in later.
+    The rows of ``light`` are the texels of one task after the other. The cost is filled in later.
     """
     target = tasks[0].target
     enough = tasks[0].enough
     count = len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
-    # Weight errors by how much of each texel is seen, and sum up over the texels of each task.
+    # Over the texels of each task that are not final, count them, and sum up their squared errors,
+    # weighted by how much of each texel is seen, and their samples.
     error = standard_error(light, spec)
     waiting = next_samples(light, spec, target, enough) >= 0
     visible = np.concatenate([task.footprints for task in tasks]) * error**2
     lacking, seen, taken = (
-        np.bincount(numbers[waiting], some, count)
-        for some in (None, visible[waiting], light.samples[waiting])
+        np.bincount(numbers[waiting], weights, count)
+        for weights in (None, visible[waiting], light.samples[waiting])
     )
+    # Predict the samples left: targets are relative errors, so divide by the level of luminance.
     work = efforts(numbers, count, error / level(light, spec), light.samples, target, enough)
+    # The squared error falls with a power of the number of samples, so the next sample reduces it
+    # in proportion to squared error over samples.
     priorities = (seen / np.maximum(taken, 1)).tolist()
     return [
         BakeResult(texels, priority, Effort(*each), Cost())

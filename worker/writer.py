@@ -105,6 +105,7 @@ class LightWriter:
         """Write all light, and return when that is done,
         or when the store takes none, or after ``seconds``.
         """
+        # Begin again after each look: tasks that were in flight bring light, and writes fail.
         deadline = time.monotonic() + seconds
         while self.unwritten and not self.reason and time.monotonic() < deadline:
             self.write()
@@ -128,7 +129,8 @@ class LightWriter:
         with self._changed:
             free = [each for each in due if (like.digest, each.chunk.index) not in self._writing]
             self._writing |= {(like.digest, each.chunk.index) for each in free}
-        # Every write task names its bake as the bake's last task did.
+        # A write task describes its bake as the bake's last task did, so that a worker that has
+        # this bake open need not open it again.
         place = (like.source, like.plan, like.digest, like.store_url, like.assets, like.shown)
         # A chunk that has failed goes alone, so that it harms no other.
         failed = [each for each in free if (like.digest, each.chunk.index) in self._failures]

@@ -230,8 +230,8 @@ UNREADABLE = (
 def facts_in(metadata: bytes) -> LayerFacts:
     """Read the description of a layer from the bytes of its ``zarr.json``.
 
-    Raises DamagedChunkError, which says what is wrong, if it is not the metadata of a layer, or if
-    the array that it describes does not fit the layer.
+    Raises DamagedChunkError, with the reason, if it is not the metadata of a layer, or if the array
+    that it describes does not fit the layer.
     """
     try:
         found = json.loads(metadata)

@@ -84,9 +84,11 @@ def stored_layers(
 
 
 def larger_layers(layer: Layer) -> Iterator[Layer]:
-    """Yield the compatible layers that keep every coefficient
+    """Yield the layers of the same kind of light that keep every coefficient
     of ``layer`` at least as precisely, and more.
     """
+    # Transfer of a higher order holds that of lower ones in its first bands. Other kinds have one
+    # order only.
     if layer.kind in ("direct", "indirect"):
         orders = range(layer.order, MAX_ORDER + 1)
     else:
@@ -96,10 +98,10 @@ def larger_layers(layer: Layer) -> Iterator[Layer]:
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
-    """Yield the compatible layers that keep only lower bands of ``layer``,
+    """Yield the layers of the same kind of light that keep only lower bands of ``layer``,
     or keep its bands less precisely; most bands first.
     """
-    # Direct light needs at least two bands.
+    # Direct light of one band would not show how a surface faces the light.
     if layer.kind == "direct":
         least = MIN_DIRECT_ORDER
     else:

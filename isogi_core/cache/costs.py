@@ -110,8 +110,10 @@ class Costs:
     def _common_rate(self) -> float | None:
         """The median rate of all chunks.
 
-        Before any chunk has a rate, the lowest seconds per path of first light, None without any.
+        Before any chunk has a rate, the lowest seconds per path of first light, None without any:
+        these include work that is done once a texel, so the lowest is nearest to a path's cost.
         """
+        # Counted from either end, this is the middle: one rate, or two if their number is even.
         middle = len(self._rates) // 2
         if self._rates:
             return (self._rates[middle] + self._rates[~middle]) / 2

@@ -64,6 +64,9 @@ class FreshLight:
     def some(self, index: Index, offsets: np.ndarray) -> Chunk | None:
         """Return the light of those texels at ``offsets`` that the chunk ``index`` has here;
         None if the chunk must be read from the store.
+
+        A chunk here has all light that the store has of it, and newer light: texels that it lacks
+        have no light there either.
         """
         found = self._chunks.get(index)
         if found is None:

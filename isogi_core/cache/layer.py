@@ -1,7 +1,7 @@
 """Layers of light in a folder or an object store: one Zarr v3 array a layer, one object a chunk.
 
 An object is written whole or not at all and describes itself, so readers and writers need no locks.
-The store is asked by key whether a chunk is there; its values are never read for that. The
+A chunk exists if the store has an object of its key; zeros never stand for an absent one. The
 checksum, which is the last codec, reveals damage.
 """
 
@@ -385,7 +385,7 @@ def layer_attributes(
     if layer.kind == "irradiance":
         lights = [light.name for light in scene.lighting.lights]
     return {
-        # Whose light it is, and the lattice that it is for.
+        # The scene and volume of the light, and the lattice that it is for.
         "format": BAKE_FORMAT,
         "scene": scene.id,
         "volume": scene.volume.name,

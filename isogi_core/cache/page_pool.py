@@ -221,6 +221,8 @@ class PagePool:
         if slot < 0:
             return UNLIT_VERSION
         if slot not in self._versions:
+            # Stamps tell how far texels are baked; entries of texels without a row, which are
+            # negative, stand for themselves.
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
             named = hashlib.blake2b(
@@ -394,18 +396,21 @@ def reflected_share(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
-    """Return the role of a ``layer`` in a bake spec, as part ``number`` and in the term number
-    ``at``.
+    """Return the role of a ``layer`` in a bake spec: how its texels, part ``number`` of the light,
+    count in the rows of the texel table as a summand of the term number ``at``.
 
-    Irradiance may be 0 because of the light alone, so it does not show that a texel is buried.
-    Light for several albedos comes from the same paths: only the last node counts their noise and
-    number.
+    Reflected light and glow are not shown before direct light is there, so their layers are not
+    ``straight``. A texel that no path leaves is buried. Transfer shows this, but irradiance may be
+    0 because of the lights alone, so it is not ``telling``.
     """
     term = spec.terms[at]
+    # A layer kept for several albedos, or of several glows, has a term for each of its channels:
+    # the term's node.
     weights = white(layer, spec)
     if term.node is not None:
         weights = weights[term.node : term.node + 1]
-    # Only one of the nodes adds noise and sample level to the sums of a row.
+    # The channels come from the same paths: only the last one adds their noise and sample level to
+    # the sums of a row, so that both count once.
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
@@ -436,8 +441,10 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """Return ``powers`` of the lights of each two terms, 0 above the lower order;
-    (terms, terms, channels, channels, most n²).
+    """Return ``bake.noise.powers`` of the lights of each two terms: factors of products of their
+    transfer in a texel's mean squared luminance.
+
+    They are 0 above the lower order; (terms, terms, channels, channels, most n²).
     """
     most = max(term.order for term in spec.terms) ** 2
     count = len(spec.terms)

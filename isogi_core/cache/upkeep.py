@@ -77,8 +77,8 @@ def audit_store(
     """Check all objects of a ``store``. It only reads, so servers and workers may go on. Raises
     StoreError.
 
-    ``found`` is called with each damage as soon as it is known, ``progress`` with the numbers of
-    checked objects and of all.
+    ``found`` is called with each damaged chunk as soon as it is known, but not for damaged
+    metadata; ``progress`` with the numbers of checked objects and of all.
     """
     result = Audit(inventory_of(store.entries()))
     _audit_facts(store, result)
@@ -239,8 +239,10 @@ def repair_store(store: Store, delete: bool = False, progress: Progress = no_pro
         store.move(damage.key, to)
 
     found = audit_store(store, put_away, progress)
+    # The audit has called it for chunks alone: now put damaged metadata away.
     for damage in found.damages:
         put_away(damage)
+    # Half-written objects whose writers are gone serve nobody.
     old = list(leftovers(found.inventory, store.now()))
     for each in old:
         store.delete(each.key)

@@ -115,18 +115,19 @@ class WallLayer(LayerStore):
                     + WALL_CHUNK_SIDE * np.array(index)[:, None]
                 )
                 means[z, y, x] = part.coefficients[:, :, 0]
-                # A part counts the samples of both randomisations, a plane those of one.
+                # Samples of a part are the paths of both halves, a plane's those of its half.
                 counts[z, y, x] = part.samples // 2
         return means, counts
 
     def keep(self, planes: Planes) -> None:
-        """Write light, merged with what is there: each texel keeps the light of more paths."""
+        """Write light, merged with the light in the store: each texel keeps that of more paths."""
         means, counts = planes
         for index in np.ndindex(*self.chunks):
             block = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
             sent = np.nonzero(counts[block])
             if len(sent[0]):
                 part = Part.dark(self.layer, len(sent[0]))
+                # Both halves of a side took as many paths, and a part counts them together.
                 part.samples[:] = 2 * counts[block][sent]
                 part.coefficients[:, :, 0] = means[block][sent]
                 self.save(
@@ -157,7 +158,7 @@ class WallStore:
         return (means, counts) if counts.any() else None
 
     def keep(self, state: WallState, planes: Planes) -> None:
-        """Write light in a ``state``, merged with what is there, and note its isovalue."""
+        """Write light in a ``state``, merged with the light in the store, and note its isovalue."""
         try:
             WallLayer(self._store, self._prepared, state, planes[0].shape[1]).keep(planes)
             self._note(state)

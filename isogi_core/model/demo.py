@@ -62,6 +62,8 @@ _BARRELS = ((43.5, 64.0), (84.5, 64.0))
 
 def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the distance to the cast metal: crankcase, barrels, fins, flanges, ribs and ports."""
+    # Each part is a profile in the plane of two axes, swept over an interval of the third; the
+    # parts are joined with fillets, as cast metal has them.
     crankcase = _extrude(_rectangle(x, y, (64.0, 64.0), (44.0, 34.0), 7.0), _slab(z, 24.0, 14.0))
     sole = _extrude(_rectangle(x, y, (64.0, 64.0), (53.0, 51.0), 9.0), _slab(z, 13.0, 3.2))
     barrels = _extrude(_discs(x, y, _BARRELS, 18.5), _slab(z, 58.0, 25.0))
@@ -80,6 +82,7 @@ def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries
     and port channels.
     """
+    # Each drilled part is a disc swept along its axis; their edges stay sharp.
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
     corners = [(64.0 + 46.5 * i, 64.0 + 44.0 * j) for i in (-1, 0, 1) for j in (-1, 1)]

@@ -345,6 +345,7 @@ def _in_box(lamps: LampArrays, orientation: Orientation) -> LampArrays:
 
 def _row(light: Lamp) -> Row:
     """Return kind, place, edges and colour of a lamp: see ``LampArrays``."""
+    # Colours are over π, as kernels compute E/π.
     if isinstance(light, DirectionalLight):
         colour = np.array(light.irradiance) / math.pi
         return DIRECTIONAL, *_disc(light), colour
@@ -571,8 +572,10 @@ def environment_image(
 
 
 def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
-    """Return L = Lz (1 + 2 sin θ)/3 at the elevation θ, with Lz = 1, over a ground that
-    reflects GROUND of its irradiance E = 7π/9 Lz.
+    """Return the overcast sky: L = Lz (1 + 2 sin θ)/3 at the elevation θ, with Lz = 1, over a
+    ground that reflects GROUND of its irradiance E = 7π/9 Lz.
+
+    As for all formulas, the mean is scaled later; ``solid_angles`` are not needed here.
     """
     height = directions[..., 2]
     sky = (1.0 + 2.0 * height) / 3.0

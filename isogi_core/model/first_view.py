@@ -61,6 +61,7 @@ def _within(low: float, high: float) -> Callable[[str, Any], float]:
     """Make a reader of numbers from ``low`` to ``high``."""
 
     def read(name: str, value: Any) -> float:
+        """Read a number, and raise SceneError if it is out of range."""
         if not is_number(value) or not low <= value <= high:
             raise SceneError(
                 f"{name} is {in_short(value)}: give a number from {low:g} to {high:g}."

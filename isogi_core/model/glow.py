@@ -108,6 +108,7 @@ class Glow:
         else:
             middle = extent / 2.0
             half = extent / 2.0
+        # Rays gather glow only within the volume's box, so a region must not reach out of it.
         if (
             np.abs(middle - extent / 2.0) + half > extent / 2.0 + REGION_ROUNDING * volume.radius
         ).any():

@@ -231,6 +231,7 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     def wall(
         corner: Sequence[float], u: np.ndarray, v: np.ndarray, albedo: Colour, radiance: float = 0.0
     ) -> Wall:
+        """Make a wall that is lit on the side that u × v points to."""
         return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
 
     # Floor, ceiling, back, left and right wall; then the luminaire, which looks down.

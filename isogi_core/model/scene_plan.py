@@ -200,6 +200,7 @@ class ScenePlan:
         """Precision of the coefficients: "bytes" if the higher bands of any layer are, or else
         "half" or "single".
         """
+        # The three words are in alphabetical order from the coarsest to the finest.
         return min(layer.precision for layer in self.layers)
 
     @property

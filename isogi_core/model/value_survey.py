@@ -152,11 +152,12 @@ def grow_span(values: np.ndarray) -> tuple[int, int]:
     count = len(values)
     gaps = np.diff(places)
     most = count - count // 3
-    # Find the run of two thirds with the least span.
+    # Find the run of two thirds with the least span. Places are ascending, so each run of ``most``
+    # values spans the difference of its ends.
     first = int(np.argmin(places[most - 1 :] - places[: count - most + 1]))
     last = first + most - 1
     # Grow to the next gap on either side that is too wide; a larger span allows wider gaps, until
-    # nothing changes.
+    # nothing changes. Gaps are divided, as the span times OUTLIER_SPANS could overflow.
     while True:
         far = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
         ends = (
@@ -351,7 +352,10 @@ def checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
 
 
 def usable_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the type in which values are processed: integers or floats of at most 64 bits."""
+    """Return the type in which values are processed: integers or floats of at most 64 bits.
+
+    Truth values become bytes, as NumPy does not subtract them; longer floats become doubles.
+    """
     if dtype.kind == "b":
         return np.dtype(np.uint8)
     if dtype.itemsize <= 8:
@@ -422,6 +426,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     some = []
     z = 0
     step = sample_step(grid.shape)
+    # Sample the values, and count the voxels of each code, plane by plane.
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:

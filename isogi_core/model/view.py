@@ -175,8 +175,8 @@ def orbit(
     """Return a camera on a sphere around ``centre``. Angles are in degrees, ``distance`` in units
     of ``radius``.
 
-    Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the
-    azimuth).
+    Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up then points away from
+    the side of the azimuth).
     """
     a, e = math.radians(azimuth), math.radians(elevation)
     out = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))

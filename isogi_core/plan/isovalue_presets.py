@@ -145,8 +145,11 @@ def smooth(curve: np.ndarray) -> np.ndarray:
 
 
 def peaks(curve: np.ndarray) -> list[float]:
-    """Return the middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or of fewer: see
-    LEAST_FALL, PEAK_SHARE and RANGE_MARGIN.
+    """Return the middles, as places on the ``curve``, of its most prominent peaks, at most
+    MAX_SUGGESTED_PRESETS.
+
+    A peak counts if it falls by LEAST_FALL of its height on both sides and does not lie within
+    RANGE_MARGIN of either end; it extends down to PEAK_SHARE of its height.
     """
     falls = np.array([prominence(curve, at) for at in range(len(curve))])
     found: list[tuple[int, int]] = []

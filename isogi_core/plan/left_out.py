@@ -48,7 +48,7 @@ def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int)
 
 
 MEASURED_BANDS = 5
-"""Order of the harmonics in S1."""
+"""Order of the harmonics in S1, the first of the sources that the README lists."""
 
 S1_BYTES = 3 * MEASURED_BANDS**2 * 4
 """Bytes of a texel in S1 for any light: 25 floats for each channel."""
@@ -120,6 +120,7 @@ def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
 
 def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield the lobes that the light has and the plan does not take out."""
+    # Compare the error of direct light's harmonics with that if all lobes were taken out.
     more = len(inputs.lobes) - plan.lobes
     if plan.representation == "transfer" and more:
         errors = [
@@ -193,6 +194,7 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield reflected light, or the light of paths with more bounces than the plan's."""
+    # The tail bounds the light of all longer paths; without bounces this is all reflected light.
     tail = tail_of_bounces(inputs.reflecting, plan.bounces)
     if plan.bounces == 0:
         if tail == 0.0:
@@ -216,7 +218,7 @@ def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield the rest of paths that roulette ends, with the rays that this saves if that was
-    measured.
+    measured: see MAX_MEASURED_ALBEDO.
     """
     if plan.survival == 1.0:
         return
@@ -224,9 +226,11 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         f"From its second hit on a path continues with probability {plan.survival:.2g}, and "
         "stands for those that end."
     )
-    long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
+    # The saving was measured on paths of at least as many bounces as the target error needs. A
+    # scene may ask for fewer, and shorter paths save less.
+    long_enough = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
     saved: tuple[Saving, ...] = ()
-    if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
+    if long_enough and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO:
         saved = (Saving(ROULETTE_RAYS, "percent of rays", True),)
     yield LeftOut("the rest of paths that end by chance", why, saved)
 
@@ -244,6 +248,7 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """
     if not plan.half:
         return
+    # First compare half floats with single ones, then the plan's bytes with half floats.
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
     error = rounding_error(halved, inputs, plan.lobes)
@@ -305,6 +310,8 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Yield kernels that neither frames under global illumination nor their bake call."""
+    # Irradiance and transfer are baked by different kernels. Walls, several surfaces and colours
+    # need further ones, and then the plain one of the representation is idle, too.
     if plan.representation == "irradiance":
         bakes = ["bake_texels"]
     else:

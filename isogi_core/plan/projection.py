@@ -9,7 +9,8 @@ surfaces are. S3 steps from c to c + ε (gMin(c) + k²), where gMin(c) is the le
 isosurface c: the next surface is then nowhere farther away than ε (1 + k²/gMin). Here ε follows
 from the number of levels, and k² is the gradient of a field that takes the box's diagonal for the
 whole range. If noise or a plateau makes gMin small at most isovalues, k² decides and the levels are
-even; ``softened`` is the share of the range in which it does. Source: S3, section 2.3.
+even; ``softened`` is the share of the range in which it does. Source: Beason et al. 2006 (S3),
+section 2.3.
 """
 
 import math
@@ -132,6 +133,7 @@ def measure_stiffness(
     lock = threading.Lock()
 
     def piece(first: int, last: int) -> None:
+        """Count the cells of some groups of layers, and add them to all counts."""
         part = np.zeros_like(counts)
         for begin in begins[first:last]:
             count_stiffness(field, ascending, begin, min(begin + thick, layers), part)
@@ -327,10 +329,12 @@ def rounded(value: float, most: float) -> float:
 def adaptive_shares(
     volume: Volume, isovalues: tuple[float, float], shares: np.ndarray, most: float = math.inf
 ) -> tuple[np.ndarray, float]:
-    """Return the places that S3's rule reaches after these ``shares`` of its steps, as shares of
-    the range; and the share of it that is softened.
+    """Return the places that the adaptive rule (see the top of this file) reaches after these
+    ``shares`` of its steps, as shares of the range; and the share of it that is softened, in which
+    k² exceeds gMin.
 
-    In the limit of small steps the way from one level to another is ∫ dc / (gMin + k²). No level
+    A step from c is ε (gMin + k²) long, so the number of steps from one level to another is, but
+    for the factor ε, their way ∫ dc / (gMin + k²), and equal steps are equal parts of it. No level
     falls into a part of the range that has no surface. At most ``most`` cells are read, see
     ``least_gradients``.
     """
@@ -341,6 +345,7 @@ def adaptive_shares(
     gradients = least_gradients(volume, (min(ends), max(ends)), most)
     if not (ends[0] < ends[1]):
         gradients = gradients[::-1]
+    # k²: the gradient of a field that takes the box's diagonal for the whole range.
     soft = abs(ends[1] - ends[0]) / (2.0 * volume.radius)
     there = np.isfinite(gradients)
     if not there.any():

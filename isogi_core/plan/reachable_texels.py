@@ -52,6 +52,7 @@ def count_texels(
     nz, ny, nx = (n - 1 for n in field.voxels.shape)
 
     def cells(first: int, last: int) -> np.ndarray:
+        """Mark the cells of some layers that may show a surface of any isovalue of the range."""
         return surface_cells(field.voxels[first : last + 1], lowest, highest)
 
     # Count shown texels one layer of chunks at a time, and sample their places.
@@ -99,6 +100,8 @@ class Sample:
 
     def add(self, places: np.ndarray) -> None:
         """Add the next ``places`` (m,) of the stream."""
+        # Take those whose number in the stream is a multiple of the step; the first of them is
+        # -passed modulo step places ahead.
         self._taken.append(places[-self.passed % self._step :: self._step].copy())
         self.passed += len(places)
         # Too many: keep every second, and take half as many from now on.
@@ -215,6 +218,7 @@ def surface_texels(
     nz, ny, nx = (n - 1 for n in voxels.shape)
 
     def cells(first: int, last: int) -> np.ndarray:
+        """Mark the cells of some layers that may show a surface of any of the ranges."""
         slab = voxels[first : last + 1]
         return reduce(np.logical_or, [surface_cells(slab, low, high) for low, high in ranges])
 

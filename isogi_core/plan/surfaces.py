@@ -178,7 +178,7 @@ def read_surfaces(
     """Read the surfaces of a scene from its ``settings``.
 
     ``colours`` are those of the surface by data, if any. Raises SceneError if a value has no
-    meaning, or the scene combines what cannot go together.
+    meaning, or settings of the scene exclude each other.
     """
     albedo = read_albedo(settings, colours)
     return SceneSurfaces(

@@ -113,6 +113,7 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
         "time": time,
     }
     other = remade(scene, document, volume, name)
+    # Each step has a range of values, in which views start as near to the scene's as they can.
     low, high = other.isovalues
     return replace(other, isovalue=min(max(scene.isovalue, low), high))
 

@@ -363,7 +363,8 @@ class IdleVoxels:
         """Return the layers from ``first`` to before ``last`` with all idle voxels of one side
         set to the same value; voxels without a value stay.
         """
-        # Read the layers that cells of these layers need as well.
+        # Voxels of the first and last layers are also read by cells beyond these: add the layers of
+        # their corners.
         a = max(first - VOXELS_AFTER, 0)
         b = min(last + VOXELS_AFTER, len(self._voxels))
         slab = self._voxels[a:b]

@@ -183,6 +183,8 @@ def _trilinear(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.n
     """Return value (n,) and gradient (n, 3) of the trilinear field of ``corners`` (n, 8) at a
     ``place`` (n, 3).
     """
+    # The weight of a corner is the product of its factors along all axes; its derivative along an
+    # axis is ±1 in place of that axis' factor.
     factors = np.where(CELL_CORNERS[None] == 1, place[:, None], 1.0 - place[:, None])
     value = (corners * factors.prod(axis=2)).sum(axis=1)
     slopes = [
@@ -199,7 +201,12 @@ def _trilinear(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.n
 def _quads(cells: np.ndarray, inside: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return the numbers (m, 4) of the vertices around each edge that is crossed, anticlockwise
     from outside.
+
+    ``cells`` (n, 3) have a vertex each and are sorted by z, y, x; ``inside`` (n, 8) marks their
+    corners in the solid, and ``shape`` is that of the voxels.
     """
+    # A key numbers the cells of the whole volume in the same order, so keys ascend, and a cell is
+    # found by bisection.
     stride = np.array([1, shape[2], shape[1] * shape[2]])
     keys = cells @ stride
     quads = []
@@ -208,7 +215,8 @@ def _quads(cells: np.ndarray, inside: np.ndarray, shape: tuple[int, ...]) -> np.
         crossed = np.flatnonzero(inside[:, 0] != inside[:, 1 << axis])
         around = keys[crossed, None] + RING[axis] @ stride
         # Find the four cells around the edge; on the border of the volume, or next to a hole, some
-        # are missing, and so is the quadrilateral.
+        # are missing, and so is the quadrilateral. Edges at the low border are excluded by their
+        # place: keys before it number no cells.
         place = np.minimum(np.searchsorted(keys, around), len(keys) - 1)
         whole = (keys[place] == around).all(axis=1) & (
             cells[crossed][:, np.arange(3) != axis] > 0

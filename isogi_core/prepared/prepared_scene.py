@@ -197,7 +197,9 @@ class PreparedScene:
 
     def met_by_glow(self, albedo: Colour, cells: ActiveCells) -> InRoom | Among:
         """Return the geometry that paths of glow meet: as ``met``, but with walls that give off
-        no light.
+        no light, as a layer of glow holds the light of glows alone.
+
+        Without walls it is a room of none, as the kernels of glow know no open surroundings.
         """
         room = self.room(albedo)
         dark = room._replace(radiances=np.zeros_like(room.radiances))
@@ -227,7 +229,9 @@ class PreparedScene:
 
     @cached_property
     def _room(self) -> Room:
-        """The walls around a black isosurface; no wall lets any ray through."""
+        """The walls around a black isosurface, whose albedo ``room`` fills in; no wall lets any
+        ray through.
+        """
         room = self.scene.lighting.room
         spacing = np.array(self.scene.volume.spacing)
         # Write corners, normals and edges in index space, in which rays are cast. ``across`` maps a
@@ -252,6 +256,7 @@ class PreparedScene:
         """
         if not self.scene.lighting.room.any:
             return None
+        # Infinity stops rays from both sides, 0 those alone that hit the front: see ``Walls``.
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
 
@@ -324,6 +329,7 @@ def make_field(
     """
 
     def measure() -> np.ndarray:
+        """Find the least and the greatest voxel of each macrocell."""
         found = np.empty((2, *macrocell_shape(volume.shape)), np.float32)
         fill_macrocells(volume.voxels, *found)
         return found

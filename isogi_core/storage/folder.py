@@ -33,7 +33,7 @@ from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
 TRIAL_OBJECT = bytes(1 << 16)
-"""Bytes that are written and deleted to see whether there is room."""
+"""Bytes that are written and deleted to test if there is room."""
 
 FOLDER_TRIES = 9
 """Tries of making a folder for an object while others delete it as empty."""

@@ -105,7 +105,8 @@ class Bucket:
         A store without conditional writes takes the object in any case.
         """
         errors = self._obstore.exceptions
-        # Write only if there is no object, or only if its tag is that of ``former``.
+        # Write only if there is no object, or only if its tag is that of ``former``; without tags
+        # nothing can be compared.
         mode: Any = "overwrite"
         if former is None:
             mode = "create"
@@ -188,6 +189,8 @@ class Bucket:
         except (errors.PermissionDeniedError, errors.UnauthenticatedError) as error:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
+            # All other causes come in one class of errors: the words of the answer tell a full or
+            # read-only store from one that cannot be reached.
             message = str(error)
             number = errno.EIO
             if any(words in message for words in FULL_ANSWERS):

@@ -408,7 +408,7 @@ class Store:
         try:
             self._backend.create_sentinel(SENTINEL_CONTENT)
         except ChangedError:
-            pass
+            pass  # another process has made the same store at this moment
         except Exception as error:
             trouble = store_error("make a place for light at", self.url, error)
             if not isinstance(trouble, StoreReadOnlyError):

@@ -125,7 +125,7 @@ def read_colour_table(table: Settings) -> ColourTable:
             f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or "
             "'curvature': give one."
         )
-    # Colours are a named map, or a list; by default a map that suits the quantity.
+    # Colours are a named map, or a list; without either the map is chosen below.
     named = table.choice("map", tuple(COLOUR_MAPS))
     listed = source.document.get("colours")
     colours: tuple[Colour, ...] = ()
@@ -138,6 +138,7 @@ def read_colour_table(table: Settings) -> ColourTable:
     name = table.text("name", "")
     outside = table.colour("outside", 0.5)
     table.refuse_unknown()
+    # Curvature has two signs, for which a map of two colours suits; other values ascend.
     if of == "curvature":
         usual = "coolwarm"
     else:
@@ -177,23 +178,28 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
     voxels, matrix = placed_file(table.file, settings, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        """Fill a layer with the file's values."""
         sample_layer(voxels, matrix, z, step, values)
 
     return stem_of(Path(table.file), {}), _sample, 1.0
 
 
 def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
-    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``,
-    and the factor on its values.
+    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``, and
+    the factor that brings its values to units of the file: values per length, or 1 over length.
     """
     # In units of the shortest spacing, slopes stay far from the limits of float32.
     shortest = min(volume.spacing)
     spacing = np.array(volume.spacing) / shortest
 
     def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        """Fill a layer with the length of the gradient."""
         slope_layer(volume.voxels, spacing, z, step, values)
 
     def _bend(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        """Fill a layer with the mean curvature of the isosurfaces through its places."""
+        # Curvature smooths over neighbours, so find it at all voxels of the layer, and then take
+        # the places that are a step apart.
         whole = mean_curvature(volume.voxels, spacing, int(z))
         places = [
             np.minimum(np.arange(n) * int(step[0]), m - 1)
@@ -221,6 +227,7 @@ def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarra
     along_z = np.tensordot(weights, voxels[around].astype(np.float32), 1)
 
     def _derivative(x: int, y: int, z: int) -> np.ndarray:
+        """Return the derivative of these orders along each axis, smoothed; (ny, nx)."""
         found = combine_rows(combine_rows(along_z[z], weights[y]).T, weights[x]).T
         return np.asarray(found / np.float32(np.prod(spacing ** (x, y, z))))
 

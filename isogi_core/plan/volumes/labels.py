@@ -154,6 +154,7 @@ class Segmentation:
         """The values that occur, ascending, and 0. Raises VolumeError if one is not a whole
         number, or too large.
         """
+        # Collect the distinct values slab by slab, and check them before they become integers.
         found = [np.zeros(1, np.int64)]
         for slab in self.grid.slabs():
             distinct = _distinct(slab)
@@ -237,10 +238,12 @@ class Segmentation:
 
 def _distinct(slab: np.ndarray) -> np.ndarray:
     """Return the distinct values of a ``slab``, ascending."""
+    # NumPy counts no truth values: take them as 0 and 1.
     if slab.dtype.kind == "b":
         values = slab.view(np.uint8)
     else:
         values = slab
+    # Integers of one or two bytes have few possible values: to count each is faster than to sort.
     if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
         low = int(values.min())
         return np.flatnonzero(np.bincount((values.astype(np.int32) - low).ravel())) + low

@@ -294,6 +294,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
 
     # A large volume is written to a copy on disk, a layer at a time.
     def write(draft: Draft) -> dict[str, Any]:
+        """Write the voxels that are left, and return the facts of the volume."""
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
         facts = {
@@ -326,9 +327,11 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
     except ViewError as error:
         raise SceneError(f"cut = '{text}' cannot be read. {error}") from None
     left = [range(n) for n in volume.size]
-    # Each plane shortens the range of voxels along its axis.
+    # Each plane shortens the range of voxels along its axis, from the end that its normal points
+    # away from.
     for plane in planes:
         axis = _axis_of(plane, text)
+        # The plane's place in voxels; a voxel on it stays.
         place = -plane[3] / plane[axis] / volume.spacing[axis]
         first, last = left[axis].start, left[axis].stop
         if plane[axis] > 0.0:

@@ -30,6 +30,7 @@ def smoothed(grid: Grid, sigma: float, missing: Sequence[float] = ()) -> Grid:
     and the mean around them is of the other values alone. Beyond the sides of the grid its
     outermost values are repeated. A few layers are in memory at a time.
     """
+    # Single floats hold integers of 16 bits and half floats exactly; wider values need doubles.
     kind = usable_type(grid.dtype)
     dtype = np.dtype(np.float64 if kind.itemsize > 2 and kind != np.float32 else np.float32)
     marks = find_marks(missing, kind)
