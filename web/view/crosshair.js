@@ -1,6 +1,6 @@
 /**
- * The cross hair of the slices beside the picture: its voxel, and the values that are black and
- * white in them.
+ * The cross hair of the slices next to the picture: its voxel, and the values that are black and
+ * white in the slices.
  */
 
 import { dot, vector } from "./rotation.js";
@@ -8,12 +8,12 @@ import { dot, vector } from "./rotation.js";
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {[number, number]} Greys the values that are black and white, ascending */
 /**
- * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; of no `greys` the
- *   volume's own
+ * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; null in `greys`
+ *   stands for the volume's defaults
  */
 
 /**
- * A cross hair as the address has it, `x,y,z` or `x,y,z,black,white`.
+ * Write a cross hair for the address: `x,y,z` or `x,y,z,black,white`.
  * @param {CrossHair} crossHair
  * @returns {string}
  */
@@ -22,7 +22,7 @@ export function writeCrossHair({ voxel, greys }) {
 }
 
 /**
- * A cross hair that an address has; null where it is none.
+ * Read a cross hair from the address; null if the text is none.
  * @param {string} text
  * @returns {CrossHair|null}
  */
@@ -35,7 +35,7 @@ export function readCrossHair(text) {
 }
 
 /**
- * A cross hair at the voxel nearest to the one that is wanted; null where none is wanted.
+ * Move a cross hair to the nearest voxel of the volume; null remains null.
  * @param {{size: Vec3}} volume
  * @param {CrossHair|null} wanted
  * @returns {CrossHair|null}
@@ -47,7 +47,7 @@ export function limitCrossHair({ size }, wanted) {
 }
 
 /**
- * The world's point at voxel indices, with fractions too.
+ * Return the point of the world at voxel indices, which may have fractions.
  * @param {{affine: number[][]}} volume
  * @param {Vec3} voxel
  * @returns {Vec3}
