@@ -1,6 +1,6 @@
 /**
- * The pane of slices beside the picture: three of them through one cross hair, and what is black
- * and white in them.
+ * The pane of slices next to the picture: three slices through one cross hair, and the values that
+ * are black and white in them.
  */
 
 import { find } from "../dom.js";
@@ -20,13 +20,14 @@ import { Shelf, usualGreys } from "./values.js";
 
 /**
  * @typedef {object} PaneHooks
- * @property {import("./values.js").Read} read gives the values on a slice
- * @property {HTMLDetailsElement} cuts while it is open planes are moved in slices, too
- * @property {(point: Vec3, normal: Vec3) => void} cut along a plane through a point of the world
- * @property {() => void} onRest is called when the line of a plane is let go
+ * @property {import("./values.js").Read} read returns the values on a slice
+ * @property {HTMLDetailsElement} cuts while it is open, planes can be moved in slices
+ * @property {(point: Vec3, normal: Vec3) => void} cut cuts along a plane through a point of the
+ *   world
+ * @property {() => void} onRest is called when the line of a plane is released
  */
 
-/** Shows slices where the view has a cross hair. */
+/** Shows slices if the view has a cross hair. */
 export class SlicesPane {
   #root;
   #button;
@@ -34,8 +35,8 @@ export class SlicesPane {
   #view;
   #figures;
   /** @type {CrossHair|null} */
-  #last; // of a pane that was closed
-  #due = false; // whether it is drawn in the next frame
+  #last; // cross hair when the pane was closed
+  #due = false; // true if it is drawn in the next frame
 
   /**
    * @param {HTMLElement} root
@@ -80,7 +81,7 @@ export class SlicesPane {
     this.#draw();
   }
 
-  /** Open it where it was last, else in the middle of the volume; or close it. */
+  /** Close the pane, or open it with its last cross hair, at first in the middle of the volume. */
   toggle() {
     const middle = vector((i) => (this.#scene.volume.size[i] - 1) / 2);
     this.#view.set({
@@ -89,22 +90,22 @@ export class SlicesPane {
   }
 
   /**
-   * Move the cross hair, where there is one; else it is where the pane will be opened.
-   * @param {Vec3} voxel indices, with fractions too
+   * Move the cross hair; if the pane is closed, it opens there.
+   * @param {Vec3} voxel indices, which may have fractions
    */
   follow(voxel) {
     this.#set({ voxel });
     if (!this.#view.values.slices) this.#last = { voxel, greys: this.#last?.greys ?? null };
   }
 
-  /** @param {Partial<CrossHair>} patch */
+  /** Change a part of the cross hair, if there is one. @param {Partial<CrossHair>} patch */
   #set(patch) {
     const { slices } = this.#view.values;
     if (slices) this.#view.set({ slices: { ...slices, ...patch } });
   }
 
   /**
-   * The values that are black and white; by default the volume's own, in round numbers.
+   * Return the values that are black and white; by default those of the volume, rounded.
    * @returns {Greys}
    */
   get #greys() {
@@ -113,20 +114,23 @@ export class SlicesPane {
     return this.#view.values.slices?.greys ?? rounded(usual, 10 * this.#step) ?? usual;
   }
 
-  /** What numbers of a window and a level are told to. */
+  /** Return the step that window and level are rounded to. */
   get #step() {
     const { edges } = this.#scene.histogram;
     return 10 * niceStep(edges[edges.length - 1] - edges[0]);
   }
 
+  /** Return the fields for window and level. */
   get #inputs() {
     return ["#slices-window", "#slices-level"].map((id) => find(this.#root, id, HTMLInputElement));
   }
 
+  /** Return the point of the world at the cross hair. */
   get #point() {
     return worldOf(this.#scene.volume, /** @type {CrossHair} */ (this.#view.values.slices).voxel);
   }
 
+  /** Apply the typed window and level, if they are valid. */
   #typed() {
     const [window, level] = this.#inputs.map(({ valueAsNumber }) => valueAsNumber);
     const sound = window > 0 && Number.isFinite(level);
@@ -138,12 +142,14 @@ export class SlicesPane {
     this.#write();
   }
 
+  /** Draw in the next frame of the screen. */
   #follow() {
     if (this.#due) return;
     this.#due = true;
     requestAnimationFrame(() => this.#draw());
   }
 
+  /** Draw all slices, if the view has a cross hair. */
   #draw() {
     this.#due = false;
     const { slices } = this.#view.values;
@@ -155,7 +161,7 @@ export class SlicesPane {
     this.#write();
   }
 
-  /** Say where the cross hair is, what is there, and what is black and white. */
+  /** Show the place of the cross hair, the value there, and window and level. */
   #write() {
     const { volume } = this.#scene;
     const { voxel, greys } = /** @type {CrossHair} */ (this.#view.values.slices);
@@ -175,7 +181,7 @@ export class SlicesPane {
 }
 
 /**
- * Greys with few digits; null where they would be one.
+ * Round greys; null if they would become equal.
  * @param {Greys} greys
  * @param {number} step
  * @returns {Greys|null}
@@ -185,7 +191,7 @@ function rounded(greys, step) {
   return black < white ? [black, white] : null;
 }
 
-/** @param {number|undefined} value undefined until it has come */
+/** Write the value at the cross hair. @param {number|undefined} value undefined until it is here */
 function valueInWords(value) {
   if (value === undefined) return "value …";
   return Number.isNaN(value)
@@ -194,7 +200,7 @@ function valueInWords(value) {
 }
 
 /**
- * Give slices one scale: the widest one fills the width of its place, or the highest one its
+ * Give all slices one scale: the widest one fills the width of its place, or the highest one its
  * height.
  * @param {Scene["volume"]} volume
  * @param {SliceFigure[]} figures
