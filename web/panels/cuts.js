@@ -1,6 +1,6 @@
 /**
- * What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and
- * which labels are shown.
+ * The panels of visible matter: planes that cut it away, the pinned surfaces, the material of the
+ * surface, and the labels that are shown.
  */
 
 import { find } from "../dom.js";
@@ -32,7 +32,7 @@ import {
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
 /**
- * Tie the sliders to the view, both ways.
+ * Tie sliders of planes to the view, both ways.
  * @param {HTMLElement} panel holds `#cut-sliders`, `#oblique`, `#opened`, `#cut-note`, `#add-plane`
  *   and `#uncut`
  * @param {Pick<Scene, "volume"|"cuts">} scene
@@ -50,6 +50,7 @@ export function attachCuts(panel, { volume, cuts }, view) {
     const planes = readPlanes(view.values.planes, volume.bounds);
     view.set({ planes: writePlanes({ ...planes, others: change(planes.others) }, volume.bounds) });
   };
+  // A new oblique plane faces the viewer.
   const facing = () => {
     const { planes, azimuth, elevation } = view.values;
     return termOf(
@@ -62,6 +63,7 @@ export function attachCuts(panel, { volume, cuts }, view) {
   const mirror = () => {
     const { planes, opened: open } = view.values;
     const all = movablePlanes(volume, planes);
+    // Keep one row per plane; rows of oblique planes have buttons as well.
     while (rows.length > all.length) rows.pop()?.node.remove();
     for (let k = rows.length; k < all.length; k++) {
       const row = planeRow(k, volume, view);
@@ -87,12 +89,12 @@ export function attachCuts(panel, { volume, cuts }, view) {
   if (view.values.planes) panel.toggleAttribute("open", true);
 }
 
-const SIDES = 6; // of a box
+const SIDES = 6; // sides of a box, which come first in `movablePlanes`
 
 /**
- * What light does where something is cut away.
- * @param {boolean} opened whether it comes in
- * @param {boolean} oblique whether there are planes along no axis
+ * Describe the light at a cut.
+ * @param {boolean} opened true if light comes in
+ * @param {boolean} oblique true if there are oblique planes
  */
 function cutInWords(opened, oblique) {
   if (!opened) return "The light stays that of the whole, and cut faces show values.";
@@ -101,14 +103,14 @@ function cutInWords(opened, oblique) {
     : "What is left is lit again.";
 }
 
-/** @param {HTMLElement[]} buttons */
+/** Make a row of buttons. @param {HTMLElement[]} buttons */
 function buttonsOf(buttons) {
   const row = Object.assign(document.createElement("div"), { className: "buttons" });
   row.append(...buttons);
   return row;
 }
 
-/** @param {string} text @param {() => void} action */
+/** Make a button. @param {string} text @param {() => void} action */
 function plainButton(text, action) {
   const button = Object.assign(document.createElement("button"), {
     type: "button",
@@ -123,7 +125,7 @@ function plainButton(text, action) {
  */
 
 /**
- * The slider of a plane, and what shows its value.
+ * Make the slider of a plane, with its value.
  * @param {number} k number of the plane
  * @param {Scene["volume"]} volume
  * @param {ViewModel} view
@@ -158,8 +160,8 @@ function planeRow(k, volume, view) {
 }
 
 /**
- * Tie a switch and a slider for each surface to the view, both ways; without surfaces the panel is
- * hidden.
+ * Tie a switch and a slider for each pinned surface to the view, both ways; hide the panel if there
+ * are none.
  * @param {HTMLElement} panel holds `#surface-rows`
  * @param {{surfaces?: Surface[]}} scene
  * @param {ViewModel} view
@@ -181,10 +183,11 @@ export function attachSurfaces(panel, { surfaces = [] }, view) {
 }
 
 /**
- * The switch and the slider of a surface. The slider is let go before light is baked for its value.
+ * Make the switch and the slider of a pinned surface.
  * @param {Surface} surface
- * @param {number} k its number
- * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
+ * @param {number} k number of the surface
+ * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set is called once the
+ *   slider is released, as light is baked for each value
  */
 function surfaceRow({ name, isovalue }, k, set) {
   const [node, label, check] = [
@@ -215,9 +218,8 @@ function surfaceRow({ name, isovalue }, k, set) {
 }
 
 /**
- * A slider whose every value has light, or a scene, of its own: it says its value while it moves,
- * and sets it once it is
- * let go, also by a key that was held.
+ * Make a slider whose values each need a bake, or another scene. It shows its value while it moves,
+ * and sets it once it is released, also by a key that was held.
  * @param {string} name
  * @param {{id: string, min: number, max: number, step: number|"any"}} limits
  * @param {(value: number) => string} words
@@ -238,6 +240,7 @@ function bakedSlider(name, limits, words, set) {
     output.value = words(slider.valueAsNumber);
     slider.setAttribute("aria-valuetext", output.value);
   };
+  // A held key fires many changes: wait until it is released.
   const release = () => {
     if (changed && !held) set(slider.valueAsNumber);
     changed &&= held;
@@ -261,19 +264,18 @@ function bakedSlider(name, limits, words, set) {
   return { node, title, slider, show };
 }
 
-/** @type {Record<string, string>} */
+/** Names of a material's numbers. @type {Record<string, string>} */
 const NUMBER_NAMES = {
   index: "Refractive index",
   absorption: "Absorption",
   mean_free_path: "Mean free path",
 };
-const CLEAREST = 5; // absorption over the volume's radius at which glass is black
-const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, over that radius
+const CLEAREST = 5; // optical depth over the volume's radius at which glass is black
+const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, in radii of the volume
 
 /**
- * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hidden where
- * the scene allows
- * nothing but its own.
+ * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hide the panel
+ * if the scene allows only its own material.
  * @param {HTMLElement} panel holds a `.value`, a `select`, `#material-numbers` and a `.note`
  * @param {Pick<Scene, "material"|"materials"|"volume">} scene
  * @param {ViewModel} view
@@ -301,6 +303,7 @@ export function attachMaterial(panel, scene, view) {
   let listed = "";
   const mirror = () => {
     const made = now();
+    // Another material has other numbers: make its sliders.
     if (made.kind !== listed) {
       listed = made.kind;
       const rows = Object.keys(made.numbers).map((name) => ({
@@ -323,9 +326,8 @@ export function attachMaterial(panel, scene, view) {
 }
 
 /**
- * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and
- * the others with it;
- * what they make of white light is a tint beside it.
+ * Make the slider of a material's number. Of three numbers, one per colour, it moves the largest,
+ * and the others in proportion; a field for the tint changes the proportion.
  * @param {string} name
  * @param {Pick<Scene, "volume">} scene
  * @param {number[]} first the numbers at first
@@ -359,7 +361,7 @@ function numberRow(name, { volume }, first, set) {
       : undefined;
   const show = (/** @type {number[]} */ given) => {
     const most = Math.max(...given);
-    if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
+    if (most > 0) shares = given.map((each) => each / most); // zeros keep the last tint
     row.show(inward(most));
     if (tint) tint.field.value = tintOf(shares);
   };
@@ -367,8 +369,8 @@ function numberRow(name, { volume }, first, set) {
 }
 
 /**
- * A field below a slider for the colour of white light behind what absorbs it.
- * @param {string} slider its id
+ * Make a field for the colour of white light behind an absorbing material.
+ * @param {string} slider id of the slider above
  * @param {(hex: string) => void} set
  */
 function tintRow(slider, set) {
@@ -386,10 +388,11 @@ function tintRow(slider, set) {
 }
 
 /**
- * What the slider of a number of a material spans: as much as shows in a volume of that size.
+ * Return the range of the slider of a material's number: values that make a visible difference in a
+ * volume of this size.
  * @param {string} name
  * @param {Scene["volume"]["bounds"]} bounds
- * @param {number} own the scene's, which is on it
+ * @param {number} own the scene's value, which the range includes
  * @returns {{min: number, max: number, log: boolean}}
  */
 export function numberRange(name, [low, high], own) {
@@ -399,13 +402,13 @@ export function numberRange(name, [low, high], own) {
   return { min: Math.min(SHORTEST * radius, own), max: Math.max(LONGEST * radius, own), log: true };
 }
 
-/** @param {string} word */
+/** Write a word with a capital. @param {string} word */
 function capital(word) {
   return word[0].toUpperCase() + word.slice(1);
 }
 
 /**
- * Tie a switch for each label to the view, both ways; there are none where the scene is no
+ * Tie a switch for each label to the view, both ways; there are none if the scene is no
  * segmentation.
  * @param {HTMLElement} legend holds `.labels` and `#labels-all`
  * @param {Pick<Scene, "colours">} scene
@@ -436,7 +439,7 @@ export function attachLabels(legend, { colours }, view) {
 }
 
 /**
- * A label of a segmentation: its switch, its swatch and its name.
+ * Make the switch, swatch and name of a label.
  * @param {Label} label
  * @param {(shown: boolean) => void} set
  */
@@ -454,7 +457,7 @@ function labelRow({ name, colour }, set) {
   /** @type {(shown: boolean, alone: boolean) => void} */
   const show = (shown, alone) => {
     check.checked = shown;
-    check.disabled = shown && alone; // one is always shown
+    check.disabled = shown && alone; // at least one label is shown
     label.title = check.disabled ? "Show another one before you hide this" : "";
   };
   return { node, show };

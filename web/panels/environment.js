@@ -1,6 +1,6 @@
 /**
- * Where the light comes from: the scene's own, surroundings that come with the server, or a probe
- * that was uploaded.
+ * The choice of the light: that of the scene, surroundings that come with the server, or an
+ * uploaded probe.
  */
 
 import { find } from "../dom.js";
@@ -11,17 +11,17 @@ import { retryDelay } from "../net/trouble.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
-const SAME = 1e-3; // addresses hold four digits of an exposure
-const AGAIN_MS = [300, 1000, 3000]; // before a busy server is asked again
+const SAME = 1e-3; // relative difference of equal exposures: addresses hold four digits
+const AGAIN_MS = [300, 1000, 3000]; // pauses before a busy server is asked again
 
 /**
- * Tie the choice to the view. When the view's light or material changes, what the scene says of its
- * light is read anew.
+ * Tie the choice to the view. When the view's light or material changes, read those parts of the
+ * scene's document that depend on it.
  * @param {HTMLElement} section holds the choice `#environment` and the button `#environment-delete`
- * @param {Scene} scene its light is replaced
+ * @param {Scene} scene parts that depend on the light are replaced
  * @param {ViewModel} view
- * @param {() => void} relit shows what the scene then says
- * @param {(words: string) => void} say tells what went wrong
+ * @param {() => void} relit shows the scene in the new light
+ * @param {(words: string) => void} say shows a sentence about trouble
  */
 export function attachEnvironments(section, scene, view, relit, say) {
   const [select, erase] = [
@@ -48,7 +48,7 @@ export function attachEnvironments(section, scene, view, relit, say) {
       Object.entries(wanted).every(([name, text]) => Object(view.values)[name] === text);
     try {
       const light = await readPatiently(scene.id, wanted, chosenStill);
-      if (!chosenStill()) return; // another was chosen meanwhile
+      if (!chosenStill()) return; // the visitor has chosen another light
       const exposure = exposureIn(
         light.defaults.exposure,
         view.values.exposure,
@@ -60,6 +60,7 @@ export function attachEnvironments(section, scene, view, relit, say) {
       relit();
     } catch (error) {
       say(/** @type {Error} */ (error).message);
+      // Without the new light's document, go back to the former light.
       if (chosenStill()) view.set(litBy(former));
     }
   });
@@ -68,17 +69,18 @@ export function attachEnvironments(section, scene, view, relit, say) {
   });
 }
 
-/** The knobs of a view that its light depends on. @param {Knobs} values */
+/** Return the knobs of a view that its light depends on. @param {Knobs} values */
 function litBy({ environment, material }) {
   return { environment, material };
 }
 
 /**
- * What a scene is in its light, also where a busy server answers late: the picture's own requests
- * say why.
+ * Read the parts of a scene that depend on its light, and try again while the server is busy. The
+ * picture's requests report the trouble.
  * @param {string} scene
  * @param {ReturnType<typeof litBy>} knobs
- * @param {() => boolean} wanted whether that is wanted still
+ * @param {() => boolean} wanted returns true as long as the result is wanted
+ * @throws {import("../net/trouble.js").Trouble} if it cannot be read
  */
 async function readPatiently(scene, knobs, wanted) {
   for (let failures = 0; ; failures += 1) {
@@ -95,13 +97,13 @@ async function readPatiently(scene, knobs, wanted) {
 }
 
 /**
- * The exposure in another light: as many stops from the new light's own as it was from the
- * former's.
- * @param {number} usual in the new light
- * @param {number} now what the view has
- * @param {number} before what it had when the light was chosen: where both differ, it was chosen
- *   too
- * @param {number} former what was usual in the former light
+ * Return the exposure in another light: as many stops from the new light's default as it was from
+ * the former light's.
+ * @param {number} usual default of the new light
+ * @param {number} now exposure of the view
+ * @param {number} before exposure when the light was chosen; if `now` differs, the visitor has
+ *   chosen `now` too
+ * @param {number} former default of the former light
  * @returns {number}
  */
 export function exposureIn(usual, now, before, former) {
@@ -111,6 +113,7 @@ export function exposureIn(usual, now, before, former) {
 }
 
 /**
+ * Find the chosen environment of a scene.
  * @type {(scene: Scene, environment: string) => import("../documents.js").Environment|undefined}
  */
 function chosen({ environments }, environment) {
