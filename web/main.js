@@ -305,8 +305,8 @@ function toggleRulers(view) {
  */
 function unfold(part) {
   part.open = !part.open;
-  const stays = getComputedStyle(find(document, ".picture")).position === "sticky";
-  if (part.open && stays) part.scrollIntoView({ block: "nearest" });
+  const isSticky = getComputedStyle(find(document, ".picture")).position === "sticky";
+  if (part.open && isSticky) part.scrollIntoView({ block: "nearest" });
 }
 
 /** Show the picture on the whole screen, or the page again. */

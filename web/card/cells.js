@@ -222,8 +222,8 @@ function spreadDistances(tops, [bx, by, bz]) {
       const first = Math.floor(w / words) * bx + (w % words) * WORD;
       const end = Math.min(WORD, bx - (w % words) * WORD);
       // Visit the bits that are new in this step, lowest first.
-      for (let news = next[w] & ~reached[w]; news !== 0; news &= news - 1) {
-        const bit = 31 - Math.clz32(news & -news);
+      for (let fresh = next[w] & ~reached[w]; fresh !== 0; fresh &= fresh - 1) {
+        const bit = 31 - Math.clz32(fresh & -fresh);
         if (bit < end) tops[first + bit] = EMPTY + n;
       }
     }

@@ -78,8 +78,8 @@ export function openDevice(canvas) {
  * @returns {string}
  */
 function rendererOf(gl) {
-  const told = gl.getExtension("WEBGL_debug_renderer_info");
-  return String(gl.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  return String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
 }
 
 /**

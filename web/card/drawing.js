@@ -245,7 +245,7 @@ export class Drawing {
     // Each row of the uniform texture belongs to one number of the transfer: a channel's numbers
     // add to that channel alone, or to all three if light is grey. Squares, for the noise, go with
     // green, which stands for luminance.
-    const met = (/** @type {number} */ c) =>
+    const rowOf = (/** @type {number} */ c) =>
       columns.map(([r, g, b, square]) => [
         ...[r, g, b].map((x, i) => (channels === 1 || i === c ? x : 0)),
         c === green ? square : 0,
@@ -253,7 +253,7 @@ export class Drawing {
     fillTexture(
       gl,
       this.turned,
-      new Float32Array(Array.from({ length: channels }, (_, c) => met(c)).flat(2)),
+      new Float32Array(Array.from({ length: channels }, (_, c) => rowOf(c)).flat(2)),
     );
     // Number of the green channel with which each term begins, for the estimate of noise.
     const firsts = terms.map(

@@ -102,8 +102,8 @@ export function bandRotations(order, matrix) {
 export function turned(bands, coefficients) {
   const out = [];
   for (let l = 0; l * l < coefficients.length; l++) {
-    const own = coefficients.slice(l * l, (l + 1) * (l + 1));
-    out.push(...bands[l].map((row) => row.reduce((sum, x, n) => sum + x * own[n], 0)));
+    const band = coefficients.slice(l * l, (l + 1) * (l + 1));
+    out.push(...bands[l].map((row) => row.reduce((sum, x, n) => sum + x * band[n], 0)));
   }
   return out;
 }

@@ -56,7 +56,7 @@ export class Picture {
   /** @param {WebGL2RenderingContext} gl @param {Size} size */
   constructor(gl, size) {
     this.gl = gl;
-    this.room = size;
+    this.capacity = size;
     this.first = makeTexture(gl, "RGBA16F", size, { smooth: true });
     this.mean = makeTexture(gl, "RGBA16F", size, { smooth: true });
     this.targets = [drawInto(gl, this.first), drawInto(gl, this.mean)];
@@ -69,7 +69,7 @@ export class Picture {
    * @returns {boolean}
    */
   holds(size) {
-    return size[0] <= this.room[0] && size[1] <= this.room[1];
+    return size[0] <= this.capacity[0] && size[1] <= this.capacity[1];
   }
 
   /** Return the texture with the mean of all complete samples. @returns {Texture} */

@@ -124,11 +124,11 @@ function shaderOf(gl, kind, text) {
  * @param {WebGLProgram} id
  */
 async function compiled(gl, id) {
-  const beside = gl.getExtension("KHR_parallel_shader_compile");
+  const parallel = gl.getExtension("KHR_parallel_shader_compile");
   while (
-    beside &&
+    parallel &&
     !gl.isContextLost() &&
-    !gl.getProgramParameter(id, beside.COMPLETION_STATUS_KHR)
+    !gl.getProgramParameter(id, parallel.COMPLETION_STATUS_KHR)
   ) {
     await new Promise((done) => setTimeout(done, 10));
   }

@@ -222,19 +222,19 @@ export class Texels {
   #list(block, first, places) {
     const side = this.lattice.chunk / BRICK;
     for (let i = 0; i < block.bricks.length; i += 4) {
-      const [low, high, own, place] = block.bricks.subarray(i, i + 4);
+      const [low, high, local, place] = block.bricks.subarray(i, i + 4);
       // A place packs the brick's x, y, z in its chunk, 8 bits each.
       const at = [place & 255, (place >> 8) & 255, (place >> 16) & 255].map(
         (x, axis) => block.index[axis] * side + x,
       );
       const number = this.#number(at);
-      this.table.set([low, high, first + own, 0], 4 * number);
+      this.table.set([low, high, first + local, 0], 4 * number);
       bitsOf(low, high).forEach((bit, k) => {
         // The number of the brick, then six bits: the texel in it. filter.frag.glsl reads this.
-        places[own + k] = (number << 6) | bit;
+        places[local + k] = (number << 6) | bit;
       });
       // The record of the brick's mean follows those of its texels.
-      this.#lend(at, first + own + ones(low) + ones(high));
+      this.#spreadMean(at, first + local + ones(low) + ones(high));
     }
   }
 
@@ -244,7 +244,7 @@ export class Texels {
    * @param {number[]} at x, y, z of the brick
    * @param {number} mean number of the record
    */
-  #lend([x, y, z], mean) {
+  #spreadMean([x, y, z], mean) {
     const [bx, by, bz] = this.shape;
     for (let k = Math.max(z - REACH, 0); k <= Math.min(z + REACH, bz - 1); k++) {
       for (let j = Math.max(y - REACH, 0); j <= Math.min(y + REACH, by - 1); j++) {
@@ -317,8 +317,8 @@ export class Texels {
     for (let layer = 0; layer < this.layers; layer++) {
       const halves = new Uint16Array(4 * ROW * run.rows);
       for (const { at, count, first } of run.blocks) {
-        const own = /** @type {Block} */ (run.raw.get(at)).layers;
-        halves.set(own.subarray(4 * count * layer, 4 * count * (layer + 1)), 4 * first);
+        const source = /** @type {Block} */ (run.raw.get(at)).layers;
+        halves.set(source.subarray(4 * count * layer, 4 * count * (layer + 1)), 4 * first);
       }
       fillTexture(this.gl, this.transfer, halves, [0, run.row, layer], [ROW, run.rows, 1]);
     }

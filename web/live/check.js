@@ -63,12 +63,12 @@ export function shareThatDiffers(card, server, { width, height }, error) {
  * @returns {number}
  */
 function contrastAt(picture, width, x, y) {
-  const own = 4 * (y * width + x);
+  const here = 4 * (y * width + x);
   let most = 0;
   for (let k = 0; k < 9; k++) {
-    const beside = own + 4 * ((Math.floor(k / 3) - 1) * width + (k % 3) - 1);
+    const neighbour = here + 4 * ((Math.floor(k / 3) - 1) * width + (k % 3) - 1);
     for (let c = 0; c < 3; c++)
-      most = Math.max(most, Math.abs(picture[own + c] - picture[beside + c]));
+      most = Math.max(most, Math.abs(picture[here + c] - picture[neighbour + c]));
   }
   return most;
 }

@@ -4,8 +4,7 @@
  */
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
-import { readCrossHair, writeCrossHair } from "../view/crosshair.js";
-import { readMeasure, writeMeasure } from "../view/measures.js";
+import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
 import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";

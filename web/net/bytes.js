@@ -1,6 +1,6 @@
 /** Bytes of files that the page makes: notes in PNGs (PNG, third edition, 11.3.3), and ZIPs. */
 
-const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
+import { writeRows } from "../view/npy.js";
 
 const HEAD = 8 + 25; // bytes of the signature and of IHDR, which must remain the first chunk
 
@@ -114,21 +114,15 @@ function record(mark, bytes, numbers, widths) {
 }
 
 /**
- * An `npy` file of the values that a grey picture shows, of its first channel.
+ * Return the values that a grey picture shows as an `npy` file, from the picture's first channel.
  * @param {{data: Uint8ClampedArray, width: number, height: number}} picture RGBA
  * @param {readonly [number, number]} greys the values that are black and white in it
- * @returns {ArrayBuffer}
+ * @returns {ArrayBuffer} read by `readRows`
  */
 export function valuesOfGreys({ data, width, height }, [black, white]) {
-  const shape = `'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width})`;
-  const start = LENGTH_AT + 2;
-  // values begin at a multiple of four bytes
-  const header = `{${shape}, }`.padEnd(4 * Math.ceil((start + shape.length + 4) / 4) - start);
-  const file = new ArrayBuffer(start + header.length + 4 * width * height);
-  new DataView(file).setUint16(LENGTH_AT, header.length, true);
-  new Uint8Array(file, start, header.length).set(new TextEncoder().encode(header));
-  const values = new Float32Array(file, start + header.length);
-  for (let i = 0; i < values.length; i += 1)
-    values[i] = black + (data[4 * i] / 255) * (white - black);
-  return file;
+  const values = Float32Array.from(
+    { length: width * height },
+    (_, i) => black + (data[4 * i] / 255) * (white - black),
+  );
+  return writeRows(values, width, height);
 }

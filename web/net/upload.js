@@ -170,8 +170,8 @@ async function dropped(data) {
 async function filesIn(entry) {
   const path = entry.fullPath.replace(/^\//, "");
   if (entry.isFile) {
-    const own = /** @type {FileSystemFileEntry} */ (entry);
-    return [{ path, file: await new Promise((done, failed) => own.file(done, failed)) }];
+    const leaf = /** @type {FileSystemFileEntry} */ (entry);
+    return [{ path, file: await new Promise((done, failed) => leaf.file(done, failed)) }];
   }
   const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
   /** @type {Chosen[]} */

@@ -392,14 +392,14 @@ function tintRow(slider, set) {
  * volume of this size.
  * @param {string} name
  * @param {Scene["volume"]["bounds"]} bounds
- * @param {number} own the scene's value, which the range includes
+ * @param {number} usual the scene's value, which the range includes
  * @returns {{min: number, max: number, log: boolean}}
  */
-export function numberRange(name, [low, high], own) {
+export function numberRange(name, [low, high], usual) {
   const radius = Math.hypot(...low.map((each, k) => high[k] - each)) / 2;
-  if (name === "index") return { min: 1, max: Math.max(2.5, own), log: false };
-  if (name === "absorption") return { min: 0, max: Math.max(CLEAREST / radius, own), log: false };
-  return { min: Math.min(SHORTEST * radius, own), max: Math.max(LONGEST * radius, own), log: true };
+  if (name === "index") return { min: 1, max: Math.max(2.5, usual), log: false };
+  if (name === "absorption") return { min: 0, max: Math.max(CLEAREST / radius, usual), log: false };
+  return { min: Math.min(SHORTEST * radius, usual), max: Math.max(LONGEST * radius, usual), log: true };
 }
 
 /** Write a word with a capital. @param {string} word */

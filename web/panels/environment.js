@@ -28,8 +28,8 @@ export function attachEnvironments(section, scene, view, relit, say) {
     find(section, "#environment", HTMLSelectElement),
     find(section, "#environment-delete"),
   ];
-  const own = new Option("The scene’s own light", "");
-  select.replaceChildren(own, ...scene.environments.map(({ id, name }) => new Option(name, id)));
+  const sceneLight = new Option("The scene’s own light", "");
+  select.replaceChildren(sceneLight, ...scene.environments.map(({ id, name }) => new Option(name, id)));
   /** @param {Knobs} values */
   const mirror = ({ environment }) => {
     select.value = environment;

@@ -227,10 +227,10 @@ export function sizeRows(
   { spacing },
   { unit, area, area_error: areaError, volume, volume_error: volumeError },
 ) {
-  const own = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
+  const length = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
   if (area === 0) return [["Area", "no surface"]];
   return [
-    ["Area", knownInWords(area, areaError, `${own}²`)],
-    ["Volume", knownInWords(volume, volumeError, `${own}³`)],
+    ["Area", knownInWords(area, areaError, `${length}²`)],
+    ["Volume", knownInWords(volume, volumeError, `${length}³`)],
   ];
 }

@@ -67,8 +67,8 @@ export class Status {
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
     this.#write("#status-line", line + more);
     this.#write("#badge", badge);
-    const news = facts && state !== "away";
-    this.#write("#announce", news ? announcement(facts, sharp, about) : "");
+    const isKnown = facts && state !== "away";
+    this.#write("#announce", isKnown ? announcement(facts, sharp, about) : "");
     this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);

@@ -4,8 +4,7 @@
  */
 
 import { find, sizeOf, svgElement, textElement } from "../dom.js";
-import { worldOf } from "../view/crosshair.js";
-import { coordinatesInWords, sidesAt } from "../view/measures.js";
+import { coordinatesInWords, sidesAt, worldOf } from "../view/measures.js";
 import { readSurfaces } from "../view/surfaces.js";
 import { contourOf } from "./contour.js";
 import { sliceAt, stepped, voxelAt } from "./geometry.js";
@@ -13,14 +12,14 @@ import { attachSliceGestures } from "./gestures.js";
 import { CutLines } from "./lines.js";
 import { pixelsOf, voxelsOf } from "./values.js";
 
-/** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/measures.js").CrossHair} CrossHair */
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("./geometry.js").Lie} Lie */
 /** @typedef {import("./geometry.js").Slice} Slice */
-/** @typedef {import("./values.js").Shelf} Shelf */
+/** @typedef {import("./values.js").SliceCache} SliceCache */
 /** @typedef {import("./values.js").Values} Values */
 
 /**
@@ -36,7 +35,7 @@ import { pixelsOf, voxelsOf } from "./values.js";
 const AGAIN_MS = 1500; // pause before a server that does not answer is asked again
 const ALONG = 0.999; // component of a unit vector from which it counts as along an axis
 const WORDS = "Arrow keys move the cross hair, page keys go through slices, with Shift by ten.";
-const [CONTOUR, BESIDE, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
+const [CONTOUR, PINNED, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
 /** Lines of a contour per path: canvases draw long paths, as noise has them, more slowly. */
 const TOGETHER = 100;
 const GAP = 7; // pixels of the cross hair around its voxel
@@ -66,7 +65,7 @@ export class SliceFigure {
   #volume;
   #pinned;
   #view;
-  #shelf;
+  #cache;
   #hooks;
   #cut;
   #plane;
@@ -81,14 +80,14 @@ export class SliceFigure {
    * @param {Lie} lie
    * @param {Scene} scene
    * @param {ViewModel} view
-   * @param {Shelf} shelf
+   * @param {SliceCache} cache
    * @param {FigureHooks} hooks
    */
-  constructor(lie, { volume, surfaces = [] }, view, shelf, hooks) {
+  constructor(lie, { volume, surfaces = [] }, view, cache, hooks) {
     this.#pinned = surfaces;
     this.#volume = volume;
     this.#view = view;
-    this.#shelf = shelf;
+    this.#cache = cache;
     this.#hooks = hooks;
     /** Orientation of the slice. */
     this.lie = lie;
@@ -174,7 +173,7 @@ export class SliceFigure {
     ) {
       const at = slices.voxel[this.lie.across];
       const voxels = voxelsOf(this.#view.values);
-      const slice = await this.#shelf.find(this.lie, at, voxels);
+      const slice = await this.#cache.find(this.lie, at, voxels);
       if (slice) this.#shown = { slice, at, voxels };
       else
         await new Promise((done) => {
@@ -223,10 +222,10 @@ export class SliceFigure {
    */
   #contoursOn(slice) {
     const { isovalue, surfaces } = this.#view.values;
-    const beside = readSurfaces(surfaces, this.#pinned);
+    const states = readSurfaces(surfaces, this.#pinned);
     const isovalues = [
       isovalue,
-      ...this.#pinned.filter((_, k) => beside[k].shown).map((each) => each.isovalue),
+      ...this.#pinned.filter((_, k) => states[k].shown).map((each) => each.isovalue),
     ];
     const now = isovalues.join(" ");
     if (this.#contours.of !== slice || this.#contours.isovalues !== now) {
@@ -250,7 +249,7 @@ function strokeContours(context, slice, contours) {
   const [across, down] = [context.canvas.width / slice.width, context.canvas.height / slice.height];
   context.lineCap = "round";
   contours.toReversed().forEach((lines, k) => {
-    context.strokeStyle = k === contours.length - 1 ? CONTOUR : BESIDE;
+    context.strokeStyle = k === contours.length - 1 ? CONTOUR : PINNED;
     for (let first = 0; first < lines.length; first += 4 * TOGETHER) {
       strokeLines(
         context,

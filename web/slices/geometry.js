@@ -4,7 +4,7 @@
  */
 
 import { OPPOSITE } from "../view/camera.js";
-import { worldOf } from "../view/crosshair.js";
+import { worldOf } from "../view/measures.js";
 import { planesOf } from "../view/planes.js";
 import { dot, vector } from "../view/rotation.js";
 
@@ -210,7 +210,7 @@ export function slopeOf({ corner, width, height, steps }, { normal, limit }) {
  * if nothing is left.
  * @param {Slice} slice
  * @param {string} text of the planes
- * @returns {Share[]} corners of a convex polygon, in turn; none where nothing is left
+ * @returns {Share[]} corners of a convex polygon, in order; none if nothing is left
  */
 export function partLeft(slice, text) {
   // Clip the polygon by one plane after the other (Sutherland and Hodgman, 1974).

@@ -5,7 +5,7 @@
 
 import { ARROWS } from "../view/keys.js";
 
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/measures.js").Greys} Greys */
 
 /**
  * @typedef {object} SliceActions

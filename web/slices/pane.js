@@ -4,16 +4,15 @@
  */
 
 import { find } from "../dom.js";
-import { worldOf } from "../view/crosshair.js";
 import { niceStep, showNumber } from "../view/format.js";
-import { placeInWords, sidesAt } from "../view/measures.js";
+import { placeInWords, sidesAt, worldOf } from "../view/measures.js";
 import { vector } from "../view/rotation.js";
 import { SliceFigure } from "./figure.js";
 import { liesOf } from "./geometry.js";
-import { Shelf, usualGreys } from "./values.js";
+import { SliceCache, usualGreys } from "./values.js";
 
-/** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/measures.js").CrossHair} CrossHair */
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -51,7 +50,7 @@ export class SlicesPane {
     this.#scene = scene;
     this.#view = view;
     this.#last = view.values.slices;
-    const shelf = new Shelf(read);
+    const cache = new SliceCache(read);
     const { volume } = scene;
     const hooks = {
       greys: () => this.#greys,
@@ -63,10 +62,10 @@ export class SlicesPane {
       onValues: () => this.#follow(),
     };
     this.#figures = liesOf(volume.axes).map(
-      (lie) => new SliceFigure(lie, scene, view, shelf, hooks),
+      (lie) => new SliceFigure(lie, scene, view, cache, hooks),
     );
     root.prepend(...this.#figures.map((figure) => figure.root));
-    shareRoom(volume, this.#figures);
+    shareScale(volume, this.#figures);
     for (const input of this.#inputs) input.addEventListener("change", () => this.#typed());
     find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
     button.addEventListener("click", () => this.toggle());
@@ -205,7 +204,7 @@ function valueInWords(value) {
  * @param {Scene["volume"]} volume
  * @param {SliceFigure[]} figures
  */
-function shareRoom({ size, spacing }, figures) {
+function shareScale({ size, spacing }, figures) {
   const lengths = size.map((n, i) => n * spacing[i]);
   const extents = figures.map(({ lie }) => [lengths[lie.right.axis], lengths[lie.up.axis]]);
   const [widest, highest] = [0, 1].map((k) => Math.max(...extents.map((extent) => extent[k])));

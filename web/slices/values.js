@@ -3,53 +3,23 @@
  * for a while.
  */
 
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+import { readRows } from "../view/npy.js";
+
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("./geometry.js").Axis} Axis */
 /** @typedef {import("./geometry.js").Lie} Lie */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
-/** @typedef {Uint8Array|Uint16Array|Int16Array|Float32Array|Float64Array} Numbers */
-/**
- * @typedef {{values: Numbers, width: number, height: number}} Values row by row, the upper one
- *   first; NaN in holes
- */
+/** @typedef {import("../view/npy.js").Rows} Values values of a slice; NaN in holes */
 /**
  * @typedef {(axis: Axis, at: number, voxels: string) => Promise<ArrayBuffer|null>} Read returns the
  *   `npy` file of a slice
  */
 
-/** @type {Record<string, new (buffer: ArrayBuffer) => Numbers>} */
-const KINDS = {
-  "|u1": Uint8Array,
-  "<u2": Uint16Array,
-  "<i2": Int16Array,
-  "<f4": Float32Array,
-  "<f8": Float64Array,
-};
-const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
 /** Share of voxels that may lie below black, and share that may lie above white. */
 const RARE = 0.002;
 const KEPT_BYTES = 1 << 26; // bytes of slices that are kept
 const OPAQUE = 0xff000000; // alpha of a pixel as a little-endian word
 const GREY = 0x010101; // one level of grey in r, g and b
-
-/**
- * The values in an `npy` file of rows and columns.
- * @param {ArrayBuffer} file
- * @returns {Values}
- * @throws {TypeError} where it holds anything else
- */
-export function readValues(file) {
-  const start = LENGTH_AT + 2 + new DataView(file).getUint16(LENGTH_AT, true);
-  const header = new TextDecoder("latin1").decode(file.slice(LENGTH_AT + 2, start));
-  const [, kind, rows, columns] =
-    /'descr': '(.+?)', 'fortran_order': False, 'shape': \((\d+), (\d+)\)/.exec(header) ?? [];
-  if (!KINDS[kind]) throw new TypeError(`no values of a slice: ${header}`);
-  return {
-    values: new KINDS[kind](file.slice(start)),
-    width: Number(columns),
-    height: Number(rows),
-  };
-}
 
 /**
  * Reorder values as they lie on the screen. The server sends columns along the first of the two
@@ -122,7 +92,7 @@ export function voxelsOf({ time, smooth }) {
 }
 
 /** Keeps the slices that were read last, so that going back and forth requests none twice. */
-export class Shelf {
+export class SliceCache {
   #read;
   /** @type {Map<string, Values>} */
   #kept = new Map(); // in the order of their last use
@@ -145,7 +115,7 @@ export class Shelf {
     const kept = this.#kept.get(name);
     if (kept) return this.#keep(name, kept);
     const file = await this.#read(lie.axis, at, voxels);
-    return file && this.#keep(name, turned(readValues(file), lie));
+    return file && this.#keep(name, turned(readRows(file), lie));
   }
 
   /**

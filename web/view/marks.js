@@ -5,8 +5,7 @@
 
 import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
-import { worldOf } from "./crosshair.js";
-import { arcOf, measureInWords } from "./measures.js";
+import { arcOf, measureInWords, worldOf } from "./measures.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./measures.js").Measure} Measure */
@@ -131,10 +130,10 @@ export class Marks {
   async #behind(values, point) {
     const { right, up, depth } = placeOf(this.#scene, values, point);
     if (depth <= 0 || !this.spot(point).inside) return false;
-    const met = await this.#pick(values, right, up);
+    const hit = await this.#pick(values, right, up);
     return (
-      met !== null &&
-      placeOf(this.#scene, values, met).depth <
+      hit !== null &&
+      placeOf(this.#scene, values, hit).depth <
         depth - NEARER * Math.max(...this.#scene.volume.spacing)
     );
   }

@@ -1,14 +1,19 @@
 /**
- * Measures between points of the world: the distance of two points, or the angle at the second of
- * three.
+ * Points of the world that a view names: measures between points (the distance of two, or the angle
+ * at the second of three), and the cross hair of the slices next to the picture.
  */
 
 import { OPPOSITE } from "./camera.js";
-import { vector } from "./rotation.js";
+import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../documents.js").Volume} Volume */
 /** @typedef {Vec3[]} Measure two points, or three */
+/** @typedef {[number, number]} Greys the values that are black and white, ascending */
+/**
+ * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; null in `greys`
+ *   stands for the volume's defaults
+ */
 
 const DIGITS = 6; // digits of a coordinate: short in an address, and finer than a voxel
 const COORDINATE_DIGITS = 2; // decimals of a voxel that coordinates tell apart
@@ -89,8 +94,8 @@ export function angleOf(a, b, c) {
  * @returns {string}
  */
 export function lengthInWords({ unit, spacing }, length) {
-  const own = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
-  return `${length} ${unit || own}`;
+  const plain = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
+  return `${length} ${unit || plain}`;
 }
 
 /**
@@ -172,6 +177,50 @@ export function arcOf([a, b, c]) {
     const way = vector((i) => (1 - share) * unit(u)[i] + share * unit(v)[i]);
     return vector((i) => b[i] + radius * unit(way)[i]);
   });
+}
+
+/**
+ * Write a cross hair for the address: `x,y,z` or `x,y,z,black,white`.
+ * @param {CrossHair} crossHair
+ * @returns {string}
+ */
+export function writeCrossHair({ voxel, greys }) {
+  return [...voxel, ...(greys ?? [])].join(",");
+}
+
+/**
+ * Read a cross hair from the address; null if the text is none.
+ * @param {string} text
+ * @returns {CrossHair|null}
+ */
+export function readCrossHair(text) {
+  const numbers = text.split(",").map((number) => (number.trim() ? Number(number) : NaN));
+  const [x, y, z, black, white] = numbers;
+  if (![3, 5].includes(numbers.length) || !numbers.every(Number.isFinite)) return null;
+  if (numbers.length === 3) return { voxel: [x, y, z], greys: null };
+  return black < white ? { voxel: [x, y, z], greys: [black, white] } : null;
+}
+
+/**
+ * Move a cross hair to the nearest voxel of the volume; null remains null.
+ * @param {{size: Vec3}} volume
+ * @param {CrossHair|null} wanted
+ * @returns {CrossHair|null}
+ */
+export function limitCrossHair({ size }, wanted) {
+  if (!wanted) return null;
+  const voxel = vector((i) => Math.min(size[i] - 1, Math.max(0, Math.round(wanted.voxel[i]))));
+  return { voxel, greys: wanted.greys };
+}
+
+/**
+ * Return the point of the world at voxel indices, which may have fractions.
+ * @param {{affine: number[][]}} volume
+ * @param {Vec3} voxel
+ * @returns {Vec3}
+ */
+export function worldOf({ affine }, voxel) {
+  return vector((i) => dot(/** @type {Vec3} */ (affine[i].slice(0, 3)), voxel) + affine[i][3]);
 }
 
 /** Return true if some value is a measure. @param {unknown} points @returns {points is Measure} */

@@ -5,9 +5,8 @@
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
-import { limitCrossHair } from "./crosshair.js";
 import { niceStep, showNumber } from "./format.js";
-import { limitMeasures } from "./measures.js";
+import { limitCrossHair, limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
 import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
@@ -41,7 +40,7 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {string} background one of BACKGROUNDS
  * @property {string} rulers one of RULERS: "on" if a scale bar and the axes are shown
  * @property {import("./measures.js").Measure[]} measures distances and angles in the world
- * @property {import("./crosshair.js").CrossHair|null} slices point in which the slices next to the
+ * @property {import("./measures.js").CrossHair|null} slices point in which the slices next to the
  *   picture cross; null for no slices
  * @property {string} environment the id of one of the scene's environments; "" for the scene's
  *   light
@@ -232,9 +231,9 @@ export class ViewModel {
     limited.planes =
       wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
     limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
-    const beside =
+    const fits =
       wanted.surfaces === "" || areSurfaces(wanted.surfaces, this.#scene.surfaces?.length ?? 0);
-    limited.surfaces = beside ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
+    limited.surfaces = fits ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
     const hidden = wanted.hide === "" || areHidden(wanted.hide, this.#scene.colours?.labels ?? []);
     limited.hide = hidden ? /** @type {string} */ (wanted.hide) : fallback.hide;
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);

@@ -146,9 +146,9 @@ export function readMaterial(text, { material, materials }) {
  * @returns {string}
  */
 export function writeMaterial({ kind, numbers }, { material, materials }) {
-  const own = usual(kind, materials);
+  const defaults = usual(kind, materials);
   const others = Object.entries(numbers).filter(
-    ([name, given]) => spelled(given) !== spelled(own[name] ?? []),
+    ([name, given]) => spelled(given) !== spelled(defaults[name] ?? []),
   );
   if (!others.length && kind === parsed(material).kind) return "";
   return [kind, ...others.map(([name, given]) => `${name}=${spelled(given)}`)].join(",");
