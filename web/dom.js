@@ -14,7 +14,7 @@ const SVG = "http://www.w3.org/2000/svg";
 export function find(root, selector, kind = /** @type {any} */ (HTMLElement)) {
   const node = root.querySelector(selector);
   if (node instanceof kind) return node;
-  throw new TypeError(`no ${kind.name} at ${selector}`);
+  throw new TypeError(`The page has no ${kind.name} that matches ${selector}.`);
 }
 
 /**

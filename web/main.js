@@ -450,7 +450,8 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     const { facts } = shown;
     if (!facts || facts.provisional || received?.of.key !== shown.pictureOf?.key) return null;
     const { naturalWidth: width, naturalHeight: height } = $("picture", HTMLImageElement);
-    return received?.blob.type === "image/png" ? { blob: received.blob, facts, width, height } : null;
+    if (received?.blob.type !== "image/png") return null;
+    return { blob: received.blob, facts, width, height };
   };
   return { loop, live, ready };
 }

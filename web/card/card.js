@@ -159,7 +159,8 @@ export class Card {
   draw(view, { width, height } = this.canvas) {
     const { canvas, drawing } = this;
     if (!drawing || this.lost || this.pace.busy || !drawing.isReady(view)) return false;
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    if (canvas.width !== width || canvas.height !== height)
+      Object.assign(canvas, { width, height });
     const size = this.#sizeAt(this.pace.share);
     drawing.sample(view, size, 0);
     drawing.show(view, size);
@@ -232,7 +233,10 @@ export class Card {
   async #load(document, codes, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.readShader), codes]);
+    const [programs, voxels] = await Promise.all([
+      programsOf(gl, document, this.readShader),
+      codes,
+    ]);
     if (load !== this.loads) return; // another load began meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);

@@ -159,7 +159,9 @@ function readBrick(voxels, [nx, ny, nz], [i, j, k], isovalue, rows) {
       let word = 0;
       for (let x = 0; x < count; x++) {
         const v = voxels[at + x];
-        word |= v > isovalue ? 1 << x : v <= isovalue ? 256 << x : 65536 << x;
+        if (v > isovalue) word |= 1 << x;
+        else if (v <= isovalue) word |= 256 << x;
+        else word |= 65536 << x;
       }
       rows[(BRICK + 1) * (z - k) + y - j] = word;
     }

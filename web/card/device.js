@@ -94,7 +94,8 @@ export async function timeTrial(gl, read) {
   const voxels = makeTexture(gl, "R8UI", [TRIAL_EDGE, TRIAL_EDGE, TRIAL_EDGE]);
   // Fill the volume with a multiplicative hash of the index, so that reads are as scattered as
   // those of rays.
-  fillTexture(gl, voxels, Uint8Array.from({ length: TRIAL_EDGE ** 3 }, (_, i) => (i * 2654435761) >>> 24));
+  const codes = Uint8Array.from({ length: TRIAL_EDGE ** 3 }, (_, i) => (i * 2654435761) >>> 24);
+  fillTexture(gl, voxels, codes);
   const picture = makeTexture(gl, "RGBA16F", TRIAL_SIZE);
   const target = drawInto(gl, picture);
   let least = Infinity;

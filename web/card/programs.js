@@ -190,5 +190,5 @@ function put(gl, place, kind, value) {
   else if (kind === gl.INT || kind === gl.BOOL) gl.uniform1iv(place, numbers);
   else if (kind === gl.INT_VEC2) gl.uniform2iv(place, numbers);
   else if (kind === gl.INT_VEC3) gl.uniform3iv(place, numbers);
-  else throw new Error(`A uniform of the kind ${kind} has no way to the card.`);
+  else throw new Error(`Uniforms of type ${kind} are not supported: add them to \`put\`.`);
 }

@@ -172,7 +172,7 @@ export class Texels {
     for (const old of this.#ofRows) gl.deleteTexture(old.id);
     // Allocate some spare rows; 16 keeps small scenes from growing at each answer.
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
-    if (rows > height) throw new Error("The graphics card takes no more texels.");
+    if (rows > height) throw new Error("The graphics card has no room for more texels.");
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
     // Keep raw transfer only if all of its layers fit the budget; else the server folds each light.

@@ -46,7 +46,8 @@ const BYTES = {
  * @returns {Texture}
  */
 export function makeTexture(gl, format, size, { layered = false, smooth = false } = {}) {
-  const target = size.length === 2 ? gl.TEXTURE_2D : layered ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_3D;
+  const spatial = layered ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_3D;
+  const target = size.length === 2 ? gl.TEXTURE_2D : spatial;
   const id = gl.createTexture();
   gl.bindTexture(target, id);
   for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])

@@ -85,7 +85,7 @@ export class Live {
   #frame = 0;
   #listed = -LIST_MS;
   /**
-   * The view at rest that the card is checked with, the time since then, and whether the card has
+   * The view at rest that the card is checked with, the time since then, and true once the card has
    * begun to draw it.
    * @type {{values: Knobs, since: number, begun: boolean}|null}
    */
@@ -193,8 +193,8 @@ export class Live {
   rest(values, facts, chunks) {
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    if (values.overlay !== "none" || facts?.provisional === false || facts?.coverage.provisional === 0)
-      this.#fade();
+    const isLit = facts?.provisional === false || facts?.coverage.provisional === 0;
+    if (values.overlay !== "none" || isLit) this.#fade();
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
     else this.#prepare(values);
@@ -355,7 +355,7 @@ export class Live {
     this.#check = null;
     this.#isChecked = true;
     if (share <= MOST_DIFFER) return;
-    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels unlike the server: the server draws.`;
+    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
     this.#hooks.refused(reason);
   }

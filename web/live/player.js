@@ -56,7 +56,7 @@ export class Player {
     this.#mark(false);
   }
 
-  /** Show on the button whether steps are played. @param {boolean} plays */
+  /** Show the state on the button. @param {boolean} plays */
   #mark(plays) {
     this.#button.setAttribute("aria-pressed", String(plays));
     this.#button.textContent = plays ? "Pause" : "Play";

@@ -128,7 +128,7 @@ export async function probeScene(id) {
     await ask(scenePath(id));
   } catch (error) {
     if (!(error instanceof Trouble && error.status === 404)) throw error;
-    const detail = `It was started again, and has no scene “${id}”.`;
+    const detail = `The server was restarted, and has no scene “${id}”.`;
     throw new Trouble("The server has another scene", detail, { status: 404, retry: true });
   }
 }

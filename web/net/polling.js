@@ -186,14 +186,18 @@ export function refinementPause(elapsed, unchanged) {
  * @throws {Error} if repeating a request cannot help, or on abort
  */
 export async function* untilFinal(ask, signal, onTrouble, clock = CLOCK) {
-  /** @type {{etag: string|null, facts: Facts|null}} */
-  let { etag, facts } = { etag: null, facts: null };
-  let [unchanged, waitMs] = [0, 0];
+  /** @type {Facts|null} */
+  let facts = null;
+  /** @type {string|null} */
+  let etag = null;
+  let unchanged = 0;
+  let waitMs = 0;
   while (facts?.provisional !== false && unchanged < MOST_UNCHANGED) {
     const began = clock.now();
     try {
       const frame = await ask(waitMs, etag);
-      ({ etag, facts } = { etag: frame.etag, facts: frame.facts ?? facts });
+      etag = frame.etag;
+      facts = frame.facts ?? facts;
       if (frame.blob && facts) yield { blob: frame.blob, facts };
       // An answer before half of the wait was not held back for light.
       const held = clock.now() - began > waitMs / 2;

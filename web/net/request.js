@@ -198,9 +198,15 @@ const SCENE_KEYS = ["isovalue", "smooth", "projection", "environment", "cut", "a
 export function sceneText(query) {
   /** @param {string} name */
   const line = (name) => `${name} = ${tomlValue(name, query[name])}`;
-  const given = (/** @type {string[]} */ names) => names.filter((name) => query[name] !== undefined);
+  const given = (/** @type {string[]} */ names) =>
+    names.filter((name) => query[name] !== undefined);
   const made = materialLines(query.material);
-  return [...given(SCENE_KEYS).map(line), ...made, "[view]", ...given(VIEW_KEYS).map(line)].join("\n");
+  return [
+    ...given(SCENE_KEYS).map(line),
+    ...made,
+    "[view]",
+    ...given(VIEW_KEYS).map(line),
+  ].join("\n");
 }
 
 /**

@@ -90,10 +90,8 @@ export class Saver {
     });
     find(this.#panel, "#save-size").replaceChildren(...options);
     // Offer the legend only if the picture has one.
-    const [box, coloured] = [
-      this.#box("legend"),
-      this.#description.legend({ width: 1, height: 1 }) !== null,
-    ];
+    const box = this.#box("legend");
+    const coloured = this.#description.legend({ width: 1, height: 1 }) !== null;
     /** @type {HTMLElement} */ (box.parentElement).hidden = !coloured;
     box.checked &&= coloured;
     this.#say("");
@@ -118,7 +116,8 @@ export class Saver {
       ...(this.#box("legend").checked ? [legend] : []),
     ];
     const stamp = over.length ? stampOf(over, { width, height }) : null;
-    const [controller, hurry] = [new AbortController(), new AbortController()];
+    const controller = new AbortController();
+    const hurry = new AbortController();
     const work = {
       controller,
       hurry,
@@ -185,8 +184,8 @@ export class Saver {
     const hurried = new Promise((resolve) =>
       hurry.signal.addEventListener("abort", () => best && resolve(best)),
     );
-    // Time at which the best picture came; true if the server is away.
-    let [since, away] = [0, false];
+    let since = 0; // time at which the best picture came
+    let away = false; // true if the server is away
     const tell = () => {
       if (!best || away) return;
       const timeLeft = leftAfter(best.facts.timeLeft, (performance.now() - since) / 1000);
@@ -199,7 +198,9 @@ export class Saver {
     const timer = setInterval(tell, SECOND_MS);
     const refined = async () => {
       for await (const picture of untilFinal(ask, over, troubled)) {
-        [best, since, away] = [picture, performance.now(), false];
+        best = picture;
+        since = performance.now();
+        away = false;
         find(this.#panel, "#save-progress", HTMLProgressElement).value =
           (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;

@@ -12,7 +12,7 @@ import { changedParameters, curlLine, pythonLine, sceneText } from "./request.js
 
 const WAIT_MS = 10_000; // longest time that a request may wait for light
 const COPIED_MS = 1600; // time that a button says “Copied”
-const REFUSED = "The browser lets no page copy here: it is selected, copy it by keys.";
+const REFUSED = "The browser does not let this page copy: the text is selected, copy it with the keyboard.";
 
 /**
  * Keep the menu's lines up to date with the view while it is open.
@@ -27,7 +27,8 @@ export function attachShare(menu, scene, view, { link, query, file }) {
   let token = null;
   const write = async () => {
     token ??= await wantsToken().catch(() => null);
-    const [changed, name] = [changedParameters(scene, query()), `${file()}.png`];
+    const changed = changedParameters(scene, query());
+    const name = `${file()}.png`;
     const address = frameAddress(scene.id, { ...changed, f: "png", wait_ms: WAIT_MS });
     const server = new URL(".", document.baseURI).href.replace(/\/$/, "");
     find(menu, "#share-link").textContent = link();

@@ -142,7 +142,9 @@ export class Streaming {
    * @param {Blob} data
    */
   async #came(data) {
-    const [socket, message, came] = [this.#socket, this.#message, this.#clock.now()];
+    const socket = this.#socket;
+    const message = this.#message;
+    const came = this.#clock.now();
     if (!socket || !message) return;
     this.#failures = 0;
     await this.#hooks.frame(

@@ -73,7 +73,7 @@ export function tooLarge(files, limits) {
   const size = files.reduce((sum, file) => sum + file.size, 0);
   const most = `the ${Math.floor(limits.limit_bytes / MEGABYTE)} MB that an upload may be`;
   if (files.length > limits.limit_files)
-    return `These are ${files.length} files, and ${limits.limit_files} are the most that an upload may be.`;
+    return `These are ${files.length} files; an upload may have ${limits.limit_files} at most.`;
   if (size <= limits.limit_bytes) return "";
   return files.length === 1
     ? `${files[0].name} is larger than ${most}.`
@@ -201,7 +201,7 @@ async function upload(all, limits, note) {
         chosen.map(({ file }) => file),
         limits,
       )
-    : "There is no file of a volume in it.";
+    : "It contains no file of a volume.";
   if (refusal) return reporting(note, Promise.reject(new Error(refusal)));
   const alone = chosen.length === 1;
   const name = alone ? chosen[0].file.name : nameOfAll(chosen);
@@ -224,7 +224,8 @@ async function upload(all, limits, note) {
  */
 function sendBody(kind, body, { name, said }, note) {
   const bar = find(note, "progress", HTMLProgressElement);
-  let [sent, done] = [false, false];
+  let sent = false; // true if the server has all bytes
+  let done = false;
   /** @param {number} share */
   const progress = (share) => {
     if (sent) return;

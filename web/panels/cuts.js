@@ -39,7 +39,8 @@ import {
  * @param {ViewModel} view
  */
 export function attachCuts(panel, { volume, cuts }, view) {
-  const [opened, note] = [find(panel, "#opened", HTMLInputElement), find(panel, "#cut-note")];
+  const opened = find(panel, "#opened", HTMLInputElement);
+  const note = find(panel, "#cut-note");
   const [add, uncut] = ["#add-plane", "#uncut"].map((id) => find(panel, id, HTMLButtonElement));
   const [sides, oblique] = [find(panel, "#cut-sliders"), find(panel, "#oblique")];
   const label = /** @type {HTMLElement} */ (opened.parentElement);
@@ -97,9 +98,9 @@ const SIDES = 6; // sides of a box, which come first in `movablePlanes`
  * @param {boolean} oblique true if there are oblique planes
  */
 function cutInWords(opened, oblique) {
-  if (!opened) return "The light stays that of the whole, and cut faces show values.";
+  if (!opened) return "The light remains that of the uncut object, and cut faces show values.";
   return oblique
-    ? "Light comes in by the sides of the box. Oblique planes only hide what is before them, and show values: cut voxels would leave steps there."
+    ? "Light comes in through the sides of the box. Oblique planes only hide the matter in front of them, and show values: cut voxels would leave steps there."
     : "What is left is lit again.";
 }
 
@@ -235,7 +236,8 @@ function bakedSlider(name, limits, words, set) {
   Object.assign(slider, { type: "range", name: limits.id, ...limits });
   Object.assign(title, { htmlFor: limits.id, textContent: name });
   output.htmlFor.value = limits.id;
-  let [held, changed] = [false, false];
+  let held = false; // true while a key is down
+  let changed = false; // true if the value is still to be set
   const tell = () => {
     output.value = words(slider.valueAsNumber);
     slider.setAttribute("aria-valuetext", output.value);

@@ -43,7 +43,8 @@ export function attachEnvironments(section, scene, view, relit, say) {
   );
   let before = view.values;
   view.watch(litBy, async (values) => {
-    const [former, wanted] = [before, litBy(values)];
+    const former = before;
+    const wanted = litBy(values);
     const chosenStill = () =>
       Object.entries(wanted).every(([name, text]) => Object(view.values)[name] === text);
     try {

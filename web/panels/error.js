@@ -103,7 +103,8 @@ export class ErrorPanel {
     if (light === this.#light && facts === this.#facts) return this.#writeNote(facts, left);
     if (light !== this.#light) this.#history.begin();
     if (facts) this.#history.add(facts);
-    [this.#light, this.#facts] = [light, facts];
+    this.#light = light;
+    this.#facts = facts;
     this.#write(facts);
     this.#writeNote(facts, left);
   }

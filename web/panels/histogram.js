@@ -104,7 +104,12 @@ export function axisOf({ edges, logarithmic = false }, min, max) {
   const least = Math.max(min, edges[1]);
   if (!logarithmic || !(least < max)) {
     const same = (/** @type {number} */ value) => value;
-    return { logarithmic: false, to: same, from: same, share: (value) => share(value - min, max - min) };
+    return {
+      logarithmic: false,
+      to: same,
+      from: same,
+      share: (value) => share(value - min, max - min),
+    };
   }
   const [low, high] = [Math.log10(least), Math.log10(max)];
   const to = (/** @type {number} */ value) => Math.log10(Math.max(value, least));
@@ -162,7 +167,10 @@ export function momentsOf({ counts, edges }) {
   const total = counts.reduce((sum, count) => sum + count, 0) || 1;
   const middles = counts.map((_, i) => edges[i] / 2 + edges[i + 1] / 2);
   const mean = counts.reduce((sum, count, i) => sum + (count / total) * middles[i], 0);
-  const square = counts.reduce((sum, count, i) => sum + (count / total) * (middles[i] - mean) ** 2, 0);
+  const square = counts.reduce(
+    (sum, count, i) => sum + (count / total) * (middles[i] - mean) ** 2,
+    0,
+  );
   return { mean, deviation: Math.sqrt(square) };
 }
 

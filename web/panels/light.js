@@ -17,7 +17,9 @@ const DEGREES_ACROSS = 720 / Math.PI; // at the middle, mirrored things follow t
 const KEY_STEP = 10; // degrees
 const SKY_WIDTH = 128; // pixels of the light's picture, about as large as those of the ball
 const HIGHEST_RATIO = 1.5; // pixels per CSS pixel: more would cost much and show little
-const FROM_AFAR = new Set(["sky", "probe", "environment", "directional"]); // types of distant lights
+
+/** Types of distant lights. */
+const FROM_AFAR = new Set(["sky", "probe", "environment", "directional"]);
 const RIM = 0.62; // brightness of the rim over the middle, so that the ball looks round
 
 /** Numbers per pixel of the ball: direction right, up and towards the eye, and shade. */
@@ -123,7 +125,7 @@ async function pixelsOf(blob) {
  */
 function contextOf(canvas) {
   const context = canvas.getContext("2d");
-  if (!context) throw new Error("this browser paints no canvas");
+  if (!context) throw new Error("This browser cannot draw on a canvas.");
   return context;
 }
 

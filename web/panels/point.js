@@ -107,7 +107,8 @@ export class PointCard {
   /** Request the point again, and show its light if the pixel still shows this point. */
   async #again() {
     this.#timer = 0;
-    const [point, count] = [this.#point, this.#asked];
+    const point = this.#point;
+    const count = this.#asked;
     if (!point || this.#marks.hides(point)) return;
     const place = this.#marks.place(point);
     const found = await this.#ask(place.right, place.up);

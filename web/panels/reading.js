@@ -120,7 +120,8 @@ export class Reading {
 
   /** Show hint, marks and measures. */
   #show() {
-    const [measures, started] = [this.#view.values.measures, this.#measured?.slice(0, 1) ?? []];
+    const { measures } = this.#view.values;
+    const started = this.#measured?.slice(0, 1) ?? [];
     // The measure that was being made was removed from the list.
     if (this.#measured && this.#measured.length > 1 && !measures.length) this.#measured = null;
     this.#hint.hidden = !this.#measured;
@@ -180,7 +181,8 @@ const OPEN = "The solid reaches a side of the volume, and is taken to end there.
  */
 export function attachSize(panel, { volume }, view, ask) {
   const [list, note] = [find(panel, "dl"), find(panel, ".note")];
-  let [timer, controller] = [0, new AbortController()];
+  let timer = 0;
+  let controller = new AbortController();
   const show = (/** @type {[string, string][]} */ rows, /** @type {string} */ words) => {
     list.replaceChildren(
       ...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]),

@@ -118,7 +118,8 @@ export function layerInWords({ order, channels, precision, coarse, nodes }) {
   const kept =
     coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
   const albedos = nodes.map((node) => Number(node.toFixed(2))).join(", ");
-  const each = albedos ? ` for albedo ${albedos}` : channels > 1 ? ` in ${channels} channels` : "";
+  let each = channels > 1 ? ` in ${channels} channels` : "";
+  if (albedos) each = ` for albedo ${albedos}`;
   return `${numbers}${each}, ${kept}`;
 }
 

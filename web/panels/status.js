@@ -128,7 +128,8 @@ function sharesOf(facts, done) {
  *   attribute
  */
 function markedFrom(node, name, clock) {
-  let [due, timer] = [Infinity, 0];
+  let due = Infinity;
+  let timer = 0;
   return (moment) => {
     if (moment === due) return;
     const wait = moment - clock.now();

@@ -136,6 +136,7 @@ function stored(key) {
 }
 
 /**
+ * Keep a text in this browser; if it refuses, the text lasts as long as the page.
  * @param {string} key
  * @param {string} text
  */

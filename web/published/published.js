@@ -21,7 +21,7 @@ import { fitFor, fitTo, fitsOf, followLink, linkOf, readLink } from "./place.js"
 const NO_CARD =
   "This page needs WebGL 2, which this browser or its graphics card does not have: try another browser.";
 const LOST =
-  "The browser has taken the graphics card from this page. It may give it back by itself; else load the page again.";
+  "The browser has taken the graphics card from this page. It may give it back by itself; otherwise reload the page.";
 const SHORT = { height: 496, width: 704 }; // size of a page below which controls begin folded
 const COPIED_MS = 1600; // time that the button says “Copied”
 

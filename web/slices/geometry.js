@@ -227,7 +227,7 @@ export function partLeft(slice, text) {
 /**
  * Return the two ends of the line in which a plane crosses a slice; none if they do not cross.
  * @param {Slope} slope of the plane
- * @returns {Share[]} its two ends; none where they do not cross
+ * @returns {Share[]} its two ends; none if they do not cross
  */
 export function lineAcross(slope) {
   // A plane parallel to the slice has no line.

@@ -55,7 +55,8 @@ export function turned({ values, width, height }, { right, up }) {
 export function usualGreys({ counts, edges }) {
   const few = RARE * counts.reduce((sum, count) => sum + count, 0);
   const beyond = (/** @type {number[]} */ row) => {
-    let [bins, voxels] = [0, row[0]];
+    let bins = 0;
+    let voxels = row[0];
     while (voxels <= few && bins < row.length - 1) voxels += row[++bins];
     return bins;
   };
@@ -75,7 +76,10 @@ export function pixelsOf({ values }, [black, white]) {
   for (let i = 0; i < values.length; i += 1) {
     // NaN fails both comparisons, so that holes are black.
     const grey = (values[i] - black) * scale + 0.5;
-    pixels[i] = OPAQUE + GREY * (grey >= 255 ? 255 : grey > 0 ? Math.floor(grey) : 0);
+    let level = 0;
+    if (grey >= 255) level = 255;
+    else if (grey > 0) level = Math.floor(grey);
+    pixels[i] = OPAQUE + GREY * level;
   }
   return new Uint8ClampedArray(pixels.buffer);
 }

@@ -86,8 +86,9 @@ export function millisecondsInWords(ms) {
  * @returns {string}
  */
 export function timeInWords(seconds) {
-  const [size, unit] = seconds >= 7200 ? [3600, "h"] : seconds >= 120 ? [60, "min"] : [1, "s"];
-  return `${Number((seconds / size).toFixed(seconds < 1 ? 1 : 0))} ${unit}`;
+  if (seconds >= 7200) return `${Math.round(seconds / 3600)} h`;
+  if (seconds >= 120) return `${Math.round(seconds / 60)} min`;
+  return `${Number(seconds.toFixed(seconds < 1 ? 1 : 0))} s`;
 }
 
 /**
@@ -110,7 +111,8 @@ export function timeInWords(seconds) {
  */
 export function leftAfter(left, seconds) {
   if (!left) return left;
-  let [passed, span] = [seconds, Math.max(left.likely, 1)];
+  let passed = seconds;
+  let span = Math.max(left.likely, 1);
   let overdue = left.overdue ?? false;
   for (; passed >= span; span *= 2) {
     passed -= span;
@@ -159,9 +161,9 @@ export function frameInWords(facts, { target = 0, empty = "No surface in view" }
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
   const reason = known ? reasonInWords(facts, target) : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
-  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, reason, left]
-    .filter(Boolean)
-    .join(", ");
+  let state = "Done";
+  if (provisional) state = known ? "Refining" : "Preview";
+  return [state, wrong, reason, left].filter(Boolean).join(", ");
 }
 
 /** Relative error from which a picture is called a preview. */

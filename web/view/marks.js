@@ -67,7 +67,8 @@ export class Marks {
    * @param {Measure[]} measures lines between some of the points
    */
   show(points, measures) {
-    [this.#points, this.#measures] = [points, measures];
+    this.#points = points;
+    this.#measures = measures;
     this.#changed();
   }
 

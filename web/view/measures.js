@@ -94,8 +94,8 @@ export function angleOf(a, b, c) {
  * @returns {string}
  */
 export function lengthInWords({ unit, spacing }, length) {
-  const plain = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
-  return `${length} ${unit || plain}`;
+  const name = spacing.every((step) => step === 1) ? "voxel" : "unit";
+  return `${length} ${unit || (length === 1 ? name : `${name}s`)}`;
 }
 
 /**

@@ -43,7 +43,7 @@ const [AXIS, LETTER] = [24, 33]; // pixels from the origin of the axes to their 
 /** Place of the origin of the axes. @type {Place} */
 const CROSS = [40, 40];
 const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5]; // place of the scale bar and length of its ticks
-const DEPTH = "at the point turned about"; // depth at which a scale bar holds in perspective
+const DEPTH = "at the centre of rotation"; // depth at which a scale bar holds in perspective
 
 /** Length of a scale bar at most: share of the picture's width, and pixels. */
 const LONGEST = { share: 0.25, pixels: 150 };

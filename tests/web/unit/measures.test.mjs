@@ -160,7 +160,7 @@ test("axes have the letters of a patient, and the bar the unit", () => {
   const { words, lines } = rulerShapes(HEAD, knobs(), SIZE);
   const { length } = scaleBar(HEAD, knobs(), SIZE);
   assert.deepEqual(words.slice(0, 3).map(({ text }) => text).sort(), ["L", "P", "S"]);
-  assert.deepEqual(words.slice(3).map(({ text }) => text), [`${length} mm`, "at the point turned about"]);
+  assert.deepEqual(words.slice(3).map(({ text }) => text), [`${length} mm`, "at the centre of rotation"]);
   assert.equal(lines.length, 4);
 });
 

@@ -1,4 +1,4 @@
-// Edges of a picture: where neighbours differ. Kernel: isogi_core/kernels/shading/edges.py.
+// Edges of a picture: pixels that differ from a neighbour. Kernel: isogi_core/kernels/shading/edges.py.
 #include "film.glsl"
 // Linear light at the middles of pixels; alpha is 1 if the pixel shows the surface.
 uniform highp sampler2D first;

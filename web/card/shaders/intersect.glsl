@@ -114,7 +114,7 @@ float cast_ray(vec3 o, vec3 d, float side) {
       if (hit >= 0.0) return part.x + hit;
     } else if (!marked && asked) {
       float agreed = side_of(here);
-      // An idle cell has one side: if it is the other one, rounding lost a surface at the last face.
+      // An idle cell has one side: if it is the other one, rounding lost a surface at the face.
       if (agreed != UNKNOWN && side == -agreed) return part.x + t;
       side = agreed;
     }
