@@ -115,11 +115,11 @@ export class Card {
     if (!this.drawing) return { light: [], transfer: [] };
     const here = this.drawing.texels.chunks;
     const { takesRaw } = this.drawing.texels;
-    // Folded light of another rotation is replaced, unless raw transfer is here, which serves any
-    // rotation.
     const lit = chunks.filter(({ version }) => !UNLIT.test(version));
     const isHere = (/** @type {ListedChunk} */ { at, version }) =>
       here.get(at)?.version === version;
+    // Folded light of another rotation is replaced, unless raw transfer is here, which serves any
+    // rotation.
     const mayStay = (/** @type {ListedChunk} */ { at }) =>
       here.get(at)?.raw || here.get(at)?.lightKey === keyOf(turn);
 

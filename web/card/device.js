@@ -52,10 +52,10 @@ export function openDevice(canvas) {
     powerPreference: "high-performance",
   };
   const gl = /** @type {WebGL2RenderingContext|null} */ (canvas.getContext("webgl2", wished));
-  // Light of texels is folded into textures of floats; WebGL 2 alone does not promise to draw into
-  // them.
   if (!gl) throw new Refusal("This browser has no WebGL 2: the server draws.");
   const name = rendererOf(gl);
+  // Light of texels is folded into textures of floats; WebGL 2 alone does not promise to draw into
+  // them.
   if (
     !gl.getExtension("EXT_color_buffer_float") &&
     !gl.getExtension("EXT_color_buffer_half_float")

@@ -177,8 +177,8 @@ export class Pace {
   timePicture(pixels) {
     this.#dearestNow = 0;
     this.#watch((reading) => {
-      // The slowest band of a picture at rest is UNEVEN times the mean at most, until one is
-      // measured.
+      // Until bands of a picture at rest are measured, assume that the slowest takes UNEVEN times
+      // the mean.
       const mean = nearest(TARGET_MS, reading) / pixels;
       this.#dearest[0] = Math.max(this.#dearest[0] || UNEVEN * mean, mean);
       this.#learn(reading);

@@ -142,9 +142,9 @@ export class Texels {
    * @param {number[]} quadric
    */
   #append(blocks, lightKey, quadric) {
+    // A chunk has one block: drop older versions, so that the table never points at stale records.
     const fresh = new Set(blocks.map((block) => block.at));
     for (const run of this.runs) run.blocks = run.blocks.filter((block) => !fresh.has(block.at));
-    // A chunk has one block: drop older versions, so that the table never points at stale records.
     const run = {
       blocks,
       row: this.rows,

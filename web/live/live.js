@@ -215,11 +215,14 @@ export class Live {
       return;
     this.#preparing = key;
     try {
+      // Open the card at the first scene, and ask the server if a card can draw this one.
       const card = this.#card ?? (await (this.#opening ??= this.#open()));
       const { scene: facts, reason } = await this.#source.document(
         documentQuery(this.#scene, values),
       );
       if (!facts) return this.#decline(reason);
+
+      // Read the volume before the former scene is dropped, which is drawn until then.
       const slabs = await Promise.all(
         facts.volume.slabs.map(({ href }) => this.#source.bytes(href)),
       );
@@ -230,6 +233,8 @@ export class Live {
       this.#known.clear();
       await card.load(facts, slabs);
       this.#isChecked = false;
+
+      // Light is requested with the parameters of this view; transfer belongs to no rotation.
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
@@ -252,7 +257,7 @@ export class Live {
       this.#preparing = "";
       this.#opening = null;
       if (error instanceof Refusal) this.#refuse(error.message);
-      // the server's pictures say what is wrong with it
+      // Trouble with the server is reported by the requests for its pictures.
       else if (!(error instanceof Trouble)) throw error;
     }
   }

@@ -65,6 +65,7 @@ export function documentQuery(scene, values) {
  * @returns {FrameQuery}
  */
 export function chunksQuery(scene, values, { width, height }) {
+  // A small picture with the proportions of the stage reads the same chunks.
   const size = { width: WIDEST, height: Math.max(Math.round((WIDEST * height) / width), 1) };
   return Object.fromEntries(
     Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)),

@@ -104,8 +104,8 @@ export function writeAddress(scene, values) {
   if (isUpload(scene)) query.set("name", scene.name);
   const idle = idleKnobs(values.material);
   for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) {
-    // The exposure's default depends on the light, so that a link should not fix it.
     const value = /** @type {number} */ (values[name]);
+    // The exposure's default depends on the light, so that a link should not fix it.
     const usual = value === scene.defaults[name];
     if (!usual || name !== "exposure")
       query.set(name, String(usual ? inShort(scene, name, value) : value));

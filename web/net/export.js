@@ -113,6 +113,7 @@ export class Exporter {
     while (this.#work === work) {
       const job = await this.#ask(work.address);
       if (this.#work !== work) return;
+      // Download the result by a link, as the browser can then save it while it arrives.
       const file = job?.links.find(({ rel }) => rel.endsWith("/results"));
       if (job?.status === "successful" && file) {
         Object.assign(document.createElement("a"), {

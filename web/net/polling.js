@@ -106,6 +106,7 @@ export class Polling {
     };
     this.#flight = flight;
     this.#changed = false;
+    // Wait for the answer; a newer request may abort this one meanwhile.
     const { frame, error } = await this.#ask(
       this.#options(flight.draft),
       flight.controller.signal,
@@ -113,7 +114,7 @@ export class Polling {
       (answer) => ({ frame: answer, error: null }),
       (reason) => ({ frame: null, error: reason }),
     );
-    if (flight !== this.#flight) return; // a newer request took over
+    if (flight !== this.#flight) return; // a newer request has replaced this one
     this.#flight = null;
     if (frame) this.#arrived(flight.draft, frame, this.#clock.now() - flight.began);
     else this.#failed(error);

@@ -177,10 +177,14 @@ export class Saver {
     let best = null;
     const stop = new AbortController();
     const over = AbortSignal.any([signal, stop.signal]);
+
+    // Words about the part, and the request for it.
     const part = strips > 1 ? `Part ${n + 1} of ${strips}: ` : "";
     /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
     const ask = (waitMs, etag) =>
       readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal: over });
+
+    // Race the final picture against a visitor in a hurry, who takes the best one so far.
     const hurried = new Promise((resolve) =>
       hurry.signal.addEventListener("abort", () => best && resolve(best)),
     );

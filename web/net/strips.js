@@ -19,6 +19,7 @@ const OVERLAP = 2; // extra rows at each side, so that edges are smooth across t
  * @returns {Strip[]}
  */
 export function stripsOf({ width, height }) {
+  // Rows of a strip without its overlaps.
   const high = Math.max(1, Math.floor(STRIP / width) - 2 * OVERLAP);
   if (width * height <= STRIP) return [whole({ height })];
   return Array.from({ length: Math.ceil(height / high) }, (_, n) => {
@@ -88,6 +89,7 @@ export class Sheet {
     const colours = light
       ? { over: "#3a4048", under: "#cbced1" }
       : { over: "#f4ead8", under: "#1a1d22" };
+    // Shapes are given from the lower left corner, with y upwards.
     paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
     shapes.areas?.forEach((area) => fillArea(paint, area, colours));
     shapes.lines.forEach((line) => strokeLine(paint, line, colours));

@@ -203,6 +203,7 @@ async function upload(all, limits, note) {
       )
     : "It contains no file of a volume.";
   if (refusal) return reporting(note, Promise.reject(new Error(refusal)));
+  // A single file keeps its format; several files, as DICOM series are, become one ZIP.
   const alone = chosen.length === 1;
   const name = alone ? chosen[0].file.name : nameOfAll(chosen);
   const kind = alone && isProbe(name) ? "environments" : "volumes";

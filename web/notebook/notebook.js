@@ -184,6 +184,7 @@ function followed(parts, scene, view, live, model) {
     clearTimeout(timer);
     live.show(values);
     live.move(true);
+    // Send knobs to the kernel, unless it has just sent them.
     const shared = led ? {} : Object.fromEntries(SHARED.map((name) => [name, values[name]]));
     tell({ ...shared, moving: live.draws(values) });
     timer = setTimeout(settle, REST_MS);
@@ -197,6 +198,7 @@ function followed(parts, scene, view, live, model) {
   };
   const came = () => {
     put(parts, model, describe(scene, view.values));
+    // Only a picture of the newest view can replace the card's.
     const isNewest =
       JSON.stringify(model.get("seen")) === JSON.stringify(SHARED.map((name) => model.get(name)));
     if (isNewest) live.rest(view.values, { coverage: { provisional: model.get("provisional") } });

@@ -167,7 +167,7 @@ function attachDivider(divider, onMove) {
     onMove(at);
   };
   divider.addEventListener("pointerdown", (event) => {
-    event.stopPropagation(); // the stage would turn the object
+    event.stopPropagation(); // on the stage a drag turns the object
     divider.setPointerCapture(event.pointerId);
   });
   divider.addEventListener("pointermove", (event) => {

@@ -336,6 +336,7 @@ export function attachMaterial(panel, scene, view) {
  * @param {(given: number[]) => void} set
  */
 function numberRow(name, { volume }, first, set) {
+  // Mean free paths span powers of ten: their slider is logarithmic.
   const { min, max, log } = numberRange(name, volume.bounds, Math.max(...first));
   const [inward, outward] = log
     ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
@@ -343,6 +344,7 @@ function numberRow(name, { volume }, first, set) {
   /** @type {Parameters<typeof bakedSlider>[1]} */
   const limits = { id: `material-${name}`, min: inward(min), max: inward(max), step: "any" };
   const round = (/** @type {number} */ x) => Number(x.toPrecision(3));
+  // Proportions of the three colours, which the tint sets.
   let shares = [1];
   const per =
     volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];

@@ -45,11 +45,13 @@ export function attachEnvironments(section, scene, view, relit, say) {
   view.watch(litBy, async (values) => {
     const former = before;
     const wanted = litBy(values);
+    // The visitor may choose again while the document is on its way.
     const chosenStill = () =>
       Object.entries(wanted).every(([name, text]) => Object(view.values)[name] === text);
     try {
       const light = await readPatiently(scene.id, wanted, chosenStill);
       if (!chosenStill()) return; // the visitor has chosen another light
+      // Keep the brightness that the visitor chose, relative to each light's default.
       const exposure = exposureIn(
         light.defaults.exposure,
         view.values.exposure,

@@ -100,6 +100,7 @@ export class ErrorPanel {
    */
   show({ asked, facts, left }) {
     const light = JSON.stringify(lightKnobs(asked.values));
+    // Only time has passed: keep the chart.
     if (light === this.#light && facts === this.#facts) return this.#writeNote(facts, left);
     if (light !== this.#light) this.#history.begin();
     if (facts) this.#history.add(facts);

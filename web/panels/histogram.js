@@ -22,6 +22,7 @@ const [WIDTH, HEIGHT] = [1000, 100]; // box of the drawing, which is stretched t
  */
 export function attachHistogram(form, scene, view, say) {
   const allowed = sliderRange(scene, "isovalue");
+  // A single isovalue locks the slider, which then spans all values.
   const single = allowed.min === allowed.max;
   const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
   const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) =>
@@ -36,6 +37,7 @@ export function attachHistogram(form, scene, view, say) {
   slider.disabled = number.disabled = single;
   find(form, "#isovalue-min").textContent = show(min);
   find(form, "#isovalue-max").textContent = show(max);
+  // Change the view by slider, page keys and number field.
   slider.addEventListener("input", () => view.set({ isovalue: axis.from(slider.valueAsNumber) }));
   slider.addEventListener("keydown", (event) => {
     if (!(event.key in PAGES)) return;
@@ -50,6 +52,8 @@ export function attachHistogram(form, scene, view, say) {
   if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
   else if (axis.logarithmic)
     find(form, "#histogram-note").textContent = "how often each value occurs, by powers of ten";
+
+  // Draw histogram, stops and notes.
   const ranks = attachRanks(form, scene, view);
   const solid = drawBars(
     find(form, "#histogram", SVGSVGElement),
@@ -65,6 +69,8 @@ export function attachHistogram(form, scene, view, say) {
   if (scene.colours?.labels.length)
     for (const part of form.querySelectorAll("#isovalue-part > .of-values")) hide(part);
   /** @param {Knobs} values */
+
+  // Show the view's isovalue, unless the visitor is typing it.
   const mirror = ({ isovalue }) => {
     slider.value = String(axis.to(isovalue));
     slider.setAttribute("aria-valuetext", show(isovalue));

@@ -46,6 +46,7 @@ export function attachLight(section, scene, view, onRest) {
     ball.draw(view.values);
     globe.dataset.painted = "";
   };
+  // Draw the ball only while it is in sight.
   let seen = false;
   new IntersectionObserver((changes) => {
     seen = changes.at(-1)?.isIntersecting ?? seen;
@@ -222,6 +223,7 @@ export function ballPixels(size) {
   for (let row = 0; row < size; row++) {
     for (let column = 0; column < size; column++) {
       const [right, up] = [(2 * column + 1) / size - 1, 1 - (2 * row + 1) / size];
+      // Distance from the ball's middle, in radii; `cover` fades over one pixel at the rim.
       const away = Math.hypot(right, up);
       const cover = Math.min(1, (1 - away) * (size / 2) + 0.5);
       const depth = Math.sqrt(Math.max(0, 1 - away * away));

@@ -61,6 +61,7 @@ export class Status {
     const facts = shown.facts && { ...shown.facts, timeLeft: shown.left };
     const stage = find(this.#root, "#stage");
     const about = { target: this.#target, empty: this.#emptyOf(shown.values) };
+    // Words that follow from the state alone, or else from the facts of the picture.
     const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, about);
     const more = state === "away" && facts ? LAST : drawnInWords(shown, state);
     stage.dataset.state = state;
@@ -115,6 +116,7 @@ export function doneOf({ provisional, timeLeft }, seconds) {
  * @param {number} done
  */
 function sharesOf(facts, done) {
+  // Of a picture without a surface, all has light.
   const lit = showsSurface(facts) ? 1 - facts.coverage.provisional : 1;
   return { final: done, converging: (1 - done) * lit, provisional: (1 - done) * (1 - lit) };
 }

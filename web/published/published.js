@@ -153,6 +153,7 @@ function keepDrawn(card, { scene, card: document }, view) {
   const draw = () => {
     asked = 0;
     if (card.lost) return;
+    // Draw a changed view first; refine it in the following frames of the screen.
     let finer = true;
     if (waiting) {
       waiting = !card.draw(cardView(scene, document, view.values), pixelsOf(stage));

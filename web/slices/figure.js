@@ -171,6 +171,7 @@ export class SliceFigure {
       slices && !this.#isCurrent();
       { slices } = this.#view.values
     ) {
+      // The cross hair may move on while a slice is read: compare again after each one.
       const at = slices.voxel[this.lie.across];
       const voxels = voxelsOf(this.#view.values);
       const slice = await this.#cache.find(this.lie, at, voxels);
@@ -211,6 +212,7 @@ export class SliceFigure {
     context.lineWidth = 1.5 * ratio;
     if (this.#shown)
       strokeContours(context, this.#shown.slice, this.#contoursOn(this.#shown.slice));
+    // Draw the cross hair over the contours.
     context.lineWidth = ratio;
     strokeCross(context, this.#slice(), GAP * ratio);
   }

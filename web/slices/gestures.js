@@ -36,6 +36,8 @@ const PAGES = { PageUp: 1, PageDown: -1 };
  * @returns {Greys}
  */
 export function draggedGreys([black, white], right, down) {
+  // The window doubles per DOUBLE pixels, so that its speed fits any range of values; the level
+  // moves in proportion to the window.
   const window = (white - black) * 2 ** (right / DOUBLE);
   const level = (black + white) / 2 + ((white - black) * down) / WHOLE;
   return [level - window / 2, level + window / 2];

@@ -88,6 +88,7 @@ function gripOf(slice, plane, box, view, onRest) {
  */
 function place(grip, slice, plane) {
   const slope = slopeOfMovable(slice, plane);
+  // The ends of the line in shares of the slice; styles count the height from above.
   const [a, b] = lineAcross(slope);
   tell(grip, plane);
   grip.toggleAttribute("hidden", !a);

@@ -30,6 +30,8 @@ const GREY = 0x010101; // one level of grey in r, g and b
  */
 export function turned({ values, width, height }, { right, up }) {
   if (right.sign > 0 && up.sign > 0 && right.axis < up.axis) return { values, width, height };
+  // Transpose if the slice's right axis is the second one; then read backwards along axes that
+  // point the other way.
   const across = right.axis > up.axis;
   const [wide, high] = across ? [height, width] : [width, height];
   // Steps from one value to the next along the right and the upper axis.
@@ -54,6 +56,7 @@ export function turned({ values, width, height }, { right, up }) {
  */
 export function usualGreys({ counts, edges }) {
   const few = RARE * counts.reduce((sum, count) => sum + count, 0);
+  // Count bins from an end of the histogram until they hold more than the few voxels.
   const beyond = (/** @type {number[]} */ row) => {
     let bins = 0;
     let voxels = row[0];

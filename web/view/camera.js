@@ -120,6 +120,8 @@ export function rayThrough(scene, values, right, up) {
   const height = 2 * away * Math.tan((values.fov * DEGREE) / 2);
   const middle = values.target ?? centre;
   const target = vector((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i]));
+  // Parallel rays start side by side, far outside of the volume; others in the eye, `away` from the
+  // target.
   const [from, far] = isParallel(values) ? [target, AFAR * radius] : [middle, away];
   return { eye: vector((i) => from[i] + far * axes.out[i]), target, up: axes.up };
 }
@@ -152,6 +154,8 @@ export function placeOf(scene, values, point) {
   const middle = values.target ?? centre;
   const from = vector((i) => point[i] - middle[i]);
   const away = values.distance * radius;
+  // A parallel camera has its eye far away, and a picture whose height does not depend on the
+  // depth.
   const depth = (isParallel(values) ? AFAR * radius : away) - dot(from, axes.out);
   const height = 2 * (isParallel(values) ? away : depth) * Math.tan((values.fov * DEGREE) / 2);
   return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };

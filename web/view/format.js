@@ -156,8 +156,8 @@ export function rangeInWords(left) {
 export function frameInWords(facts, { target = 0, empty = "No surface in view" } = {}) {
   const { provisional, error, controls, timeLeft } = facts;
   if (!showsSurface(facts)) return empty;
-  // An error that was not measured by control pixels is an estimate: “about”.
   const known = error > 0 && error < PREVIEW;
+  // An error that was not measured by control pixels is an estimate: “about”.
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
   const reason = known ? reasonInWords(facts, target) : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";

@@ -61,6 +61,7 @@ export function attachGestures(stage, scene, view, { onRest }) {
     const before = hold([...fingers.values()]);
     fingers.set(event.pointerId, place(event));
     const after = hold([...fingers.values()]);
+    // Two fingers count from their first places, a single one from its last place.
     if (fingers.size > 1) view.set(pinched(sizeOf(stage).height, scene, grip, after));
     else view.set(dragged(stage, scene, view.values, after.x - before.x, after.y - before.y));
   });

@@ -223,6 +223,7 @@ export class ViewModel {
    * @returns {Knobs}
    */
   #limited(wanted, fallback) {
+    // Names and texts: those that the scene does not offer keep their former value.
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
     limited.target = limitTarget(
       this.#scene,
@@ -247,6 +248,8 @@ export class ViewModel {
       limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint)
       limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
+
+    // Numbers: round them to their sliders, and limit them to the scene's ranges.
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = /** @type {number} */ (
         Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]

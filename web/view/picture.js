@@ -20,6 +20,8 @@ const MOST_PIXELS = 1 << 24; // pixels that a server accepts
  * @returns {{width: number, height: number}}
  */
 export function pictureSize(width, height, ratio, scale, sharp = false) {
+  // While light converges, few pixels are enough; for a sharp picture, the server's limit counts,
+  // with a margin for rounding up.
   const few = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1));
   const all = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(width * height, 1)) * 0.999);
   const fit = (sharp ? all : few) * scale;

@@ -176,11 +176,14 @@ export function nearestAxis(towards) {
  */
 export function cutAt(text, bounds, point, normal) {
   const plane = { normal, limit: dot(normal, point) };
+  // A plane along an axis is a side of the box, which has a slider: sides come in pairs, from and
+  // to.
   const axis = axisOf(plane);
   if (axis >= 0)
     return movablePlanes({ bounds }, text)[2 * axis + Number(normal[axis] > 0)].move(
       Number(point[axis].toPrecision(6)),
     );
+  // An oblique plane is a term; terms with the same normal, as rounded, face the same direction.
   const term = termOf(plane);
   const { kept, others } = readPlanes(text, bounds);
   const facing = (/** @type {string} */ each) => each.split(">")[0] === term.split(">")[0];

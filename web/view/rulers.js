@@ -74,6 +74,7 @@ export function roundLength(most) {
  * @returns {{length: number, pixels: number}} `length` in world units
  */
 export function scaleBar(scene, { distance, fov }, { width, height }) {
+  // World units per pixel at the target's depth.
   const pixel = (2 * distance * boxOf(scene).radius * Math.tan((fov * DEGREE) / 2)) / height;
   const length = roundLength(pixel * Math.min(LONGEST.pixels, LONGEST.share * width));
   return { length, pixels: length / pixel };

@@ -213,6 +213,7 @@ const DEEP = 3;
 export function tintOf(absorption) {
   const [most, least] = [Math.max(...absorption), Math.min(...absorption)];
   const [red, green = red, blue = red] = absorption;
+  // Attenuate white light by Beer and Lambert's law, scaled so that the clearest colour is 1.
   return most > least
     ? hexOf([red, green, blue].map((each) => Math.exp((DEEP * (least - each)) / most)))
     : WHITE;
