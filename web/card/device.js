@@ -106,6 +106,7 @@ export async function timeTrial(gl, read) {
     run(gl, program, { voxels });
     const reading = await new Promise((done) => new Fence(gl, done));
     if (!reading) throw new Error("The graphics card was lost.");
+    // A reading is an interval: take its time in favour of the card.
     least = Math.min(least, nearest(TRIAL_MS, reading));
   }
   gl.deleteFramebuffer(target);

@@ -34,7 +34,7 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
 /**
  * Distance between the neighbours that the filter averages, in texels, pass by pass. The number of
- * passes must be even: the last pass writes where the first one read.
+ * passes must be even: the last pass writes the textures that the first one read.
  */
 const FILTER_DISTANCES = [1, 2];
 

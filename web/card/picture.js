@@ -78,7 +78,7 @@ export class Picture {
   }
 
   /**
-   * Direct what is drawn next into sample n: sample 0 replaces the picture, others are blended into
+   * Direct the next drawing into sample n: sample 0 replaces the picture, others are blended into
    * its mean.
    * @param {number} n
    * @param {Size} size pixels of the picture

@@ -179,7 +179,7 @@ export function run(gl, program, values) {
  * @param {WebGLUniformLocation} place
  * @param {number} kind
  * @param {Iterable<number>} value
- * @throws {Error} if no shader has had a uniform of this type
+ * @throws {Error} if the type is not one of these
  */
 function put(gl, place, kind, value) {
   const numbers = [...value];

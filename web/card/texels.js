@@ -96,8 +96,8 @@ export class Texels {
   }
 
   /**
-   * Return the version of each chunk on the card, the turn of its light, and whether its raw
-   * transfer is here.
+   * Return the version of each chunk on the card, the turn of its light, and true in `raw` if its
+   * raw transfer is here.
    * @returns {Map<string, {version: string, lightKey: string, raw: boolean}>}
    */
   get chunks() {

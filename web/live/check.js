@@ -1,5 +1,5 @@
 /**
- * Checks whether a card draws the same as the server: no driver is trusted, and the server's
+ * Compares pictures of a card with those of the server: no driver is trusted, and the server's
  * picture of a view at rest is available for comparison anyway.
  */
 

@@ -1,6 +1,6 @@
 /**
- * Chooses who draws: the visitor's card draws moving views as far as it can, and the server draws
- * views at rest and everything else. The visitor need not choose.
+ * Chooses the part that draws: the visitor's card draws moving views as far as it can, and the
+ * server draws views at rest and everything else. The visitor need not choose.
  */
 
 import { Refusal } from "../card/device.js";
