@@ -98,7 +98,7 @@ function widenRow(voxels, row, nx, brick, low, high) {
  * Make the active-cell map of one isovalue.
  * @param {Voxels} voxels
  * @param {Shape} size voxels along x, y, z
- * @param {{low: Float32Array, high: Float32Array}} ranges of `findRanges`
+ * @param {{low: Float32Array, high: Float32Array}} ranges as `findRanges` returns them
  * @param {number} isovalue in the units of the voxels
  * @returns {{tops: Uint32Array, cells: Uint32Array, marked: number}} `tops`, one word per brick:
  *   its number among bricks with active cells, or EMPTY plus its distance; `cells`, two words per
@@ -170,7 +170,7 @@ function readBrick(voxels, [nx, ny, nz], [i, j, k], isovalue, rows) {
 
 /**
  * Write the two words of a brick: a bit for each cell whose corners are of two kinds or more.
- * @param {Uint32Array} rows of `readBrick`
+ * @param {Uint32Array} rows as `readBrick` writes them
  * @param {number[]} size cells along x, y, z that lie in the volume
  * @param {Uint32Array} cells output
  * @param {number} place of the first word

@@ -119,7 +119,7 @@ export class Texels {
    * @param {ArrayBuffer} answer
    * @param {string} lightKey names the turn of the light that it was folded with
    * @param {number[]} quadric unshadowed light of that turn: see `quadricOf`
-   * @param {readonly number[]} [steps] of the codes, if the answer is transfer in few bits
+   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
    * @throws {Error} if the answer is damaged, or if the card has too few rows for it
    */
   take(answer, lightKey, quadric, steps) {

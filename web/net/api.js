@@ -175,8 +175,8 @@ export async function readFrame(scene, query, { etag, signal } = {}) {
  * or no answer.
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
- * @param {number} right of the middle, in heights of the picture
- * @param {number} up of the middle, in heights of the picture
+ * @param {number} right distance to the right of the middle, heights of the picture
+ * @param {number} up distance above the middle, heights of the picture
  * @returns {Promise<Vec3|null>}
  */
 export async function readSurfacePoint(scene, values, right, up) {

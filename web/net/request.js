@@ -92,8 +92,8 @@ export function cutQuery({ planes, opened }, moving = false) {
 /**
  * Return the parameters of the request for the point at a place of a view's picture.
  * @param {FrameQuery & {width: number, height: number}} query of the picture
- * @param {number} right of the middle, in heights of the picture
- * @param {number} up of the middle, in heights of the picture
+ * @param {number} right distance to the right of the middle, heights of the picture
+ * @param {number} up distance above the middle, heights of the picture
  * @returns {FrameQuery}
  */
 export function pointQuery({ overlay, background, f, ...view }, right, up) {

@@ -55,8 +55,8 @@ export class PointCard {
 
   /**
    * Show the point at a place of the picture; close the card if there is no surface.
-   * @param {number} right of the middle, in heights of the picture
-   * @param {number} up of the middle, in heights of the picture
+   * @param {number} right distance to the right of the middle, heights of the picture
+   * @param {number} up distance above the middle, heights of the picture
    * @returns {Promise<boolean>} false if there is no surface
    */
   async open(right, up) {

@@ -68,8 +68,8 @@ export class Reading {
 
   /**
    * Show the point at a place of the picture, or add it to the measure.
-   * @param {number} right of the middle, in heights of the picture
-   * @param {number} up of the middle, in heights of the picture
+   * @param {number} right distance to the right of the middle, heights of the picture
+   * @param {number} up distance above the middle, heights of the picture
    */
   async click(right, up) {
     if (!this.#measured) {
