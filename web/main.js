@@ -234,6 +234,7 @@ function attachReading(scene, view, picture, say) {
     readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)),
   );
   const reading = new Reading($("measuring"), card, marks, view, pick, say);
+  // Clicks read or measure; the card of the point follows its mark.
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {
     click: (right, up) => reading.click(right, up),
@@ -262,6 +263,7 @@ function attachCutting(scene, view, card, onRest) {
   const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
   folder.addEventListener("toggle", () => handles.draw());
   /**
+   * Cut through a point, and unfold the sliders of the planes.
    * @param {Vec3|null} point
    * @param {(towards: Vec3) => Vec3} normalOf returns the normal of the cut for the direction to
    *   the eye
@@ -278,10 +280,12 @@ function attachCutting(scene, view, card, onRest) {
       });
     folder.open = true;
   };
+  // The card cuts along the axis that is nearest to the direction of view.
   $("point-cut").addEventListener("click", () => {
     cut(card.point, nearestAxis);
     card.close();
   });
+  // A slice cuts along itself, on the side of the viewer.
   const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
     read: (axis, at, voxels) => readSlice(scene, axis, at, voxels),
     cuts: folder,

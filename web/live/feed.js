@@ -125,17 +125,22 @@ export class Feed {
    * @returns {{what: "light"|"transfer", chunks: string[]}|null} null if nothing is lacking
    */
   #next({ chunks, values, moving, asked }) {
+    // A view at rest under another rotation needs converging light folded again, for the filter.
     const isTurned = JSON.stringify(anglesOf(values)) !== JSON.stringify(this.#turn);
     if (isTurned && !moving && chunks.some(({ final }) => !final)) {
       this.#turn = anglesOf(values);
       this.#here.clear();
     }
+
+    // Request light that is final or due again, then transfer of final light once the visitor
+    // rotates it.
     const { light, transfer } = this.#card.lacking(chunks, fromAngles(this.#turn));
     const final = new Set(
       chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`),
     );
     const due = light.filter((name) => final.has(name) || this.#isDue(placeOf(name)));
     const lasting = isTurned ? transfer.filter((name) => final.has(name)) : [];
+    // Each list of chunks asks only once for a chunk; the first request is small.
     for (const [what, names] of /** @type {const} */ ([
       ["light", due],
       ["transfer", lasting],

@@ -185,6 +185,7 @@ function choiceComplaint(
   name,
   value,
 ) {
+  // Check each kind of parameter; the first problem is reported.
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value))

@@ -58,6 +58,7 @@ export class FrameLoop {
     this.#hooks = hooks;
     this.#clock = clock;
     this.#drafts = drafts;
+    // Begin with a stream; if none can be had, continue with single requests.
     this.#transport = new Streaming(
       open,
       view,

@@ -111,6 +111,7 @@ export class Saver {
       .value.split("×")
       .map(Number);
     const { link, query, ready, file, alt, empty, rulers, legend } = this.#description;
+    // Keep the view of this moment: it may change while the picture is made.
     const over = [
       ...(this.#box("rulers").checked ? [rulers] : []),
       ...(this.#box("legend").checked ? [legend] : []),

@@ -42,6 +42,8 @@ export function attachUpload(root, stage, limits, scene, show, light) {
     );
   root.hidden = false;
   erase.hidden = !scene.volume;
+  // The buttons open the browser's dialogs; the same file can be chosen again, as the input is
+  // emptied.
   for (const [button, input] of [
     [open, find(root, "#upload-file", HTMLInputElement)],
     [folder, find(root, "#upload-files", HTMLInputElement)],

@@ -126,6 +126,7 @@ function choiceOf(model) {
  */
 function liveIn({ canvas, line }, scene, model, bridge) {
   const [width, height] = model.get("size");
+  // The line below the picture tells how good the card's picture is.
   /** @type {Live} */
   const live = new Live(
     canvas,

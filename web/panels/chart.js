@@ -158,6 +158,7 @@ function drawTime({ end, unit, ticks }, x) {
     { x: x(end / 2), y: SHARES.bottom + 31, class: "x" },
     `${unit} since the view changed`,
   );
+  // Each state lies on top of the states that are better.
   return [...labels, name];
 }
 

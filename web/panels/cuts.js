@@ -145,6 +145,7 @@ function planeRow(k, volume, view) {
   } = movablePlanes(volume, view.values.planes)[k];
   const id = `cut-${name.replace(" ", "-")}`;
   Object.assign(input, { type: "range", id, name: id, min, max, step: "any" });
+  // Make the row, and move the plane with the slider.
   input.addEventListener("input", () =>
     view.set({ planes: moved(movablePlanes(volume, view.values.planes)[k], input.valueAsNumber) }),
   );
@@ -196,6 +197,7 @@ function surfaceRow({ name, isovalue }, k, set) {
     document.createElement("label"),
     document.createElement("input"),
   ];
+  // Name the surface, and make its switch and its slider.
   const called = name || `Surface at ${isovalue}`;
   Object.assign(check, { type: "checkbox", id: `surface-${k}`, name: `surface-${k}` });
   Object.assign(label, { className: "check" }).append(check, ` ${called}`);
@@ -424,6 +426,7 @@ export function attachLabels(legend, { colours }, view) {
   const now = () => readHidden(view.values.hide, labels);
   /** @type {(hidden: number[]) => void} */
   const hide = (hidden) => view.set({ hide: writeHidden(hidden, labels) });
+  // A switch hides its label, or shows it again; the last label that is shown cannot be hidden.
   const rows = labels.map((label) =>
     labelRow(label, (shown) => {
       const others = now().filter((value) => value !== label.value);

@@ -143,6 +143,7 @@ function attachRanks(form, { histogram }, view) {
   const [percentile, sigmas] = ["#percentile", "#sigmas"].map((id) =>
     find(form, id, HTMLInputElement),
   );
+  // σ counts from the mean; a constant volume has none.
   const { mean, deviation } = momentsOf(histogram);
   sigmas.disabled = !(deviation > 0);
   const mirror = (/** @type {number} */ isovalue) => {
@@ -151,6 +152,7 @@ function attachRanks(form, { histogram }, view) {
       if (document.activeElement !== field) field.value = String(Number(shown[i].toFixed(2)));
     });
   };
+  // A field that the visitor types in is not overwritten until it changes the view.
   percentile.addEventListener("change", () => {
     if (Number.isFinite(percentile.valueAsNumber))
       view.set({ isovalue: inDigits(valueAt(histogram, percentile.valueAsNumber)) });

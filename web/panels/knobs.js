@@ -38,6 +38,7 @@ export function attachKnobs(form, scene, view, shown) {
   const sliders = [...form.querySelectorAll(".knob")].map((knob) =>
     attachSlider(knob, scene, view),
   );
+  // Each control changes the view, and gives a function that shows the view's value.
   const mirrors = [
     ...sliders,
     attachChoice(shading, "shading", view),

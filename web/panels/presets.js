@@ -25,6 +25,7 @@ export function attachPresets(group, scene, view) {
   if (group.hidden) return;
   const show = (/** @type {number} */ isovalue) => showNumber(isovalue, niceStep(max - min));
   const presets = scenePresets(scene);
+  // Presets of the scene are fixed; kept isovalues belong to this browser.
   let kept = readKept(scene.id, { min, max });
   /** @type {HTMLButtonElement[]} */
   let chips = [];
@@ -43,6 +44,7 @@ export function attachPresets(group, scene, view) {
       ? `Forget isovalue ${show(isovalue)}`
       : `Keep isovalue ${show(isovalue)}`;
   };
+  // Replace the buttons whenever the kept isovalues change.
   const build = () => {
     const keptPresets = kept.map((isovalue) => ({ name: `★ ${show(isovalue)}`, isovalue }));
     chips = [...presets, ...keptPresets].map((preset) =>

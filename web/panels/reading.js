@@ -142,6 +142,7 @@ export class Reading {
 export function attachMeasures(panel, { volume }, view) {
   const draw = () => {
     const { measures } = view.values;
+    // Write the whole list, as it is short.
     panel.hidden = !measures.length;
     find(panel, "ol").replaceChildren(
       ...measures.map((points, n) => {

@@ -74,10 +74,12 @@ export function parseViews(text) {
 export function attachViews(part, scene, view, query) {
   const key = `isogi: views of ${scene.id}`;
   const file = `${nameOfFiles(scene)}-views.json`;
+  // Kept views belong to this browser, and to this scene.
   let kept = parseViews(stored(key));
   const save = find(part, "#views-save", HTMLButtonElement);
   const build = () => {
     find(part, "#views-list").replaceChildren(...kept.map((each, n) => row(each, n, show, forget)));
+    // A film needs two keyframes.
     save.disabled = kept.length < 2;
     find(part, "#views-line").hidden = save.disabled;
     find(part, "code").textContent =

@@ -101,6 +101,7 @@ export class SliceFigure {
       view,
       hooks.onRest,
     );
+    // Redraw when the size changes; let gestures move the cross hair.
     find(this.root, "button").addEventListener("click", () => hooks.cut(this.#slice().normal));
     new ResizeObserver(() => this.#drawLines()).observe(this.#plane);
     attachSliceGestures(this.root, this.#plane, {
@@ -323,6 +324,7 @@ function figureOf({ axis, name, sides }) {
     title: "Cut along this slice, on your side of it",
     ariaLabel: `Cut here, ${name}`,
   });
+  // Put the parts together: canvases below, hatching and lines over them, letters at the edges.
   figure.dataset.axis = axis;
   gone.className = "gone";
   Object.assign(plane, {

@@ -50,6 +50,7 @@ export class SlicesPane {
     this.#scene = scene;
     this.#view = view;
     this.#last = view.values.slices;
+    // All three slices share one cache, one window of greys, and one cross hair.
     const cache = new SliceCache(read);
     const { volume } = scene;
     const hooks = {
@@ -70,6 +71,7 @@ export class SlicesPane {
     find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
     button.addEventListener("click", () => this.toggle());
     cuts.addEventListener("toggle", () => this.#follow());
+    // Draw again when anything changes that slices show.
     view.watch(
       ({ slices, isovalue, planes, time, smooth, surfaces }) => [
         ...[slices, isovalue, planes],

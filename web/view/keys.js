@@ -43,6 +43,7 @@ const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
  *   actions, by lower-case letters
  */
 export function attachKeys(scene, view, { toggleHelp, keys }) {
+  // Letters act with and without the shift key, except those that differ by it.
   const capitals = Object.entries(keys).map(([key, action]) => [key.toUpperCase(), action]);
   /** @type {Record<string, () => void>} */
   const actions = {
@@ -77,6 +78,7 @@ export function attachKeys(scene, view, { toggleHelp, keys }) {
  */
 export function keyActions(scene, view, toggleHelp) {
   const { min, max } = sliderRange(scene, "isovalue");
+  // Steps of the isovalue are a hundredth of the slider, or go from stop to stop.
   const step = (max - min) / ISOVALUE_STEPS;
   /** @param {number} by */
   const shiftIsovalue = (by) =>
@@ -103,6 +105,7 @@ export function keyActions(scene, view, toggleHelp) {
       Object.entries(AXIS_VIEWS).map(([axis, angles]) => [axisKey(axis), () => view.set(angles)]),
     ),
   };
+  // Keys of the same meaning on other keyboards, and capital letters.
   actions["="] = actions["+"];
   actions["−"] = actions._ = actions["-"];
   for (const key of ["o", ...Object.keys(MOVES)]) actions[key.toUpperCase()] = actions[key];

@@ -138,6 +138,7 @@ export class ViewModel {
   get defaults() {
     const { start } = this.#scene;
     const defaults = { ...this.#scene.defaults, ...start };
+    // Numbers of the scene's defaults and of its first camera; everything else is off or empty.
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [
       name,
       defaults[name],
@@ -279,6 +280,7 @@ export class ViewModel {
     const chosen = (name, offered) =>
       offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
+    // Keep the former name if the scene does not offer the new one.
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;

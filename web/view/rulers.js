@@ -106,6 +106,7 @@ export function rulerShapes(scene, values, size) {
   const { length, pixels } = scaleBar(scene, values, size);
   const [left, right] = [BAR_LEFT, BAR_LEFT + pixels];
   const axes = tripod(scene, values);
+  // In perspective, say at which depth the scale bar holds.
   /** @type {Words[]} */
   const where =
     values.projection === "orthographic"
