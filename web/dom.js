@@ -3,23 +3,22 @@
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * The first element that a selector finds.
+ * Return the first element that a selector finds.
  * @template {Element} [T=HTMLElement]
  * @param {ParentNode} root
  * @param {string} selector
- * @param {new (...args: any[]) => T} [kind] class of the element, `HTMLElement` where it is left
- *   out
+ * @param {new (...args: any[]) => T} [kind] class of the element, `HTMLElement` by default
  * @returns {T}
- * @throws {TypeError} where there is none of that class: the page and its modules do not fit
+ * @throws {TypeError} if there is no element of this class: page and modules do not fit together
  */
 export function find(root, selector, kind = /** @type {any} */ (HTMLElement)) {
   const node = root.querySelector(selector);
   if (node instanceof kind) return node;
-  throw new TypeError(`no ${kind.name} at ${selector}`);
+  throw new TypeError(`The page has no ${kind.name} that matches ${selector}.`);
 }
 
 /**
- * An element with text in it.
+ * Make an element with text in it.
  * @template {keyof HTMLElementTagNameMap} T
  * @param {T} tag
  * @param {string|number} text
@@ -30,7 +29,7 @@ export function textElement(tag, text) {
 }
 
 /**
- * An SVG element with its attributes, and the text in it.
+ * Make an SVG element with attributes, and text in it.
  * @template {keyof SVGElementTagNameMap} T
  * @param {T} tag
  * @param {Record<string, string|number>} attributes
@@ -44,16 +43,16 @@ export function svgElement(tag, attributes, text = "") {
   return node;
 }
 
-/** @type {WeakMap<Element, {width: number, height: number}>} */
+/** Last known sizes. @type {WeakMap<Element, {width: number, height: number}>} */
 const SIZES = new WeakMap();
-/** @type {ResizeObserver|null} */
+
+/** Keeps SIZES up to date. @type {ResizeObserver|null} */
 let watching = null;
 
 /**
- * The size of an element's box inside its border, CSS pixels, as it was last laid out: to ask the
- * element itself would
- * have the page laid out at once.
- * @param {Element} element one that stays on the page
+ * Return the size of an element inside its border, in CSS pixels, as it was last laid out. Asking
+ * the element itself would force the browser to lay the page out at once.
+ * @param {Element} element one that is never removed from the page
  * @returns {{width: number, height: number}}
  */
 export function sizeOf(element) {
@@ -63,7 +62,7 @@ export function sizeOf(element) {
   return known ?? measure(element);
 }
 
-/** @param {Element} element */
+/** Measure an element, and keep its size. @param {Element} element */
 function measure(element) {
   const size = { width: element.clientWidth, height: element.clientHeight };
   SIZES.set(element, size);
@@ -71,11 +70,11 @@ function measure(element) {
 }
 
 /**
- * Keep as many elements in a list as are wanted: the last ones go, new ones are made.
+ * Adjust the number of elements in a list: remove the last ones, or make new ones.
  * @template {Element} T
  * @param {T[]} elements
  * @param {number} count
- * @param {(k: number) => T} make
+ * @param {(k: number) => T} make makes element number k
  */
 export function resize(elements, count, make) {
   while (elements.length > count) elements.pop()?.remove();

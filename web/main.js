@@ -65,13 +65,13 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
 const SECOND_MS = 1000;
-const RETRY_MS = 1500;
-const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
-const REFUSED = 422;
-const GONE = 404;
+const RETRY_MS = 1500; // pause before a server that is away is asked again
+const COMPILING_MS = 300; // pause before a server that compiles is asked again
+const REFUSED = 422; // HTTP status of a picture that is too large
+const GONE = 404; // HTTP status of a scene that the server does not have
 
 /**
- * An element of the page by its id.
+ * Return an element of the page by its id.
  * @template {Element} [T=HTMLElement]
  * @param {string} id
  * @param {new (...args: any[]) => T} [kind]
@@ -79,8 +79,8 @@ const GONE = 404;
 const $ = (id, kind) => find(document, `#${id}`, kind);
 
 /**
- * Load the scene that the address names (else the first) and start; keep trying while the server is
- * away.
+ * Load the scene that the address names, or the first one, and start the page; try again while the
+ * server is away.
  */
 async function start() {
   const trouble = new TroublePanel($("trouble"));
@@ -91,11 +91,13 @@ async function start() {
     try {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
+      // Read the scene with the size of the picture, so that its camera fits.
       const size = new Picture($("stage"), $("picture", HTMLImageElement)).size(1);
       const scene = await readScene(link.id, size, knobs);
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
       const { environment = "", material = "" } = new ViewModel(scene, knobs).values;
+      // Another light or material changes parts of the scene's document.
       if (environment || material)
         Object.assign(scene, await readLight(scene.id, { environment, material }));
       return assemble(scene, knobs, trouble);
@@ -112,8 +114,9 @@ async function start() {
 }
 
 /**
+ * Make the parts of the page, and tie them to one view.
  * @param {Scene} scene
- * @param {Partial<Knobs>} knobs that the address names
+ * @param {Partial<Knobs>} knobs knobs that the address names
  * @param {TroublePanel} trouble
  */
 function assemble(scene, knobs, trouble) {
@@ -140,6 +143,8 @@ function assemble(scene, knobs, trouble) {
     toggleHelp: () => $("help").togglePopover(),
     keys,
   };
+
+  // Tie controls, panels, gestures and keys to the view.
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
   new Player($("play", HTMLButtonElement), scene, view, shown);
@@ -174,6 +179,8 @@ function assemble(scene, knobs, trouble) {
   showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
+
+  // Offer the view to those parts that share and save it.
   const description = {
     link: followAddress(scene, view),
     query: () => queryOf(scene, view.values, picture),
@@ -197,11 +204,13 @@ function assemble(scene, knobs, trouble) {
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset", "slices-button"])
     $(id, HTMLButtonElement).disabled = false;
+
+  // Request a picture whenever something changes it, and the first one now.
   view.subscribe(follow);
   picture.onResize(follow);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", follow);
   addEventListener("beforeunload", () => shown.leave());
-  addEventListener("pageshow", follow); // also a page that was left, and is come back to
+  addEventListener("pageshow", follow); // also when the visitor comes back to a page that was left
   $("full-screen").hidden = !document.fullscreenEnabled;
   $("full-screen").addEventListener("click", toggleFull);
   say(complaints(location.search, scene).join(" "));
@@ -209,8 +218,8 @@ function assemble(scene, knobs, trouble) {
 }
 
 /**
- * Clicks and double clicks on the picture: the first read a point, or measure; the second bring it
- * to the middle.
+ * Let clicks on the picture read a point, or measure, and double clicks bring a point to the
+ * middle.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
@@ -225,6 +234,7 @@ function attachReading(scene, view, picture, say) {
     readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)),
   );
   const reading = new Reading($("measuring"), card, marks, view, pick, say);
+  // Clicks read or measure; the card of the point follows its mark.
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {
     click: (right, up) => reading.click(right, up),
@@ -240,9 +250,8 @@ function attachReading(scene, view, picture, say) {
 }
 
 /**
- * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open,
- * the card of a point,
- * and slices, which cut away what is before them.
+ * Attach the parts that move planes of the cut: handles on the picture, shown while the folder of
+ * the cut is open; the card of a point; and slices, which cut away the matter in front of them.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {PointCard} card
@@ -254,8 +263,10 @@ function attachCutting(scene, view, card, onRest) {
   const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
   folder.addEventListener("toggle", () => handles.draw());
   /**
+   * Cut through a point, and unfold the sliders of the planes.
    * @param {Vec3|null} point
-   * @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye
+   * @param {(towards: Vec3) => Vec3} normalOf returns the normal of the cut for the direction to
+   *   the eye
    */
   const cut = (point, normalOf) => {
     if (point)
@@ -269,10 +280,12 @@ function attachCutting(scene, view, card, onRest) {
       });
     folder.open = true;
   };
+  // The card cuts along the axis that is nearest to the direction of view.
   $("point-cut").addEventListener("click", () => {
     cut(card.point, nearestAxis);
     card.close();
   });
+  // A slice cuts along itself, on the side of the viewer.
   const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
     read: (axis, at, voxels) => readSlice(scene, axis, at, voxels),
     cuts: folder,
@@ -291,22 +304,24 @@ function toggleRulers(view) {
 }
 
 /**
- * Open a folded part, where it can be seen unless the picture would go for it; or fold it.
+ * Unfold a part, and scroll to it if the picture remains in view; or fold it.
  * @param {HTMLDetailsElement} part
  */
 function unfold(part) {
   part.open = !part.open;
-  const stays = getComputedStyle(find(document, ".picture")).position === "sticky";
-  if (part.open && stays) part.scrollIntoView({ block: "nearest" });
+  const isSticky = getComputedStyle(find(document, ".picture")).position === "sticky";
+  if (part.open && isSticky) part.scrollIntoView({ block: "nearest" });
 }
 
-/** Show the picture alone on the whole screen, or the page again. */
+/** Show the picture on the whole screen, or the page again. */
 function toggleFull() {
   if (document.fullscreenElement) document.exitFullscreen();
   else if (document.fullscreenEnabled) $("stage").requestFullscreen();
 }
 
 /**
+ * Start the frame loop, which requests pictures from the server, lets the card draw moving views,
+ * and reports the state of the picture.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
@@ -334,6 +349,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
         of,
       };
     };
+  // The requests by which the loop gets pictures.
   const server = {
     open: () => openStream(scene.id),
     view: (/** @type {boolean} */ moving) => ({
@@ -345,7 +361,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     drafts: () => !live.draws(shown.asked.values),
     probe: () => probeScene(scene.id),
   };
-  let gone = false; // whether the server has no such scene any more
+  let gone = false; // true if the server no longer has the scene
   const canvas = $("live", HTMLCanvasElement);
   const live = new Live(
     canvas,
@@ -373,11 +389,13 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     view,
   );
   /** @type {{blob: Blob, of: import("./net/shown.js").Asked}|null} */
-  let received = null; // the newest picture of a view at rest
+  let received = null; // the newest picture of a view at rest, for the panel that saves it
   const loop = new FrameLoop(server, {
     async frame({ blob, facts, chunks, of }, draft) {
       const { sharp } = picture;
       const words = describe(scene, of.values);
+      // Drop a picture that would replace one of a newer view, or that was overtaken while it was
+      // decoded.
       if (
         shown.surpasses(of) ||
         (blob && !(await (draft ? picture.sketch(blob, words) : picture.show(blob, words))))
@@ -390,6 +408,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
+      // A final picture is requested again with all of the screen's pixels, if these are more.
       const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
@@ -400,11 +419,13 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       }
     },
     trouble(error) {
+      // The server does not accept so many pixels: continue with fewer.
       if (picture.sharp && error instanceof Trouble && error.status === REFUSED) {
         picture.blunt();
         return;
       }
       gone = error instanceof Trouble && error.status === GONE;
+      // While the server is away, the card goes on drawing if it can.
       const here = error instanceof Trouble && error.retry && live.draws(shown.asked.values);
       if (here) {
         shown.part(true);
@@ -425,19 +446,22 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   };
   shown.subscribe(tell);
   tell();
-  setInterval(() => shown.left && tell(), SECOND_MS); // the time left passes while nothing comes
+  setInterval(() => shown.left && tell(), SECOND_MS); // counts the time left down between answers
   trouble.onRetry = () => (gone ? openScene(null) : loop.settle());
   const ready = () => {
+    // The picture on the stage can be saved as it is if it is final, and the one that the controls
+    // ask for.
     const { facts } = shown;
     if (!facts || facts.provisional || received?.of.key !== shown.pictureOf?.key) return null;
     const { naturalWidth: width, naturalHeight: height } = $("picture", HTMLImageElement);
-    return received?.blob.type === "image/png" ? { blob: received.blob, facts, width, height } : null;
+    if (received?.blob.type !== "image/png") return null;
+    return { blob: received.blob, facts, width, height };
   };
   return { loop, live, ready };
 }
 
 /**
- * What a graphics card draws a scene from, as the server has it.
+ * Return the requests by which a graphics card draws a scene.
  * @param {Scene} scene
  * @returns {import("./live/live.js").Source}
  */
@@ -451,19 +475,20 @@ function cardSource({ id }) {
 }
 
 /**
- * The parameters of the request for what the stage shows.
+ * Return the parameters of the request for the picture on the stage.
  * @param {Scene} scene
  * @param {Knobs} values
  * @param {Picture} picture
  * @param {number} [scale] 1 for the full picture, less for drafts
- * @param {boolean} [moving] whether the view goes on changing
+ * @param {boolean} [moving] true if the view goes on changing
  */
 function queryOf(scene, values, picture, scale = 1, moving = false) {
   return frameQuery(scene, values, picture.size(scale), moving);
 }
 
 /**
- * What tells views apart whose pictures differ: the parameters at rest, and the stage's size.
+ * Return a key that differs for views whose pictures differ: the parameters at rest, with the
+ * stage's size.
  * @param {Scene} scene
  * @param {Knobs} values
  * @param {Picture} picture
@@ -473,8 +498,8 @@ function keyOf(scene, values, picture) {
 }
 
 /**
- * Show a view that has changed, if another picture is asked for: at first with as many pixels as
- * come quickly.
+ * Show a view that has changed, if it needs another picture; at first with as many pixels as come
+ * quickly.
  * @param {ViewModel} view
  * @param {Picture} picture
  * @param {Shown} shown
@@ -489,14 +514,15 @@ function followView(view, picture, shown, loop, live) {
   loop.change();
 }
 
-/** @param {FrameOptions} options */
+/** Return the parameters of a request for the picture's format. @param {FrameOptions} options */
 function formatOf({ draft, waitMs }) {
   return { f: draft ? "jpeg" : "png", wait_ms: waitMs };
 }
 
 /**
+ * List the scenes to choose from.
  * @param {SceneLink[]} scenes
- * @param {string} current
+ * @param {string} current id of the scene that is shown
  */
 function offerScenes(scenes, current) {
   const select = $("scene", HTMLSelectElement);
@@ -508,16 +534,16 @@ function offerScenes(scenes, current) {
   select.onchange = () => openScene(select.value);
 }
 
-/** Go to a scene; to the first where it is null. @param {string|null} id */
+/** Go to a scene; to the first one if it is null. @param {string|null} id */
 function openScene(id) {
   location.search = id === null ? "" : String(new URLSearchParams({ scene: id }));
 }
 
-/** Show the same view in the light of a probe that was uploaded. @param {string} id */
+/** Show the same view in the light of an uploaded probe. @param {string} id */
 function openLight(id) {
   const query = new URLSearchParams(location.search);
   query.set("environment", id);
-  query.delete("exposure"); // that of the former light
+  query.delete("exposure"); // belongs to the former light
   location.search = String(query);
 }
 

@@ -1,11 +1,11 @@
 /**
  * Blocks of texels as the server sends them: the bricks of a chunk, and the records of their
- * texels. See docs/card.md.
+ * texels. The format is described in docs/card.md.
  */
 
 const MAGIC = 0x424f5349; // "ISOB"
-const HEADER = 32;
-const BRICK_WORDS = 4;
+const HEADER = 32; // bytes
+const BRICK_WORDS = 4; // words of 32 bits
 const RECORD_WORDS = 4;
 
 /**
@@ -13,29 +13,32 @@ const RECORD_WORDS = 4;
  * @property {string} at the chunk, z.y.x
  * @property {[number, number, number]} index of the chunk, x, y, z
  * @property {string} version
- * @property {boolean} raw whether it holds raw transfer, and no folded light
- * @property {Uint32Array} bricks words of each: which texels are there (two), its first record, and
- *   its place
- * @property {number} count of records
- * @property {number} first of them in its run: where they lie on the card
- * @property {Uint32Array} records words of folded ones; of raw ones their normals
- * @property {Uint16Array} layers halves of raw transfer, layer by layer
- * @property {boolean} [grainy] whether light of the transfer is to be filtered for its noise
+ * @property {boolean} raw true if it holds raw transfer, false if it holds folded light
+ * @property {Uint32Array} bricks four words per brick: 64 bits of its texels that are present (two
+ *   words), number of its first record, and its place in the chunk
+ * @property {number} count number of records
+ * @property {number} first number of its first record in the run
+ * @property {Uint32Array} records four words per record of folded light; one word, the normal, per
+ *   record of raw transfer
+ * @property {Uint16Array} layers half floats of raw transfer, layer by layer
+ * @property {boolean} [grainy] true if light of this transfer needs the noise filter
  */
 
-const CODED = 2; // kind of a block in few bits
+const CODED = 2; // kind of a block whose transfer is quantized
 
 /**
- * The blocks of an answer; transfer in few bits becomes two, of which the one has normals alone.
+ * Read the blocks of an answer. Quantized transfer becomes two blocks: normals without light, and
+ * transfer.
  * @param {ArrayBuffer} answer
- * @param {readonly number[]} [steps] of its codes, where it is in few bits
+ * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
  * @returns {Block[]}
- * @throws {Error} where they are damaged
+ * @throws {Error} if the answer is damaged
  */
 export function readBlocks(answer, steps = []) {
   const blocks = [];
   const view = new DataView(answer);
   for (let start = 0; start < answer.byteLength; start += view.getUint32(start + 4, true)) {
+    // Check the magic number and the length before reading on: a damaged length could loop forever.
     const whole =
       start + HEADER <= answer.byteLength && view.getUint32(start, true) === MAGIC
         ? view.getUint32(start + 4, true)
@@ -48,11 +51,12 @@ export function readBlocks(answer, steps = []) {
 }
 
 /**
+ * Read the block that begins at byte `start`.
  * @param {ArrayBuffer} answer
  * @param {DataView} view
- * @param {number} start
- * @param {number} whole bytes
- * @param {readonly number[]} steps
+ * @param {number} start first byte
+ * @param {number} whole length in bytes
+ * @param {readonly number[]} steps quantization steps
  * @returns {Block[]}
  */
 function readBlock(answer, view, start, whole, steps) {
@@ -64,6 +68,7 @@ function readBlock(answer, view, start, whole, steps) {
     byte.toString(16).padStart(2, "0"),
   ).join("");
   const raw = kind === 1;
+  // Layers begin at a multiple of 8 bytes: behind an odd number of words is a word of padding.
   const layers = first + 4 * (count + (count & 1));
   /** @type {Omit<Block, "raw"|"records"|"layers">} */
   const facts = {
@@ -90,18 +95,21 @@ function readBlock(answer, view, start, whole, steps) {
 }
 
 /**
- * Records without light, and the transfer of their texels: bytes of words and of codes, each place
- * of all of them side by
- * side, become words and halves.
- * @param {Omit<Block, "raw"|"records"|"layers">} facts
- * @param {Uint8Array} bytes
- * @param {readonly number[]} steps
+ * Decode quantized transfer into records without light, and the transfer of their texels.
+ *
+ * The server sends the first bytes of all words, then all second bytes, and so on, which compresses
+ * better.
+ *
+ * @param {Omit<Block, "raw"|"records"|"layers">} facts fields that both blocks share
+ * @param {Uint8Array} bytes four bytes per normal, then the low and the high bytes of the codes
+ * @param {readonly number[]} steps quantization step of each number
  * @returns {Block[]}
  */
 function decoded(facts, bytes, steps) {
   const { count } = facts;
   const words = new Uint32Array(count);
   const records = new Uint32Array(RECORD_WORDS * count);
+  // Assemble the normals, little-endian.
   for (let i = 0; i < count; i++) {
     words[i] =
       bytes[i] |
@@ -110,6 +118,7 @@ function decoded(facts, bytes, steps) {
       (bytes[3 * count + i] << 24);
     records[RECORD_WORDS * i + 3] = words[i];
   }
+  // Decode each number of all texels. Codes are zigzag: 0, -1, 1, -2, … are stored as 0, 1, 2, 3, …
   const layers = new Uint16Array(4 * count * Math.ceil(steps.length / 4));
   steps.forEach((step, k) => {
     const low = (4 + k) * count;
@@ -130,7 +139,8 @@ const FLOAT = new Float32Array(1);
 const BITS = new Uint32Array(FLOAT.buffer);
 
 /**
- * The bits of the half float that is nearest to a number, at most the greatest half.
+ * Return the bits of the half float nearest to a number; larger numbers become the greatest finite
+ * half.
  * @param {number} x
  * @returns {number}
  */
@@ -139,14 +149,18 @@ export function halfOf(x) {
   const [bits] = BITS;
   const sign = (bits >>> 16) & 0x8000;
   const exponent = ((bits >>> 23) & 255) - 112;
+  // Subnormal halves count steps of 2^-24.
   if (exponent <= 0) return sign | Math.round(Math.abs(x) * 2 ** 24);
+
+  // Keep ten bits of the fraction, and round by the next bit: a carry into the exponent is correct.
   return (
     sign | Math.min(((exponent << 10) | ((bits >>> 13) & 0x3ff)) + ((bits >>> 12) & 1), 0x7bff)
   );
 }
 
-/** Bits that are set in a word. @param {number} word @returns {number} */
+/** Count the bits that are set in a word. @param {number} word @returns {number} */
 export function ones(word) {
+  // Add bits in pairs, then fours, then bytes; the multiplication adds the four bytes.
   const pairs = word - ((word >>> 1) & 0x55555555);
   const fours = (pairs & 0x33333333) + ((pairs >>> 2) & 0x33333333);
   return Math.imul((fours + (fours >>> 4)) & 0x0f0f0f0f, 0x01010101) >>> 24;

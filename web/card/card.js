@@ -1,25 +1,24 @@
-/** Draws a scene on the visitor's graphics card: a class with few methods, which knows no server and no page.
+/**
+ * Draws a scene on the visitor's graphics card: a class with few methods, independent of server and
+ * page.
  *
- *     const card = await Card.open(canvas);                    // throws a Refusal: let the server
- * draw
- *     await card.load(document.scene, slabs);                  // GET …/card, and the voxels that
- * it links to
- *     card.onlost = () => …; card.onrestored = () => …;        // the server draws between
- *     const { light, transfer } = card.lacking(chunks, turn);  // of GET …/card/chunks: what to ask
- * the server for
- *     card.take(answer, turn);                                 // an answer of …/card/light or
- * …/card/transfer
- *     card.draw(view, size);                                   // while anything moves, once an
- * animation frame
- *     card.refine();                                           // at rest, once an animation frame,
- * until it says false
+ *     const card = Card.open(canvas);          // throws a Refusal: then the server draws
+ *     await card.load(document.scene, slabs);  // GET …/card, and the voxels that it links to
+ *     card.onlost = () => …;                   // the server draws until onrestored
+ *     card.onrestored = () => …;
  *
- * `draw` says false while the card is busy: ask again in the next animation frame. It draws fewer
- * pixels while the card is
- * slow. `refine` adds a sample to the last view at full size, band by band: edges and half-shadows
- * come smooth. The canvas
- * gets the size that a view is drawn with, since another one makes it black; to draw is all that
- * may change its content.
+ *     // Chunks of GET …/card/chunks whose light the card lacks; the answers of …/card/light
+ *     // and …/card/transfer go to `take`.
+ *     const { light, transfer } = card.lacking(chunks, turn);
+ *     card.take(answer, turn);
+ *
+ *     card.draw(view, size);  // once per animation frame while anything moves
+ *     card.refine();          // once per animation frame at rest, until it returns false
+ *
+ * `draw` returns false while the card is busy: call it again in the next animation frame. On a slow
+ * card it draws fewer pixels. `refine` adds a sample to the last view at full size, band by band,
+ * which smooths edges and penumbrae. Only `draw` sets the canvas's size: setting it clears the
+ * canvas.
  */
 
 import { BUDGET, Refusal, TRIAL_MS, openDevice, timeTrial } from "./device.js";
@@ -37,7 +36,9 @@ import { Volume, joinSlabs } from "./volume.js";
 /** @typedef {{at: string, version: string}} ListedChunk as `GET …/card/chunks` lists them */
 
 const UNLIT = /^0+$/; // version of a chunk without light
-const FORGIVEN_MS = 60_000; // after a loss; a card that is lost once more before draws no longer
+
+/** Time after which a loss is forgotten; a card that is lost twice within it draws no more. */
+const FORGIVEN_MS = 60_000;
 
 /** A graphics card that draws one scene. */
 export class Card {
@@ -55,7 +56,7 @@ export class Card {
     this.onrestored = () => {};
     this.pace = new Pace(device.gl);
     this.loads = 0;
-    this.row = 0; // from which on the next sample of the last view is still to be drawn
+    this.row = 0; // first row that the current sample of the last view still lacks
     this.lostAt = -Infinity;
     /** @type {Drawing|null} */
     this.drawing = null;
@@ -66,20 +67,23 @@ export class Card {
   }
 
   /**
-   * Open the card behind a canvas that nobody else draws on.
+   * Open the card of a canvas that nothing else draws on.
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
-   * @param {(name: string) => Promise<string>} [read] text of a shader's file, by default beside
-   *   these modules
+   * @param {(name: string) => Promise<string>} [read] returns the text of a shader's file; by
+   *   default it reads the files of this page
    * @returns {Card}
-   * @throws {import("./device.js").Refusal} where this browser has no card that can draw
+   * @throws {import("./device.js").Refusal} if this browser has no card that can draw
    */
   static open(canvas, read = readShader) {
     return new Card(canvas, openDevice(canvas), read);
   }
 
   /**
-   * Whether the card draws quickly enough to be of use; the processor that stands in for one does
-   * not, by whatever name.
+   * Return true if the card is quick enough to be of use.
+   *
+   * A small picture is timed: a processor that stands in for a card is too slow, whatever name it
+   * reports.
+   *
    * @returns {Promise<boolean>}
    */
   async isQuick() {
@@ -87,13 +91,12 @@ export class Card {
   }
 
   /**
-   * Load a scene in place of the one before, which is drawn until then.
-   * @param {CardDocument} document `scene` of a drawable one
-   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of its volume, in the order of the
-   *   document; programs are compiled
-   *   while they come
-   * @throws {import("./device.js").Refusal} where the card's textures or its memory are too small
-   *   for it
+   * Load a scene. The scene before is drawn until the new one is ready.
+   * @param {CardDocument} document `scene` of a drawable one, of GET …/card
+   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of the volume, in the order of the
+   *   document; programs compile while slabs arrive
+   * @throws {import("./device.js").Refusal} if the card's textures or memory are too small for the
+   *   scene
    */
   async load(document, slabs) {
     await this.#load(
@@ -103,10 +106,9 @@ export class Card {
   }
 
   /**
-   * Which of some chunks to ask the server for: folded light, and raw transfer of chunks whose
-   * folded light is here.
+   * Return the chunks whose light or raw transfer is to be requested from the server.
    * @param {ListedChunk[]} chunks that a view reads
-   * @param {Quaternion} turn of the light that is asked for
+   * @param {Quaternion} turn rotation of the light
    * @returns {{light: string[], transfer: string[]}} parts of addresses, in the order of the list
    */
   lacking(chunks, turn) {
@@ -116,8 +118,13 @@ export class Card {
     const lit = chunks.filter(({ version }) => !UNLIT.test(version));
     const isHere = (/** @type {ListedChunk} */ { at, version }) =>
       here.get(at)?.version === version;
+    // Folded light of another rotation is replaced, unless raw transfer is here, which serves any
+    // rotation.
     const mayStay = (/** @type {ListedChunk} */ { at }) =>
       here.get(at)?.raw || here.get(at)?.lightKey === keyOf(turn);
+
+    // Ask for raw transfer only of chunks whose folded light is already here: pictures come before
+    // turns.
     return {
       light: lit.filter((chunk) => !isHere(chunk) || !mayStay(chunk)).map(addressOf),
       transfer: takesRaw
@@ -129,9 +136,10 @@ export class Card {
   /**
    * Take an answer of the server: blocks of folded light or of transfer.
    * @param {ArrayBuffer} answer
-   * @param {Quaternion|null} turn of the light that it was asked for by; null for transfer in few
-   *   bits, which is of none
-   * @param {readonly number[]} [steps] of its codes, where it is in few bits
+   * @param {Quaternion|null} turn rotation that folded light was requested with; null for quantized
+   *   transfer, which depends on none
+   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
+   * @throws {Error} if the answer is damaged
    */
   take(answer, turn, steps) {
     if (!this.drawing) return;
@@ -141,16 +149,18 @@ export class Card {
   }
 
   /**
-   * Draw a view that moves, in as many pixels as the card draws quickly.
+   * Draw a moving view, in as many pixels as the card draws quickly.
    * @param {View} view
-   * @param {{width: number, height: number}} [size] of the canvas from now on, if it is drawn
-   * @returns {boolean} whether it was drawn; else the card is lost, compiles, or is busy with the
-   *   view before
+   * @param {{width: number, height: number}} [size] size of the canvas from now on, if the view is
+   *   drawn
+   * @returns {boolean} true if it was drawn; false if the card is lost, compiles, or is busy with
+   *   the last view
    */
   draw(view, { width, height } = this.canvas) {
     const { canvas, drawing } = this;
     if (!drawing || this.lost || this.pace.busy || !drawing.isReady(view)) return false;
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    if (canvas.width !== width || canvas.height !== height)
+      Object.assign(canvas, { width, height });
     const size = this.#sizeAt(this.pace.share);
     drawing.sample(view, size, 0);
     drawing.show(view, size);
@@ -161,9 +171,9 @@ export class Card {
   }
 
   /**
-   * Draw the last view better: a band of it in all pixels, and with a sample more. What is shown
-   * changes with the last band of a sample.
-   * @returns {boolean} whether there is more to do
+   * Improve the picture of the last view by one band of a sample at full size. The canvas changes
+   * after the last band of a sample.
+   * @returns {boolean} true if there is more to do
    */
   refine() {
     if (!this.drawing || this.lost || !this.last) return false;
@@ -171,10 +181,12 @@ export class Card {
     const whole = this.#sizeAt(1);
     if (samples > SAMPLES) return false;
     if (this.pace.busy) return true;
+    // A picture of fewer pixels cannot be refined: replace it by sample 0 at full size.
     const goesOn = size[0] === whole[0] && size[1] === whole[1];
     const n = goesOn ? samples : 0;
     const from = this.row;
     const to = from + this.pace.rowsOf(whole, whole[1] - from, n);
+    // Show only whole samples, so that bands are not seen.
     const isLast = to === whole[1];
     this.drawing.sample(view, whole, n, [from, to]);
     this.row = isLast ? 0 : to;
@@ -187,21 +199,22 @@ export class Card {
   }
 
   /**
-   * What the canvas shows of the last view.
+   * Read the pixels that the canvas shows of the last view.
    * @returns {Uint8Array} RGBA, rows from below
    */
   read() {
     const { gl } = this.device;
     const { width, height } = this.canvas;
     const pixels = new Uint8Array(4 * width * height);
+    // The canvas may have been cleared since: show the picture again before reading it.
     if (this.drawing && this.last) this.drawing.show(this.last.view, this.last.size);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
     return pixels;
   }
 
   /**
-   * Pixels of the canvas at a share of its width.
-   * @param {number} share
+   * Return the canvas's size in pixels, scaled to a share of its width and height.
+   * @param {number} share of the width, 0 to 1
    * @returns {[number, number]}
    */
   #sizeAt(share) {
@@ -212,18 +225,23 @@ export class Card {
   }
 
   /**
+   * Load a scene, if no other load begins while it is prepared.
    * @param {CardDocument} document
-   * @param {Promise<import("./cells.js").Voxels>} codes
-   * @param {import("./texels.js").Run[]} [runs]
+   * @param {Promise<import("./cells.js").Voxels>} codes of the volume
+   * @param {import("./texels.js").Run[]} [runs] texels that were received before the card was lost
    */
   async #load(document, codes, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.readShader), codes]);
-    if (load !== this.loads) return; // another scene was asked for meanwhile
+    const [programs, voxels] = await Promise.all([
+      programsOf(gl, document, this.readShader),
+      codes,
+    ]);
+    if (load !== this.loads) return; // another load began meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);
     const drawing = new Drawing(this.device, document, volume, texels, programs);
+    // WebGL reports a lack of memory only by an error code after the allocations.
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       drawing.release();
       throw new Refusal("The graphics card has no memory left for this scene: the server draws.");
@@ -234,8 +252,11 @@ export class Card {
   }
 
   /**
-   * The card is lost: to its driver, which may have taken it back for a draw that was long. One
-   * that is lost again soon is not asked to come back.
+   * Stop drawing: the driver has taken the card back, perhaps because a draw took long.
+   *
+   * The browser restores a card only if the event's default is prevented. After a second loss
+   * within FORGIVEN_MS it is not, and the server draws from then on.
+   *
    * @param {Event} event
    */
   #lose(event) {
@@ -246,6 +267,10 @@ export class Card {
     this.onlost(forGood);
   }
 
+  /**
+   * Load the scene again on the restored card, with the texels that were received, and draw the
+   * last view.
+   */
   async #restore() {
     const { drawing } = this;
     const shown = this.last;

@@ -1,22 +1,24 @@
-/** The active-cell map: which cells of a volume may hold an isosurface, and how far rays may skip from where none does.
+/**
+ * The active-cell map: cells of a volume that may hold an isosurface, and distances that rays may
+ * skip elsewhere.
  *
- * Bricks of 4 cells a side; of one that holds the isovalue 64 bits, of the others their Chebyshev
- * distance to the next
- * that does. Kernel: isogi_core/kernels/tracing/active_cells.py.
+ * Cells form bricks of 4 × 4 × 4. A brick with active cells has 64 bits, one per cell; any other
+ * brick has its Chebyshev distance, in bricks, to the nearest brick with active cells. Kernel:
+ * isogi_core/kernels/tracing/active_cells.py.
  */
 
-const BRICK = 4;
+const BRICK = 4; // cells along a side of a brick: BRICK in bricks.glsl
 
-/** Marks bricks without active cells in `tops`; the bits below are their distance. */
+/** Marks bricks without active cells in `tops`; the bits below hold their distance. */
 export const EMPTY = 0x80000000;
 
-const FARTHEST = 31; // of a distance, in bricks
+const FARTHEST = 31; // largest distance that is stored, in bricks
 
 /** @typedef {readonly [number, number, number]} Shape along x, y, z */
 /** @typedef {Uint8Array|Uint16Array|Float32Array} Voxels x fastest, then y */
 
 /**
- * Bricks along x, y, z of a volume.
+ * Return the number of bricks of a volume along x, y, z.
  * @param {Shape} size voxels along x, y, z
  * @returns {[number, number, number]}
  */
@@ -29,11 +31,14 @@ export function brickShape(size) {
 }
 
 /**
- * Least and greatest voxel of each brick's cells, which serve every isovalue; all values where some
- * voxel has none.
+ * Find the least and the greatest voxel of each brick, which serve every isovalue.
+ *
+ * Cells of neighbouring bricks share voxels, so that a voxel at a face belongs to both. A brick
+ * with a NaN gets the range of all values, as its cells must be looked at.
+ *
  * @param {Voxels} voxels
  * @param {Shape} size voxels along x, y, z
- * @returns {{low: Float32Array, high: Float32Array}} by brick, x fastest
+ * @returns {{low: Float32Array, high: Float32Array}} one entry per brick, x fastest
  */
 export function findRanges(voxels, size) {
   const [nx, ny, nz] = size;
@@ -52,9 +57,9 @@ export function findRanges(voxels, size) {
 }
 
 /**
- * The one or two bricks along an axis that a voxel belongs to.
- * @param {number} i
- * @param {number} count
+ * Call `visit` for the one or two bricks along an axis that a voxel belongs to.
+ * @param {number} i index of the voxel along the axis
+ * @param {number} count number of bricks along the axis
  * @param {(brick: number) => void} visit
  */
 function forBricksOf(i, count, visit) {
@@ -64,9 +69,14 @@ function forBricksOf(i, count, visit) {
 }
 
 /**
- * Widen the ranges of a row of bricks, from `brick` on, by a row of `nx` voxels.
- * @param {Voxels} voxels @param {number} row @param {number} nx @param {number} brick @param
- *   {Float32Array} low @param {Float32Array} high
+ * Widen the ranges of a row of bricks, from number `brick` on, by the `nx` voxels from index `row`
+ * on.
+ * @param {Voxels} voxels
+ * @param {number} row
+ * @param {number} nx
+ * @param {number} brick
+ * @param {Float32Array} low
+ * @param {Float32Array} high
  */
 function widenRow(voxels, row, nx, brick, low, high) {
   for (let first = 0; first < nx - 1; first += BRICK, brick++) {
@@ -76,6 +86,7 @@ function widenRow(voxels, row, nx, brick, low, high) {
       const v = voxels[i];
       if (v < least) least = v;
       if (v > most) most = v;
+      // Only NaN differs from itself.
       if (v !== v) [least, most] = [-Infinity, Infinity];
     }
     low[brick] = least;
@@ -84,19 +95,20 @@ function widenRow(voxels, row, nx, brick, low, high) {
 }
 
 /**
- * The map of one isovalue.
+ * Make the active-cell map of one isovalue.
  * @param {Voxels} voxels
  * @param {Shape} size voxels along x, y, z
- * @param {{low: Float32Array, high: Float32Array}} ranges of its bricks
+ * @param {{low: Float32Array, high: Float32Array}} ranges as `findRanges` returns them
  * @param {number} isovalue in the units of the voxels
- * @returns {{tops: Uint32Array, cells: Uint32Array, marked: number}} by brick, its number among
- *   marked ones, or EMPTY
- *   with its distance; and two words of each marked brick
+ * @returns {{tops: Uint32Array, cells: Uint32Array, marked: number}} `tops`, one word per brick:
+ *   its number among bricks with active cells, or EMPTY plus its distance; `cells`, two words per
+ *   brick with active cells; `marked`, the number of these
  */
 export function markCells(voxels, size, { low, high }, isovalue) {
   const [bx, by, bz] = brickShape(size);
   const tops = new Uint32Array(bx * by * bz).fill(EMPTY);
   const found = [];
+  // Bricks whose range does not hold the isovalue have no active cell: look at the others alone.
   for (let b = 0; b < tops.length; b++) if (high[b] > isovalue && low[b] <= isovalue) found.push(b);
   const cells = new Uint32Array(2 * found.length);
   const rows = new Uint32Array((BRICK + 1) ** 2);
@@ -106,6 +118,8 @@ export function markCells(voxels, size, { low, high }, isovalue) {
     const j = (Math.floor(b / bx) % by) * BRICK;
     const k = Math.floor(b / (bx * by)) * BRICK;
     const first = /** @type {Shape} */ ([i, j, k]);
+    // A brick whose range holds the isovalue may still have no active cell: then it counts as
+    // empty.
     readBrick(voxels, size, first, isovalue, rows);
     if (markBrick(rows, lengths(size, first), cells, 2 * marked)) tops[b] = marked++;
   }
@@ -114,9 +128,9 @@ export function markCells(voxels, size, { low, high }, isovalue) {
 }
 
 /**
- * Cells of a brick, along x, y, z, that are in the volume.
+ * Return the number of cells of a brick along x, y, z that lie in the volume.
  * @param {Shape} size
- * @param {Shape} first cell
+ * @param {Shape} first first cell of the brick
  * @returns {number[]}
  */
 function lengths(size, first) {
@@ -124,12 +138,16 @@ function lengths(size, first) {
 }
 
 /**
- * What the 5 × 5 × 5 voxels of a brick's cells are, a word for each row along x: bit i where voxel
- * i is solid, bit 8 + i
- * where it is not, and bit 16 + i where it has no value. What lies beyond the volume is never asked
- * for.
- * @param {Voxels} voxels @param {Shape} size @param {Shape} first cell @param {number} isovalue
- *   @param {Uint32Array} rows
+ * Classify the 5 × 5 × 5 voxels of a brick's cells, one word per row along x.
+ *
+ * Bit i is set if voxel i is solid (above the isovalue), bit 8 + i if it is not, and bit 16 + i if
+ * it has no value. Rows beyond the volume keep old words, which no caller reads.
+ *
+ * @param {Voxels} voxels
+ * @param {Shape} size
+ * @param {Shape} first first cell of the brick
+ * @param {number} isovalue
+ * @param {Uint32Array} rows output: 25 words, y fastest
  */
 function readBrick(voxels, [nx, ny, nz], [i, j, k], isovalue, rows) {
   const count = Math.min(BRICK + 1, nx - i);
@@ -141,7 +159,9 @@ function readBrick(voxels, [nx, ny, nz], [i, j, k], isovalue, rows) {
       let word = 0;
       for (let x = 0; x < count; x++) {
         const v = voxels[at + x];
-        word |= v > isovalue ? 1 << x : v <= isovalue ? 256 << x : 65536 << x;
+        if (v > isovalue) word |= 1 << x;
+        else if (v <= isovalue) word |= 256 << x;
+        else word |= 65536 << x;
       }
       rows[(BRICK + 1) * (z - k) + y - j] = word;
     }
@@ -149,16 +169,20 @@ function readBrick(voxels, [nx, ny, nz], [i, j, k], isovalue, rows) {
 }
 
 /**
- * Write the two words of a brick: a bit for each cell that has corners of two kinds.
- * @param {Uint32Array} rows of its voxels @param {number[]} size cells in the volume @param
- *   {Uint32Array} cells @param {number} place
- * @returns {boolean} whether any is set
+ * Write the two words of a brick: a bit for each cell whose corners are of two kinds or more.
+ * @param {Uint32Array} rows as `readBrick` writes them
+ * @param {number[]} size cells along x, y, z that lie in the volume
+ * @param {Uint32Array} cells output
+ * @param {number} place of the first word
+ * @returns {boolean} true if any bit is set
  */
 function markBrick(rows, [nx, ny, nz], cells, place) {
   let any = 0;
   for (let z = 0; z < nz; z++) {
     for (let y = 0; y < ny; y++) {
       const r = (BRICK + 1) * z + y;
+      // Join the four rows that bound a row of cells; a shift by one then joins the two corners
+      // along x, for all cells at once.
       const four = rows[r] | rows[r + 1] | rows[r + BRICK + 1] | rows[r + BRICK + 2];
       const pairs = four | (four >> 1);
       const solid = pairs;
@@ -172,13 +196,16 @@ function markBrick(rows, [nx, ny, nz], cells, place) {
   return any !== 0;
 }
 
-const WORD = 32; // bricks along x whose bits are in one word
+const WORD = 32; // bricks along x whose bits share a word
 
 /**
- * Add to the empty bricks of `tops` their Chebyshev distances to the next marked one: marks grow by
- * a brick on all sides,
- * 32 bricks at once, and whom they reach first in step n is n away.
- * @param {Uint32Array} tops @param {Shape} shape bricks along x, y, z
+ * Write the Chebyshev distance of each empty brick to the nearest marked one into `tops`.
+ *
+ * Marks, one bit per brick, grow by one brick on all sides per step, 32 bricks at a time. A brick
+ * that is first reached in step n has distance n.
+ *
+ * @param {Uint32Array} tops
+ * @param {Shape} shape bricks along x, y, z
  */
 function spreadDistances(tops, [bx, by, bz]) {
   const words = Math.ceil(bx / WORD);
@@ -189,27 +216,30 @@ function spreadDistances(tops, [bx, by, bz]) {
   for (let b = 0; b < tops.length; b++)
     if (tops[b] < EMPTY) reached[Math.floor(b / bx) * words + ((b % bx) >> 5)] |= 1 << (b % bx);
   for (let n = 1; n <= FARTHEST; n++) {
+    // A cube grows along one axis at a time.
     growAlongX(reached, words, next);
     growAlong(next, words, words * by, wider);
     growAlong(wider, words * by, count, next);
     for (let w = 0; w < count; w++) {
       const first = Math.floor(w / words) * bx + (w % words) * WORD;
       const end = Math.min(WORD, bx - (w % words) * WORD);
-      for (let news = next[w] & ~reached[w]; news !== 0; news &= news - 1) {
-        const bit = 31 - Math.clz32(news & -news);
+      // Visit the bits that are new in this step, lowest first.
+      for (let fresh = next[w] & ~reached[w]; fresh !== 0; fresh &= fresh - 1) {
+        const bit = 31 - Math.clz32(fresh & -fresh);
         if (bit < end) tops[first + bit] = EMPTY + n;
       }
     }
     [reached, next] = [next, reached];
   }
+  // Bricks that were never reached are at least FARTHEST away.
   for (let b = 0; b < tops.length; b++) if (tops[b] === EMPTY) tops[b] = EMPTY + FARTHEST;
 }
 
 /**
- * Bits of rows of so many words, and those beside them.
- * @param {Uint32Array} bits
- * @param {number} words
- * @param {Uint32Array} grown
+ * Spread bits to their neighbours along x, across words of the same row.
+ * @param {Uint32Array} bits rows of bits
+ * @param {number} words number of words in a row
+ * @param {Uint32Array} grown output
  */
 function growAlongX(bits, words, grown) {
   for (let w = 0; w < bits.length; w++) {
@@ -220,11 +250,11 @@ function growAlongX(bits, words, grown) {
 }
 
 /**
- * Bits, and those `step` words before and behind, within every `period` words.
+ * Spread bits to words `step` before and behind, within each group of `period` words.
  * @param {Uint32Array} bits
  * @param {number} step
  * @param {number} period
- * @param {Uint32Array} grown
+ * @param {Uint32Array} grown output
  */
 function growAlong(bits, step, period, grown) {
   for (let w = 0; w < bits.length; w++) {

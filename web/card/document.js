@@ -1,6 +1,6 @@
 /**
- * All that a card needs to draw a scene: the object `scene` of `GET /v1/scenes/{scene}/card`; see
- * docs/card.md.
+ * All that a card needs to draw a scene: the object `scene` of `GET /v1/scenes/{scene}/card`,
+ * described in docs/card.md.
  */
 
 /** @typedef {[number, number, number]} Vec3 */
@@ -8,9 +8,13 @@
 /** @typedef {import("../documents.js").CardLight} Lights before they are turned, in the box */
 
 /**
- * An isovalue of the file's units as a code, as kernels compare it: solid is what is greater.
+ * Convert an isovalue to a code of the card's volume.
+ *
+ * Each step rounds to single precision, as kernels do, so that page and server call the same voxels
+ * solid: those above the isovalue.
+ *
  * @param {CardDocument} document
- * @param {number} isovalue
+ * @param {number} isovalue in the file's units
  * @returns {number}
  */
 export function codeOf({ values, volume }, isovalue) {
@@ -18,16 +22,19 @@ export function codeOf({ values, volume }, isovalue) {
   return Math.fround((voxel - volume.base) / volume.gain);
 }
 
-/** The most that a face of a window reflects: PAPER in isogi_core/frame/framing.py. */
+/** Albedo of the brightest face of a window: PAPER in isogi_core/frame/framing.py. */
 const PAPER = 0.8;
 
 /**
- * Uniforms of the faces of a window: the greys of codes, and the light of the brightest.
+ * Return the uniforms that paint the faces of a window.
  * @param {CardDocument} document
- * @returns {{greys: [number, number], paper: number}}
+ * @returns {{greys: [number, number], paper: number}} factor and offset that turn a code into a
+ *   grey, and the light of the brightest grey
  */
 export function facesOf({ values, volume, exposure }) {
   const { core } = values;
+  // Greys span the core of the volume's values, and not outliers; a constant volume must not divide
+  // by 0.
   const span = Math.max(core[1] - core[0], Number.MIN_VALUE);
   const zero = values.offset + values.scale * volume.base - core[0];
   return { greys: [(values.scale * volume.gain) / span, zero / span], paper: PAPER / exposure };

@@ -1,6 +1,6 @@
 /**
- * A scene on a card: its volume, texels and programs, and the pictures that these make. All of it
- * goes with the context.
+ * A scene on a card: its volume, texels and programs, and the pictures drawn with them. All of it
+ * is lost with the WebGL context.
  */
 
 import { codeOf, facesOf } from "./document.js";
@@ -20,36 +20,43 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @typedef {object} View
  * @property {number} isovalue in the file's units
  * @property {import("./rays.js").Camera} camera in the world
- * @property {import("./light.js").Quaternion} light the light's turn in the world
+ * @property {import("./light.js").Quaternion} light rotation of the light in the world
  * @property {number} exposure
- * @property {import("./document.js").Vec3} [albedo] as a multiple of the document's: what is shown
- *   is then predicted
+ * @property {import("./document.js").Vec3} [albedo] as a multiple of the document's albedo; the
+ *   picture then predicts the light under this albedo, to first order
  * @property {import("./document.js").Vec3} ground linear light behind the surface
- * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in
- *   the world; 12 at most
- * @property {boolean} [marked] whether what lacks light of its texels is hatched
- * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
+ * @property {readonly import("./rays.js").Plane[]} [window] planes that hide matter from the eye,
+ *   in the world; 12 at most
+ * @property {boolean} [marked] true if pixels whose texels have no light are hatched
+ * @property {boolean} [lambert] true if a local Lambert model is drawn in place of the light of
+ *   texels
  */
 
 /**
- * Distances between the neighbours that light which converges is filtered by, pass by pass; an even
- * number of passes.
+ * Distance between the neighbours that the filter averages, in texels, pass by pass. The number of
+ * passes must be even: the last pass writes the textures that the first one read.
  */
 const FILTER_DISTANCES = [1, 2];
 
-/** Names the turn of a light. @param {import("./light.js").Quaternion} light @returns {string} */
+/**
+ * Name a rotation of the light; rotations that differ by less than rounding have one name.
+ * @param {import("./light.js").Quaternion} light
+ * @returns {string}
+ */
 export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
 
 /**
- * The programs that draw a scene, once the driver has compiled them; that of the local model once
- * it is asked for.
+ * Compile the programs that draw a scene, and return them once the driver is done. The program of
+ * the local model is compiled by `makeLocal`, as few visitors ask for it.
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
- * @param {(name: string) => Promise<string>} read text of a shader's file
+ * @param {(name: string) => Promise<string>} read returns the text of a shader's file
  * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal: () =>
  *   Promise<Program>}>}
+ * @throws {Error} if the card refuses a shader
  */
 export async function programsOf(gl, { grid, volume, plan, light }, read) {
+  // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
     VOXELS: sampler,
@@ -83,7 +90,7 @@ export async function programsOf(gl, { grid, volume, plan, light }, read) {
   };
 }
 
-/** What is drawn of a scene. */
+/** Draws views of a scene, sample by sample, and folds the light of its texels. */
 export class Drawing {
   /**
    * @param {import("./device.js").Device} device
@@ -110,7 +117,7 @@ export class Drawing {
   }
 
   /**
-   * Whether a view can be drawn; else its program is compiled meanwhile.
+   * Return true if a view can be drawn; otherwise begin to compile its program.
    * @param {View} view
    * @returns {boolean}
    */
@@ -124,12 +131,12 @@ export class Drawing {
     return false;
   }
 
-  /** Have the texels folded once more before the next picture: some are new. */
+  /** Request that the texels are folded again before the next picture, as some are new. */
   refold() {
     this.folded = "";
   }
 
-  /** Give the card's memory back: another scene is drawn. */
+  /** Free the card's memory. */
   release() {
     const { gl, volume, texels, programs } = this;
     this.picture?.release();
@@ -140,12 +147,12 @@ export class Drawing {
   }
 
   /**
-   * Draw sample n of a view into the picture: the first one replaces it, and the others join its
-   * mean. It may come in bands, from below to the top.
+   * Draw sample n of a view into the picture: sample 0 replaces the picture, others join its mean.
+   * A sample may come in bands of rows, from below.
    * @param {View} view
    * @param {Size} size pixels
-   * @param {number} n
-   * @param {import("./picture.js").Band} [band] of it
+   * @param {number} n number of the sample
+   * @param {import("./picture.js").Band} [band] rows to draw, all by default
    */
   sample(view, size, n, band = [0, size[1]]) {
     const { document } = this;
@@ -163,7 +170,7 @@ export class Drawing {
       bricks: this.texels.bricks,
       records,
       ...filmOf(document, view.exposure),
-      first: n === 0 ? picture.mean : picture.first, // no card reads what it draws into
+      first: n === 0 ? picture.mean : picture.first, // WebGL forbids reading the draw target
       drawn: size,
       again: Number(n > 0),
       marked: Number(view.marked ?? false),
@@ -177,7 +184,7 @@ export class Drawing {
   /**
    * Show the picture on the canvas.
    * @param {View} view
-   * @param {Size} size pixels that are drawn of it
+   * @param {Size} size pixels of the picture that are drawn
    */
   show({ exposure, ground }, size) {
     const { gl, picture } = this;
@@ -194,7 +201,10 @@ export class Drawing {
     });
   }
 
-  /** The light as it is turned now. @param {import("./light.js").Quaternion} rotation */
+  /**
+   * Return the light under a rotation; the last one is kept.
+   * @param {import("./light.js").Quaternion} rotation
+   */
   #turn(rotation) {
     const key = keyOf(rotation);
     if (this.light?.key !== key) this.light = { key, light: turnLight(this.document, rotation) };
@@ -202,10 +212,10 @@ export class Drawing {
   }
 
   /**
-   * The records under a light: as the server folded them where it was all by that, else folded
-   * here.
+   * Return the records of all texels under a light: those of the server if it folded all of them by
+   * this light, otherwise records that are folded on the card.
    * @param {import("./light.js").TurnedLight} light
-   * @param {string} key
+   * @param {string} key name of the light's rotation
    * @returns {Texture}
    */
   #fold(light, key) {
@@ -213,6 +223,7 @@ export class Drawing {
     if (texels.runs.every((each) => each.lightKey === key)) return texels.records;
     if (this.folded !== key) {
       this.#foldRuns(light);
+      // Passes alternate between two pairs of textures; the last one writes the first pair again.
       if (texels.grainy)
         FILTER_DISTANCES.forEach((apart, pass) =>
           this.#filter(light, apart, texels.turned[pass % 2], texels.turned[1 - (pass % 2)]),
@@ -222,13 +233,19 @@ export class Drawing {
     return texels.turned[0].records;
   }
 
-  /** @param {import("./light.js").TurnedLight} light */
+  /**
+   * Fold all runs with a light, into the first pair of textures.
+   * @param {import("./light.js").TurnedLight} light
+   */
   #foldRuns({ columns, quadric }) {
     const { gl, texels, document } = this;
     const { least, terms } = document.light;
     const { channels } = document.plan;
     const green = Math.min(channels - 1, 1);
-    const met = (/** @type {number} */ c) =>
+    // Each row of the uniform texture belongs to one number of the transfer: a channel's numbers
+    // add to that channel alone, or to all three if light is grey. Squares, for the noise, go with
+    // green, which stands for luminance.
+    const rowOf = (/** @type {number} */ c) =>
       columns.map(([r, g, b, square]) => [
         ...[r, g, b].map((x, i) => (channels === 1 || i === c ? x : 0)),
         c === green ? square : 0,
@@ -236,14 +253,16 @@ export class Drawing {
     fillTexture(
       gl,
       this.turned,
-      new Float32Array(Array.from({ length: channels }, (_, c) => met(c)).flat(2)),
+      new Float32Array(Array.from({ length: channels }, (_, c) => rowOf(c)).flat(2)),
     );
+    // Number of the green channel with which each term begins, for the estimate of noise.
     const firsts = terms.map(
       (_, k) =>
         green * columns.length + terms.slice(0, k).reduce((sum, { order }) => sum + order ** 2, 0),
     );
     const [{ records, noise }] = texels.turned;
     const framebuffer = drawInto(gl, records, noise);
+    // Draw one rectangle per run, as runs differ in their light and in having raw transfer.
     for (const each of texels.runs) {
       gl.viewport(0, each.row, records.size[0], each.rows);
       const raw = texels.takesRaw && isRaw(each);
@@ -262,11 +281,11 @@ export class Drawing {
   }
 
   /**
-   * Filter folded light by neighbours that are so many texels `apart`.
+   * Filter folded light: average texels with neighbours that are `apart` texels away.
    * @param {import("./light.js").TurnedLight} light
-   * @param {number} apart
-   * @param {import("./texels.js").Folded} from
-   * @param {import("./texels.js").Folded} to
+   * @param {number} apart distance, texels
+   * @param {import("./texels.js").Folded} from textures to read
+   * @param {import("./texels.js").Folded} to textures to write
    */
   #filter({ quadric }, apart, from, to) {
     const { gl, texels, document } = this;
@@ -285,7 +304,11 @@ export class Drawing {
     gl.deleteFramebuffer(framebuffer);
   }
 
-  /** The picture, as large as this at least. @param {Size} size @returns {Picture} */
+  /**
+   * Return a picture that is at least of this size; a larger one is kept.
+   * @param {Size} size
+   * @returns {Picture}
+   */
   #pictureOf(size) {
     if (this.picture?.holds(size)) return this.picture;
     this.picture?.release();
@@ -295,7 +318,7 @@ export class Drawing {
 }
 
 /**
- * Uniforms of the light.
+ * Return the uniforms of the light, and those of the local model.
  * @param {CardDocument} document
  * @param {import("./light.js").TurnedLight} light
  */
@@ -316,7 +339,7 @@ function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
 }
 
 /**
- * Uniforms of a window.
+ * Return the uniforms of a window.
  * @param {CardDocument} document
  * @param {readonly import("./rays.js").Plane[]} planes
  */
@@ -328,12 +351,16 @@ function sightOf(document, planes) {
   };
 }
 
-/** Uniforms of the lattice. @param {CardDocument} document */
+/** Return the uniforms of the lattice. @param {CardDocument} document */
 function latticeOf({ lattice }) {
   return { lattice: lattice.size, density: lattice.density };
 }
 
-/** Uniforms of the film. @param {CardDocument} document @param {number} exposure */
+/**
+ * Return the uniforms of exposure and tone curve.
+ * @param {CardDocument} document
+ * @param {number} exposure
+ */
 function filmOf({ tone }, exposure) {
   return { curve: [tone.gain, tone.toe, tone.shoulder], exposure };
 }

@@ -1,13 +1,17 @@
-/** Rotation of real spherical harmonics: orthonormal, without the Condon-Shortley phase, index l(l + 1) + m.
- * Kernel: isogi_core/kernels/transport/harmonics.py.
+/**
+ * Rotation of real spherical harmonics: orthonormal, without the Condon-Shortley phase, index l(l +
+ * 1) + m. Kernel: isogi_core/kernels/transport/harmonics.py.
+ *
+ * Source: Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102,
+ * 9099 (1998). Tables in the comments below are theirs.
  */
 
 /** @typedef {number[][]} Matrix rows */
 
 /**
- * P_i(l; m, n) of table 2.
- * @param {Matrix} first of band 1
- * @param {Matrix} before of band l - 1
+ * Return P_i(l; m, n) of table 2.
+ * @param {Matrix} first matrix of band 1
+ * @param {Matrix} before matrix of band l - 1
  * @param {number} l
  * @param {number} i
  * @param {number} m
@@ -21,7 +25,11 @@ function step(first, before, l, i, m, n) {
   return first[1 + i][1] * row[n + l - 1];
 }
 
-/** Weights of P₁ and P₋₁ within V. @param {number} m @returns {[number, number]} */
+/**
+ * Return the weights of P₁ and P₋₁ within V, as table 2 has them for m.
+ * @param {number} m
+ * @returns {[number, number]}
+ */
 function innerWeights(m) {
   const [same, other] = Math.abs(m) === 1 ? [Math.SQRT2, 0] : [1, 1];
   if (m === 0) return [-Math.SQRT2, -Math.SQRT2];
@@ -29,21 +37,24 @@ function innerWeights(m) {
 }
 
 /**
- * Element (m, n) of band l: u U + v V + w W of tables 1 and 2 as corrected.
- * @param {Matrix} first
- * @param {Matrix} before
+ * Return element (m, n) of the matrix of band l: u U + v V + w W of tables 1 and 2, as corrected.
+ * @param {Matrix} first matrix of band 1
+ * @param {Matrix} before matrix of band l - 1
  * @param {number} l
  * @param {number} m
  * @param {number} n
  * @returns {number}
  */
 function element(first, before, l, m, n) {
+  // Table 1: the factors u, v, w.
   const k = Math.abs(m);
   const s = m > 0 ? 1 : -1;
   const below = Math.abs(n) === l ? 2 * l * (2 * l - 1) : (l + n) * (l - n);
   const u = Math.sqrt(((l + m) * (l - m)) / below);
   const v = 0.5 * Math.sqrt(((l + k - 1) * (l + k)) / below);
   const w = k > 0 ? 0.5 * Math.sqrt(Math.max(0, (l - k - 1) * (l - k)) / below) : 0;
+  // Table 2: U, V and W as a sum of terms [i, row, weight], each of which adds weight · P_i of that
+  // row. Rows outside band l - 1 have weight 0.
   const [plus, minus] = innerWeights(m);
   const parts = /** @type {[number, number, number][]} */ ([
     [0, m, u],
@@ -62,10 +73,9 @@ function element(first, before, l, m, n) {
 }
 
 /**
- * Matrices of the bands 0 … order - 1 of a rotation.
- * Source: Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102,
- * 9099 (1998).
- * @param {number} order
+ * Return the matrices that rotate the bands 0 … order - 1, by recursion from band to band. Source:
+ * Ivanic and Ruedenberg 1996 and 1998.
+ * @param {number} order number of bands
  * @param {Matrix} matrix the rotation, 3 × 3
  * @returns {Matrix[]} element (m, n) of band l at [m + l][n + l]
  */
@@ -80,17 +90,20 @@ export function bandRotations(order, matrix) {
 }
 
 /**
- * Coefficients of a function that is turned: always of the unturned ones, as chained rotations
- * drift.
- * @param {Matrix[]} bands of the rotation, at least as many as the function has
+ * Return the coefficients of a rotated function.
+ *
+ * Pass the coefficients before any rotation: rotating those of a rotated function again accumulates
+ * rounding.
+ *
+ * @param {Matrix[]} bands matrices of the rotation, at least one per band of the function
  * @param {readonly number[]} coefficients
  * @returns {number[]}
  */
 export function turned(bands, coefficients) {
   const out = [];
   for (let l = 0; l * l < coefficients.length; l++) {
-    const own = coefficients.slice(l * l, (l + 1) * (l + 1));
-    out.push(...bands[l].map((row) => row.reduce((sum, x, n) => sum + x * own[n], 0)));
+    const band = coefficients.slice(l * l, (l + 1) * (l + 1));
+    out.push(...bands[l].map((row) => row.reduce((sum, x, n) => sum + x * band[n], 0)));
   }
   return out;
 }

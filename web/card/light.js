@@ -1,5 +1,5 @@
 /**
- * The light of a scene, turned, as shaders take it. Source in the core: `RotatedLight` of
+ * The rotated light of a scene, as shaders read it. Source in the core: `RotatedLight` of
  * isogi_core/frame/lighting.py.
  */
 
@@ -11,15 +11,16 @@ import { bandRotations, turned } from "./harmonics.js";
 
 /**
  * @typedef {object} TurnedLight
- * @property {number[][]} columns what each column of a texel's transfer meets, r, g, b, and their
- *   luminance squared
- * @property {number[]} quadric unshadowed light, nine times r, g, b
- * @property {Vec3[]} towards of each lobe
- * @property {[Vec3, Vec3][]} edges of each lobe
+ * @property {number[][]} columns light that each column of a texel's transfer is multiplied with:
+ *   r, g, b, and their squared luminance
+ * @property {number[]} quadric unshadowed light: r, g, b of each of nine coefficients, see
+ *   `quadricOf`
+ * @property {Vec3[]} towards direction to the middle of each lobe, in the volume's box
+ * @property {[Vec3, Vec3][]} edges two radii of the disc of each lobe
  */
 
 /**
- * The matrix that turns a vector by a unit quaternion.
+ * Return the matrix that rotates a vector as a unit quaternion does.
  * @param {Quaternion} q
  * @returns {[Vec3, Vec3, Vec3]} rows
  */
@@ -32,9 +33,9 @@ export function rotationMatrix([w, x, y, z]) {
 }
 
 /**
- * The rotation in a box whose axes in the world are the columns of `rotation`: rotationᵀ · Q.
- * @param {Vec3[]} rotation
- * @param {Vec3[]} q
+ * Return a rotation of the world in the axes of the volume's box: rotationᵀ · Q.
+ * @param {Vec3[]} rotation axes of the box in the world, one per entry
+ * @param {Vec3[]} q rows of the rotation in the world
  * @returns {[Vec3, Vec3, Vec3]}
  */
 function inBox(rotation, q) {
@@ -48,14 +49,19 @@ function inBox(rotation, q) {
 }
 
 /**
- * Harmonics of a colour, of order 3 at most, as a polynomial of the unit vector: over 1, y, z, x,
- * xy, yz, z², xz, x² - y².
- * Source: Ramamoorthi and Hanrahan 2001, eq. 13; `quadric_of` in the core.
- * @param {readonly number[]} harmonics
- * @returns {number[]}
+ * Return spherical harmonics of one colour, up to order 3, as a polynomial of the unit vector (x,
+ * y, z).
+ *
+ * The result holds its coefficients over 1, y, z, x, xy, yz, z², xz, x² - y². Source: Ramamoorthi
+ * and Hanrahan 2001, eq. 13; `quadric_of` in the core.
+ *
+ * @param {readonly number[]} harmonics coefficients by l(l + 1) + m; missing ones are 0
+ * @returns {number[]} nine coefficients
  */
 export function quadricOf(harmonics) {
   const s = Array.from({ length: 9 }, (_, i) => harmonics[i] ?? 0);
+  // The harmonic of l = 2, m = 0 is 3z² - 1 but for its factor: its constant part joins the first
+  // coefficient.
   s[0] -= Math.sqrt(5 / 4) * s[6];
   return s.map(
     (x, i) => x * Math.sqrt([1, 3, 3, 3, 15, 15, 45 / 4, 15, 15 / 4][i] / (4 * Math.PI)),
@@ -63,15 +69,17 @@ export function quadricOf(harmonics) {
 }
 
 /**
- * The light of a scene as a rotation in the world turns it.
+ * Return the light of a scene after a rotation in the world.
  * @param {CardDocument} document
- * @param {Quaternion} rotation
+ * @param {Quaternion} rotation unit quaternion
  * @returns {TurnedLight}
  */
 export function turnLight({ grid, light }, rotation) {
+  // The harmonics of the document are in the volume's box, and so must the rotation be.
   const matrix = inBox(grid.rotation, rotationMatrix(rotation));
   const order = Math.max(...light.terms.map((term) => term.order), Math.sqrt(light.sky[0].length));
   const bands = bandRotations(order, matrix);
+  // Rotate each colour of each term, and the squares that estimate noise, by the same bands.
   const terms = light.terms.flatMap((term) =>
     byColumn([...term.light, term.square].map((each) => turned(bands, each))),
   );
@@ -84,7 +92,11 @@ export function turnLight({ grid, light }, rotation) {
   return { columns: terms, quadric, towards: light.lobes.map((lobe) => turn(lobe.towards)), edges };
 }
 
-/** Numbers of colours, each side by side. @param {number[][]} colours @returns {number[][]} */
+/**
+ * Transpose colours: return the numbers of all colours side by side, one entry per coefficient.
+ * @param {number[][]} colours
+ * @returns {number[][]}
+ */
 function byColumn(colours) {
   return colours[0].map((_, i) => colours.map((each) => each[i]));
 }

@@ -1,29 +1,29 @@
 /**
- * How much a card draws at once: fewer pixels of a picture that moves while it is slow, and of one
- * at rest a band of some milliseconds after the other. Drivers take a card back that is busy for
- * long with one draw, and until then nothing on the screen moves.
+ * The amount that a card draws at a time: fewer pixels of a moving picture while the card is slow,
+ * and bands of a few milliseconds of a picture at rest. Drivers reset a card that is busy with one
+ * draw for long, and until a draw ends nothing on the screen moves.
  */
 
-const TARGET_MS = 20; // of a picture
-const SLOW_MS = 1000 / 30; // of a picture that may have fewer pixels than LEAST of the width allows
-const LEAST = 0.6; // share of the width, on a card that reaches 30 pictures a second there
+const TARGET_MS = 20; // time that a moving picture should take
+const SLOW_MS = 1000 / 30; // time that is accepted rather than a share below LEAST
+const LEAST = 0.6; // share of the width that cards keep if they draw 30 pictures a second at it
 const FEWEST = 0.2; // share of the width on any card
-const BEGIN = 0.25; // share of the width that a card begins with that nobody knows
-const GROWTH = 2; // of the width from picture to picture, at most
-const WORTH = 1.1; // growth that is worth another size
-const CALM = 60; // pictures after one that was too slow, before they grow again
-const BAND_MS = 8; // of a band of a picture at rest
-const MOST_BANDS = 64; // of a picture
-const UNEVEN = 4; // what a row of pixels takes at most, over the mean of a picture's rows
-const LOOK_MS = 2; // between two looks
+const BEGIN = 0.25; // share of the width of the first picture, before any time is known
+const GROWTH = 2; // growth of the share from picture to picture, at most
+const WORTH = 1.1; // growth of the share by which a new size is worth a change
+const CALM = 60; // pictures after a slow one before the share grows again
+const BAND_MS = 8; // time that a band of a picture at rest should take
+const MOST_BANDS = 64; // bands of a picture
+const UNEVEN = 4; // time of the slowest row of pixels over that of the mean row, at most
+const LOOK_MS = 2; // time between two looks at a fence
 
 /**
- * When a card was done: after `low` milliseconds it was not yet, and after `high` it was.
+ * Bounds of the time that a card took: it was busy after `low` milliseconds, and done after `high`.
  * @typedef {{low: number, high: number}} Reading
  *
  * @typedef {object} Clock
- * @property {() => number} now milliseconds
- * @property {(milliseconds: number, run: () => void) => unknown} after calls `run` later
+ * @property {() => number} now current time, milliseconds
+ * @property {(milliseconds: number, run: () => void) => unknown} after calls `run` after some time
  */
 
 /** The browser's clock. @type {Clock} */
@@ -33,19 +33,22 @@ const CLOCK = {
 };
 
 /**
- * The time of a reading that is nearest to a wanted one: a page that was busy itself looks late,
- * and says nothing against it.
+ * Return the time within a reading's bounds that is nearest to a wanted time.
+ *
+ * A page that was busy itself looks at the fence late, so that `high` alone says nothing against
+ * the card.
+ *
  * @param {number} wanted milliseconds
  * @param {Reading} reading
- * @returns {number}
+ * @returns {number} milliseconds
  */
 export function nearest(wanted, { low, high }) {
   return Math.min(Math.max(wanted, low), high);
 }
 
 /**
- * A fence behind all that a card was asked for. It is looked at while the card is busy, so that the
- * time in which nothing is asked for never counts.
+ * A fence behind all commands that a card was given. It is looked at every LOOK_MS while the card
+ * is busy, so that idle time never counts.
  */
 export class Fence {
   #gl;
@@ -58,8 +61,8 @@ export class Fence {
 
   /**
    * @param {WebGL2RenderingContext} gl
-   * @param {(reading: Reading|null) => void} learn is called once the card is done; with null where
-   *   it was lost
+   * @param {(reading: Reading|null) => void} learn is called once the card is done, or with null if
+   *   the card was lost
    * @param {Clock} [clock]
    */
   constructor(gl, learn, clock = CLOCK) {
@@ -73,7 +76,7 @@ export class Fence {
     clock.after(LOOK_MS, look);
   }
 
-  /** Whether the card is still busy: it is looked at now. @returns {boolean} */
+  /** Look at the fence, and return true if the card is still busy. @returns {boolean} */
   get holds() {
     if (this.#over) return false;
     const gl = this.#gl;
@@ -91,19 +94,22 @@ export class Fence {
     return false;
   }
 
-  /** Look no more: the card was lost. */
+  /** Stop looking, as the card was lost. */
   drop() {
     this.#over = true;
   }
 }
 
 /**
- * The share of the width that a picture is to have after one that was too slow.
- * @param {number} share of that
- * @param {number} ms that it took, more than the target
+ * Return the share of the width for the picture after one that was too slow.
+ * @param {number} share of the picture that was too slow
+ * @param {number} ms time that it took, more than TARGET_MS
  * @returns {number}
  */
 export function smallerShare(share, ms) {
+  // Time is proportional to the number of pixels, the square of the share. A card that draws LEAST
+  // of the width 30 times a second keeps that share, as fewer pixels would look worse than fewer
+  // pictures.
   const atLeast = ms * (LEAST / share) ** 2;
   const bearable =
     atLeast <= SLOW_MS
@@ -113,9 +119,12 @@ export function smallerShare(share, ms) {
 }
 
 /**
- * The share of the width that a picture may have after one that was quick enough: as large as is
- * sure to be, else one size up where that may be; if it is not, it becomes smaller again.
- * @param {number} share of that
+ * Return the share of the width for the picture after one that was quick enough.
+ *
+ * It grows at once to a size that is sure to reach the target. If only the lower bound of the time
+ * allows growth, it grows by one step; if that was too much, `smallerShare` takes it back.
+ *
+ * @param {number} share of the picture that was quick enough
  * @param {Reading} reading
  * @returns {number}
  */
@@ -125,16 +134,16 @@ export function largerShare(share, { low, high }) {
   return low * WORTH ** 2 <= TARGET_MS ? Math.min(WORTH * share, 1) : share;
 }
 
-/** The pace of a card, by a fence behind each draw. */
+/** Chooses how many pixels a card draws at a time, by a fence behind each draw. */
 export class Pace {
   share = BEGIN; // of the width
-  #calm = 0;
+  #calm = 0; // pictures until the share may grow again
   #slow = 0; // pictures in a row that were too slow
   /** @type {Fence|null} */
   #fence = null;
-  /** Milliseconds a pixel of the dearest band: of first samples, and of those that join them. */
+  /** Milliseconds per pixel of the slowest band: of sample 0, and of later samples. */
   #dearest = [0, 0];
-  #dearestNow = 0; // of the sample at hand
+  #dearestNow = 0; // of the current sample
 
   /** @param {WebGL2RenderingContext} gl @param {Clock} [clock] */
   constructor(gl, clock = CLOCK) {
@@ -143,8 +152,7 @@ export class Pace {
   }
 
   /**
-   * The pace of a card that was lost, and is there again: it begins small, and what was learnt of
-   * it holds.
+   * Begin with a restored card: its share begins small, and known times per pixel still hold.
    * @param {WebGL2RenderingContext} gl
    */
   restart(gl) {
@@ -155,7 +163,7 @@ export class Pace {
   }
 
   /**
-   * Whether the card still draws what it was asked for last; a picture more would only wait.
+   * Return true if the card is still drawing: another picture would only wait.
    * @returns {boolean}
    */
   get busy() {
@@ -163,12 +171,14 @@ export class Pace {
   }
 
   /**
-   * A picture that moves was just asked for.
-   * @param {number} pixels of it
+   * Time a moving picture, whose commands were just given to the card.
+   * @param {number} pixels of the picture
    */
   timePicture(pixels) {
     this.#dearestNow = 0;
     this.#watch((reading) => {
+      // Until bands of a picture at rest are measured, assume that the slowest takes UNEVEN times
+      // the mean.
       const mean = nearest(TARGET_MS, reading) / pixels;
       this.#dearest[0] = Math.max(this.#dearest[0] || UNEVEN * mean, mean);
       this.#learn(reading);
@@ -176,10 +186,10 @@ export class Pace {
   }
 
   /**
-   * A band of a sample of a picture at rest was just asked for.
+   * Time a band of a picture at rest, whose commands were just given to the card.
    * @param {number} pixels of the band
-   * @param {number} n the sample
-   * @param {boolean} isLast whether it ends the sample
+   * @param {number} n number of the sample
+   * @param {boolean} isLast true if the band completes the sample
    */
   timeBand(pixels, n, isLast) {
     this.#watch((reading) => {
@@ -191,8 +201,11 @@ export class Pace {
   }
 
   /**
-   * Rows of the next band of sample n, one of as many that are alike: a narrow one would look dear.
-   * A sample that joins others takes no longer than the first.
+   * Return the number of rows of the next band of sample n.
+   *
+   * The rows that are left are parted into equal bands, as a narrow last one would look slow per
+   * pixel. Sample 1 uses the time of sample 0 until its bands are measured, as it takes no longer.
+   *
    * @param {readonly number[]} size of the picture, pixels
    * @param {number} left rows that are still to be drawn
    * @param {number} n
@@ -205,16 +218,23 @@ export class Pace {
     return Math.ceil(left / Math.ceil(left / most - 0.01));
   }
 
-  /** @param {(reading: Reading) => void} learn */
+  /**
+   * Call `learn` once the card is done, unless it is lost.
+   * @param {(reading: Reading) => void} learn
+   */
   #watch(learn) {
     this.#fence = new Fence(this.gl, (reading) => reading && learn(reading), this.clock);
   }
 
-  /** @param {Reading} reading of a picture that moves */
+  /**
+   * Choose the share of the next moving picture.
+   * @param {Reading} reading of a picture that moves
+   */
   #learn(reading) {
     if (reading.low > TARGET_MS) {
       this.#slow += 1;
-      if (this.#slow < 2 && reading.low < 2 * TARGET_MS) return; // one alone may be another's fault
+      // A single slow picture may be caused by another program: wait for a second one.
+      if (this.#slow < 2 && reading.low < 2 * TARGET_MS) return;
       this.share = smallerShare(this.share, reading.low);
       this.#calm = CALM;
     } else if (this.#calm > 0) this.#calm -= 1;

@@ -1,11 +1,11 @@
 /**
- * Programs of a card: shaders are files in `shaders/`, joined where they include each other,
- * compiled beside the page.
+ * Programs of a card: shaders are files in `shaders/` that include each other; drivers compile them
+ * without blocking the page if they can.
  */
 
 /** @typedef {import("./textures.js").Texture} Texture */
 /**
- * @typedef {number|readonly number[]|Float32Array|Int32Array|Uint32Array|Texture} Value of a
+ * @typedef {number|readonly number[]|Float32Array|Int32Array|Uint32Array|Texture} Value value of a
  *   uniform
  */
 /**
@@ -20,10 +20,11 @@ const INCLUDE = /^#include "([^"]+)"$/gm;
 const SCREEN = `${HEAD}void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 
 /**
- * The text of a shader with what it includes, each file once, where it is first asked for.
+ * Return the text of a shader with the files that it includes, each one once, at its first
+ * inclusion.
  * @param {string} name
- * @param {(name: string) => Promise<string>} read a file's text
- * @param {Set<string>} [seen] files that are in the text already
+ * @param {(name: string) => Promise<string>} read returns the text of a file
+ * @param {Set<string>} [seen] files that the text already has
  * @returns {Promise<string>}
  */
 export async function joined(name, read, seen = new Set()) {
@@ -43,21 +44,25 @@ export async function joined(name, read, seen = new Set()) {
 let shaders = null;
 
 /**
- * Text of a shader's file beside this module: all of them come in one file.
+ * Return the text of a shader's file, by one request for all shaders.
  * @param {string} name
  * @returns {Promise<string>}
+ * @throws {Error} if the shaders cannot be read
  */
 export async function readShader(name) {
   shaders ??= readShaders();
   try {
     return (await shaders)[name];
   } catch (error) {
-    shaders = null; // the next one to ask tries again
+    shaders = null; // the next call tries again
     throw error;
   }
 }
 
-/** @returns {Promise<Record<string, string>>} */
+/**
+ * Read the text of all shaders, by the names of their files.
+ * @returns {Promise<Record<string, string>>}
+ */
 async function readShaders() {
   const answer = await fetch(new URL("shaders.json", import.meta.url));
   if (!answer.ok) throw new Error(`The shaders did not come: HTTP ${answer.status}.`);
@@ -65,11 +70,14 @@ async function readShaders() {
 }
 
 /**
- * A program of a fragment shader that is drawn over all pixels, once its driver has compiled it.
+ * Make a program that runs a fragment shader on all pixels, and return it once its driver has
+ * compiled it.
  * @param {WebGL2RenderingContext} gl
- * @param {string} text of the shader, without its version
- * @param {Record<string, number|string>} [defines] names that stand for numbers or words in it
+ * @param {string} text of the fragment shader, without a version line
+ * @param {Record<string, number|string>} [defines] names that the shader uses, with the numbers or
+ *   words that replace them
  * @returns {Promise<Program>}
+ * @throws {Error} if the card refuses the shader
  */
 export async function compile(gl, text, defines = {}) {
   const lines = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}\n`);
@@ -81,6 +89,7 @@ export async function compile(gl, text, defines = {}) {
   shaders.forEach((shader) => gl.attachShader(id, shader));
   gl.linkProgram(id);
   await compiled(gl, id);
+  // A lost context reports failure for everything: that is not the shader's fault.
   if (!gl.getProgramParameter(id, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = [
       ...shaders.map((shader) => gl.getShaderInfoLog(shader)),
@@ -93,10 +102,12 @@ export async function compile(gl, text, defines = {}) {
 }
 
 /**
+ * Compile one shader.
  * @param {WebGL2RenderingContext} gl
- * @param {number} kind
+ * @param {number} kind VERTEX_SHADER or FRAGMENT_SHADER
  * @param {string} text
  * @returns {WebGLShader}
+ * @throws {Error} if the card was lost
  */
 function shaderOf(gl, kind, text) {
   const shader = gl.createShader(kind);
@@ -107,22 +118,28 @@ function shaderOf(gl, kind, text) {
 }
 
 /**
- * Wait until a driver that compiles beside the page has done so.
+ * Wait until the driver has compiled a program, if it compiles in parallel to the page. Other
+ * drivers block at the next query.
  * @param {WebGL2RenderingContext} gl
  * @param {WebGLProgram} id
  */
 async function compiled(gl, id) {
-  const beside = gl.getExtension("KHR_parallel_shader_compile");
+  const parallel = gl.getExtension("KHR_parallel_shader_compile");
   while (
-    beside &&
+    parallel &&
     !gl.isContextLost() &&
-    !gl.getProgramParameter(id, beside.COMPLETION_STATUS_KHR)
+    !gl.getProgramParameter(id, parallel.COMPLETION_STATUS_KHR)
   ) {
     await new Promise((done) => setTimeout(done, 10));
   }
 }
 
-/** @param {WebGL2RenderingContext} gl @param {WebGLProgram} id @returns {Program["uniforms"]} */
+/**
+ * Return the place and type of each uniform that a program reads, by name.
+ * @param {WebGL2RenderingContext} gl
+ * @param {WebGLProgram} id
+ * @returns {Program["uniforms"]}
+ */
 function uniformsOf(gl, id) {
   const found = new Map();
   for (let i = 0; i < (gl.getProgramParameter(id, gl.ACTIVE_UNIFORMS) ?? 0); i++) {
@@ -134,10 +151,11 @@ function uniformsOf(gl, id) {
 }
 
 /**
- * Draw a program over all pixels of what is bound. Values that it does not read are passed over.
+ * Run a program on all pixels of the bound framebuffer. Values that the program does not read are
+ * ignored.
  * @param {WebGL2RenderingContext} gl
  * @param {Program} program
- * @param {Record<string, Value>} values of its uniforms
+ * @param {Record<string, Value>} values of its uniforms, by name
  */
 export function run(gl, program, values) {
   gl.useProgram(program.id);
@@ -145,6 +163,7 @@ export function run(gl, program, values) {
   for (const [name, value] of Object.entries(values)) {
     const uniform = program.uniforms.get(name);
     if (!uniform) continue;
+    // Textures take the next free unit each.
     if (typeof value === "object" && "target" in value) {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(value.target, value.id);
@@ -155,10 +174,12 @@ export function run(gl, program, values) {
 }
 
 /**
+ * Set a uniform by its type.
  * @param {WebGL2RenderingContext} gl
  * @param {WebGLUniformLocation} place
  * @param {number} kind
  * @param {Iterable<number>} value
+ * @throws {Error} if the type is not one of these
  */
 function put(gl, place, kind, value) {
   const numbers = [...value];
@@ -169,5 +190,5 @@ function put(gl, place, kind, value) {
   else if (kind === gl.INT || kind === gl.BOOL) gl.uniform1iv(place, numbers);
   else if (kind === gl.INT_VEC2) gl.uniform2iv(place, numbers);
   else if (kind === gl.INT_VEC3) gl.uniform3iv(place, numbers);
-  else throw new Error(`A uniform of the kind ${kind} has no way to the card.`);
+  else throw new Error(`Uniforms of type ${kind} are not supported: add them to \`put\`.`);
 }

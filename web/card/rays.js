@@ -1,6 +1,6 @@
 /**
- * The camera's rays as shaders take them: affine over the picture, and begun on a plane before the
- * volume, in double.
+ * The camera's rays as shaders read them: origin and direction are affine over the picture, and
+ * rays start on a plane in front of the volume. All is computed in double precision.
  */
 
 /** @typedef {import("./document.js").CardDocument} CardDocument */
@@ -12,8 +12,8 @@
  * @property {Vec3} target
  * @property {Vec3} up
  * @property {number} fov vertical, degrees
- * @property {boolean} [parallel] whether rays are parallel: what is at the target is as large as
- *   else
+ * @property {boolean} [parallel] true if rays are parallel; objects at the target keep the size
+ *   that they have with perspective
  */
 
 /**
@@ -21,19 +21,20 @@
  */
 
 /**
- * Radii of the volume from which a camera of parallel rays looks: AFAR in isogi_core/model/view.py.
+ * Distance of the eye of a parallel camera, in radii of the volume: AFAR in
+ * isogi_core/model/view.py.
  */
 const AFAR = 1e7;
 
 const DEGREE = Math.PI / 180;
 
-/** a + s b. @param {Vec3} a @param {number} s @param {Vec3} b @returns {Vec3} */
+/** Return a + s b. @param {Vec3} a @param {number} s @param {Vec3} b @returns {Vec3} */
 const along = (a, s, b) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
 
-/** @param {Vec3} a @returns {Vec3} */
+/** Scale a vector to length 1. @param {Vec3} a @returns {Vec3} */
 const unit = (a) => along([0, 0, 0], 1 / Math.hypot(...a), a);
 
-/** @param {Vec3} a @param {Vec3} b @returns {Vec3} */
+/** Return the cross product of two vectors. @param {Vec3} a @param {Vec3} b @returns {Vec3} */
 const cross = (a, b) => [
   a[1] * b[2] - a[2] * b[1],
   a[2] * b[0] - a[0] * b[2],
@@ -41,20 +42,23 @@ const cross = (a, b) => [
 ];
 
 /**
- * A vector of the world in the box, whose axes are the columns of `rotation`.
- * @param {Vec3[]} rotation
+ * Return the coordinates of a vector of the world in the volume's box.
+ * @param {Vec3[]} rotation axes of the box in the world, one per entry
  * @param {Vec3} v
  * @returns {Vec3}
  */
 const turnedBack = ([x, y, z], v) => along(along(along([0, 0, 0], v[0], x), v[1], y), v[2], z);
 
 /**
- * A camera of the world in the box of a volume, with perspective: one of parallel rays looks from
- * afar.
+ * Return a camera of the world in the volume's box, always with perspective.
+ *
+ * A camera with parallel rays becomes one far away with a narrow view, so that shaders need one
+ * kind of ray.
+ *
  * @param {CardDocument["grid"]} grid
  * @param {Camera} camera
  * @returns {{eye: Vec3, right: Vec3, up: Vec3, forward: Vec3, slope: number}} unit axes, and half
- *   the height at distance 1
+ *   of the picture's height at distance 1
  */
 function cameraInBox(grid, camera) {
   const [eye, target] = [camera.eye, camera.target].map((point) =>
@@ -65,6 +69,8 @@ function cameraInBox(grid, camera) {
   const axes = { right, up: cross(right, forward), forward };
   const slope = Math.tan((camera.fov * DEGREE) / 2);
   if (!camera.parallel) return { eye, slope, ...axes };
+  // Move the eye back, and narrow the view so that the picture's height at the target stays the
+  // same.
   const radius = Math.hypot(...grid.size.map((n, i) => (n - 1) * grid.spacing[i])) / 2;
   const afar = AFAR * radius;
   return {
@@ -75,17 +81,17 @@ function cameraInBox(grid, camera) {
 }
 
 /**
- * The camera in index space for a picture: the ray through (x, y) is corner + x · right + y · down
- * from the eye.
- * Kernel: `pinhole` of isogi_core/frame/gbuffer.py.
+ * Return the camera in index space: the ray through pixel (x, y) goes from the eye along corner + x
+ * · right + y · down. Kernel: `pinhole` of isogi_core/frame/gbuffer.py.
  * @param {CardDocument["grid"]} grid
  * @param {Camera} camera
- * @param {number} width pixels
- * @param {number} height pixels
+ * @param {number} width of the picture, pixels
+ * @param {number} height of the picture, pixels
  * @returns {{eye: Vec3, corner: Vec3, right: Vec3, down: Vec3}}
  */
 export function pinhole(grid, camera, width, height) {
   const { eye, right, up, forward, slope } = cameraInBox(grid, camera);
+  // Pixels are square: the field of view spans the picture's height.
   const pixel = (2 * slope) / height;
   const corner = along(along(forward, (-pixel * width) / 2, right), (pixel * height) / 2, up);
   const index = (/** @type {Vec3} */ v, s = 1) =>
@@ -99,19 +105,24 @@ export function pinhole(grid, camera, width, height) {
 }
 
 /**
- * Rays of a picture, begun on a plane before the box: from an eye far away single floats would lose
- * what they meet.
+ * Return the rays of a picture, which start on a plane in front of the volume.
+ *
+ * Shaders compute in single precision, which would lose the volume's details if rays started at a
+ * distant eye.
+ *
  * @param {CardDocument["grid"]} grid
  * @param {Camera} camera
  * @param {number} width pixels
  * @param {number} height pixels
- * @returns {Record<string, Vec3>} uniforms of view.glsl: where rays start and go at (0, 0), and
- *   what a pixel adds
+ * @returns {Record<string, Vec3>} uniforms of view.glsl: start and direction of the ray at (0, 0),
+ *   and the change of both per pixel
  */
 export function raysOf(grid, camera, width, height) {
   const { eye, corner, right, down } = pinhole(grid, camera, width, height);
   const forward = along(along(corner, width / 2, right), height / 2, down);
   const { size, spacing } = grid;
+  // Find the corner of the box that is nearest along the viewing direction. Depths are in world
+  // units: index space is scaled by the spacing, once for each factor of the product.
   let before = Infinity;
   for (let n = 0; n < 8; n++) {
     const depths = size.map(
@@ -119,6 +130,8 @@ export function raysOf(grid, camera, width, height) {
     );
     before = Math.min(before, depths[0] + depths[1] + depths[2]);
   }
+  // Start one voxel in front of that corner, and never behind the eye. As `forward` has depth 1, s
+  // scales directions to points of the plane.
   const s = Math.max(before - Math.min(...spacing), 0);
   const from = (/** @type {Vec3} */ v) => along([0, 0, 0], s, v);
   return {
@@ -132,14 +145,16 @@ export function raysOf(grid, camera, width, height) {
 }
 
 /**
- * The planes of a window in index space: what is left to see has n · p + w ≥ 0.
+ * Return the planes of a window in index space: the visible part has n · p + w ≥ 0.
  * @param {CardDocument["grid"]} grid
  * @param {readonly Plane[]} planes in the world
- * @returns {number[]} four numbers of each, n and w
+ * @returns {number[]} n and w of each plane, four numbers
  */
 export function windowOf({ rotation, origin, spacing }, planes) {
   return planes.flatMap(({ normal, limit }) => {
     const n = turnedBack(rotation, normal);
+    // Express normal · p ≤ limit in the box: its origin is moved into the limit, and its spacing
+    // into the normal.
     const w = limit - normal.reduce((sum, x, i) => sum + x * origin[i], 0);
     return [...n.map((x, i) => -x * spacing[i]), w];
   });

@@ -1,14 +1,18 @@
-/** The texels on the card: which there are, and what each shows.
+/**
+ * The texels of a scene on the card: the records that the server sent, and the table that finds
+ * them.
  *
- * A table of bricks, RGBA32UI: two words which of 64 texels are there, the number of the first
- * record, and how far away
- * the brick is, in bricks, whose mean stands in where there are none. Records, ROW in a row of
- * RGBA32UI, as the server
- * sends them; those of one answer begin a row of their own, a *run*, so that each run has one
- * light. Raw transfer lies at
- * the same places in the layers of an array. What grows too large is laid out once more; what a
- * card has no rows for goes,
- * the oldest first.
+ * Three groups of textures hold them:
+ *
+ * - `bricks`, RGBA32UI, one entry per brick of 4 × 4 × 4 texels: two words whose 64 bits tell which
+ *   texels of the brick are present; the number of the brick's first record; and the distance, in
+ *   bricks, to the brick whose mean stands in if this one has no texels.
+ * - `records`, RGBA32UI, ROW records in a row, as the server sends them. Records of one answer
+ *   begin at the start of a row and form a *run*, so that all records of a run have one light.
+ * - `transfer`, layers of RGBA16F: raw transfer, at the same places as the records.
+ *
+ * Textures that become too small are allocated again, larger, with all runs. If a card has too few
+ * rows for all texels, the oldest are dropped first.
  */
 
 import { ones, readBlocks } from "./blocks.js";
@@ -24,29 +28,31 @@ import { bytesOf, fillTexture, makeTexture } from "./textures.js";
  */
 
 const ROW = 2048; // records in a row: ROW in bricks.glsl
-const BRICK = 4;
-const NONE = 0xffffffff;
-const NOWHERE = 255;
+const BRICK = 4; // texels along a side of a brick: BRICK in bricks.glsl
+const NONE = 0xffffffff; // number of no record: NONE in irradiance_ratio.glsl
+const NOWHERE = 255; // distance of a brick that no mean stands in for: larger than REACH
 
-/** How far bricks without texels look for one whose mean they show, in bricks. */
+/** Distance within which the mean of a brick stands in for bricks without texels, in bricks. */
 const REACH = 4;
 
-/** Share of rows by which a texture is larger than it must be, so that it need not grow at once. */
+/** Rows that are allocated over rows in use, so that textures grow only after several answers. */
 const SPARE = 1.5;
 
-/** Texels of a scene on a card. */
+/** Texels of a scene on a card: keeps the server's answers, and lays them out in textures. */
 export class Texels {
   /**
    * @param {import("./device.js").Device} device
    * @param {CardDocument} document
    * @param {number} budget bytes for raw transfer
-   * @param {Run[]} [runs] what was taken before the card was lost
+   * @param {Run[]} [runs] texels that were received before the card was lost
    */
   constructor({ gl, most2d, layers }, { lattice, plan }, budget, runs = /** @type {Run[]} */ ([])) {
     this.gl = gl;
     this.most = most2d;
     this.lattice = lattice;
     this.numbers = plan.channels * plan.columns;
+    // Two more numbers follow the transfer of a texel: logarithms of its scatter and of its
+    // samples.
     this.layers = Math.ceil((this.numbers + 2) / 4);
     this.budget = this.layers <= layers ? budget : 0;
     this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
@@ -63,12 +69,15 @@ export class Texels {
     this.#layOut();
   }
 
-  /** All of its textures. @returns {Texture[]} */
+  /** Return all textures of the texels, to delete them. @returns {Texture[]} */
   get textures() {
     return [this.bricks, ...this.#ofRows];
   }
 
-  /** Textures of a size that follows from the rows of records. @returns {Texture[]} */
+  /**
+   * Return the textures whose height follows from the number of rows of records.
+   * @returns {Texture[]}
+   */
   get #ofRows() {
     return [
       this.records,
@@ -78,7 +87,7 @@ export class Texels {
     ];
   }
 
-  /** Whether light of any run, folded here, is to be filtered for its noise. */
+  /** Return true if some light that is folded here needs the noise filter. @returns {boolean} */
   get grainy() {
     return (
       this.takesRaw &&
@@ -87,7 +96,8 @@ export class Texels {
   }
 
   /**
-   * Versions of the chunks that are here, and whether with raw transfer.
+   * Return the version of each chunk on the card, the turn of its light, and true in `raw` if its
+   * raw transfer is here.
    * @returns {Map<string, {version: string, lightKey: string, raw: boolean}>}
    */
   get chunks() {
@@ -104,15 +114,19 @@ export class Texels {
   }
 
   /**
-   * Take an answer of folded light, or of raw transfer of texels whose folded light is here.
+   * Take an answer of the server: folded light, or raw transfer of texels whose folded light is
+   * here.
    * @param {ArrayBuffer} answer
-   * @param {string} lightKey names the turn of the light that it was folded by
-   * @param {number[]} quadric of that light
-   * @param {readonly number[]} [steps] of codes, where it is transfer in few bits
+   * @param {string} lightKey names the turn of the light that it was folded with
+   * @param {number[]} quadric unshadowed light of that turn: see `quadricOf`
+   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
+   * @throws {Error} if the answer is damaged, or if the card has too few rows for it
    */
   take(answer, lightKey, quadric, steps) {
     const blocks = readBlocks(answer, steps);
     const folded = blocks.filter((block) => !block.raw);
+    // Allocate layers for raw transfer only when the first raw block arrives: many scenes need
+    // none.
     if (folded.length < blocks.length && !this.wantsRaw) {
       this.wantsRaw = true;
       this.#layOut();
@@ -121,8 +135,14 @@ export class Texels {
     for (const block of blocks) if (block.raw) this.#addRaw(block);
   }
 
-  /** @param {Block[]} blocks @param {string} lightKey @param {number[]} quadric */
+  /**
+   * Add a run of folded blocks; they replace older blocks of the same chunks.
+   * @param {Block[]} blocks
+   * @param {string} lightKey
+   * @param {number[]} quadric
+   */
   #append(blocks, lightKey, quadric) {
+    // A chunk has one block: drop older versions, so that the table never points at stale records.
     const fresh = new Set(blocks.map((block) => block.at));
     for (const run of this.runs) run.blocks = run.blocks.filter((block) => !fresh.has(block.at));
     const run = {
@@ -134,42 +154,50 @@ export class Texels {
       raw: new Map(),
     };
     this.runs = [...this.runs.filter((each) => each.blocks.length), run];
+    // Write the new run behind the others if it fits; else allocate larger textures for all runs.
     if (this.rows + run.rows > this.records.size[1]) this.#layOut();
     else this.#place(run);
     this.#finish();
   }
 
   /**
-   * Lay all runs out in textures of their size, one for each light: what chunks had before goes.
+   * Allocate textures for all runs, and write them: older versions of chunks give their rows back.
+   * Runs of the same light are joined.
+   * @throws {Error} if the newest run alone has more rows than the card's textures
    */
   #layOut() {
     this.runs = joinedRuns(youngest(this.runs, this.most));
     const { gl } = this;
     const rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
     for (const old of this.#ofRows) gl.deleteTexture(old.id);
+    // Allocate some spare rows; 16 keeps small scenes from growing at each answer.
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
-    if (rows > height) throw new Error("The graphics card takes no more texels.");
+    if (rows > height) throw new Error("The graphics card has no room for more texels.");
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
+    // Keep raw transfer only if all of its layers fit the budget; else the server folds each light.
     this.takesRaw = this.wantsRaw && bytesOf("RGBA16F", size) <= this.budget;
     this.transfer = makeTexture(gl, "RGBA16F", this.takesRaw ? size : [ROW, 1, 1], {
       layered: true,
     });
     this.places = makeTexture(gl, "R32UI", [ROW, this.takesRaw ? height : 1]);
     this.turned = [foldedTextures(gl, height), foldedTextures(gl, this.takesRaw ? height : 1)];
+
+    // Reset the table to empty bricks, then write every run.
     this.rows = 0;
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
     for (const run of this.runs) this.#place(run);
     this.#finish();
   }
 
-  /** Put a run at the end of what is used. @param {Run} run */
+  /** Write a run behind the rows in use, and list its bricks in the table. @param {Run} run */
   #place(run) {
     run.row = this.rows;
     run.rows = neededRows(run.blocks);
     const words = new Uint32Array(4 * ROW * run.rows);
     const places = new Uint32Array(ROW * run.rows).fill(NONE);
     let first = 0;
+    // Pack the records of all blocks side by side; `places` maps each record back to its texel.
     for (const block of run.blocks) {
       block.first = first;
       words.set(block.records, 4 * first);
@@ -184,41 +212,46 @@ export class Texels {
   }
 
   /**
-   * Enter a block's bricks into the table, whose records begin at `first`, and lend means to bricks
-   * without texels.
+   * Enter a block's bricks into the table, and let their means stand in for nearby bricks without
+   * texels.
    * @param {Block} block
-   * @param {number} first
-   * @param {Uint32Array} places of its records in the lattice, to be filled
+   * @param {number} first number of the block's first record
+   * @param {Uint32Array} places output: brick and bit of each of the block's records; means get
+   *   none
    */
   #list(block, first, places) {
     const side = this.lattice.chunk / BRICK;
     for (let i = 0; i < block.bricks.length; i += 4) {
-      const [low, high, own, place] = block.bricks.subarray(i, i + 4);
+      const [low, high, local, place] = block.bricks.subarray(i, i + 4);
+      // A place packs the brick's x, y, z in its chunk, 8 bits each.
       const at = [place & 255, (place >> 8) & 255, (place >> 16) & 255].map(
         (x, axis) => block.index[axis] * side + x,
       );
       const number = this.#number(at);
-      this.table.set([low, high, first + own, 0], 4 * number);
+      this.table.set([low, high, first + local, 0], 4 * number);
       bitsOf(low, high).forEach((bit, k) => {
-        places[own + k] = (number << 6) | bit;
+        // The number of the brick, then six bits: the texel in it. filter.frag.glsl reads this.
+        places[local + k] = (number << 6) | bit;
       });
-      this.#lend(at, first + own + ones(low) + ones(high));
+      // The record of the brick's mean follows those of its texels.
+      this.#spreadMean(at, first + local + ones(low) + ones(high));
     }
   }
 
   /**
-   * Lend the mean of the brick at a place, record number `mean`, to bricks about it that have no
-   * nearer one.
-   * @param {number[]} at
-   * @param {number} mean
+   * Let the mean of a brick, record number `mean`, stand in for bricks around it that have no
+   * nearer mean.
+   * @param {number[]} at x, y, z of the brick
+   * @param {number} mean number of the record
    */
-  #lend([x, y, z], mean) {
+  #spreadMean([x, y, z], mean) {
     const [bx, by, bz] = this.shape;
     for (let k = Math.max(z - REACH, 0); k <= Math.min(z + REACH, bz - 1); k++) {
       for (let j = Math.max(y - REACH, 0); j <= Math.min(y + REACH, by - 1); j++) {
         for (let i = Math.max(x - REACH, 0); i <= Math.min(x + REACH, bx - 1); i++) {
           const away = Math.max(Math.abs(i - x), Math.abs(j - y), Math.abs(k - z));
           const b = 4 * this.#number([i, j, k]);
+          // Bricks with texels have distance 0, and keep their entry.
           if (away === 0 || away > this.table[b + 3]) continue;
           this.table[b + 2] = mean;
           this.table[b + 3] = away;
@@ -227,22 +260,27 @@ export class Texels {
     }
   }
 
-  /** @param {number[]} at x, y, z @returns {number} */
+  /**
+   * Return the number of a brick in the table, x fastest.
+   * @param {number[]} at x, y, z
+   * @returns {number}
+   */
   #number([x, y, z]) {
     return (z * this.shape[1] + y) * this.shape[0] + x;
   }
 
-  /** Have the card know what the table says. */
+  /** Upload the table to the card. */
   #finish() {
     fillTexture(this.gl, this.bricks, this.table);
   }
 
   /**
-   * Keep the raw transfer of a chunk whose folded light is here, and hand all of a run on once it
-   * is whole.
+   * Keep the raw transfer of a chunk whose folded light is here, and upload its run once the run is
+   * complete.
    * @param {Block} block
    */
   #addRaw(block) {
+    // Transfer must belong to the same version as the folded light: their records lie side by side.
     const run = this.runs.find(({ blocks }) =>
       blocks.some(
         (each) =>
@@ -255,10 +293,14 @@ export class Texels {
   }
 
   /**
-   * Whether any texel of raw transfer has samples that are not negative: its light is grainy.
+   * Return true if a texel of raw transfer has a positive number of samples: its light needs the
+   * noise filter.
    * @param {Block} block
+   * @returns {boolean}
    */
   #isGrainy({ layers, count }) {
+    // The last number of each texel is the logarithm of its samples, a half; the sign bit marks
+    // texels that need no filter.
     const last = this.numbers + 1;
     const first = 4 * count * (last >> 2) + (last & 3);
     for (let at = first; at < layers.length; at += 4)
@@ -266,14 +308,17 @@ export class Texels {
     return false;
   }
 
-  /** Fill the layers of a run, if there is raw transfer of all of it. @param {Run} run */
+  /**
+   * Upload the raw transfer of a run, layer by layer, if all of its chunks have it.
+   * @param {Run} run
+   */
   #fillRaw(run) {
     if (!this.takesRaw || !isRaw(run) || !run.rows) return;
     for (let layer = 0; layer < this.layers; layer++) {
       const halves = new Uint16Array(4 * ROW * run.rows);
       for (const { at, count, first } of run.blocks) {
-        const own = /** @type {Block} */ (run.raw.get(at)).layers;
-        halves.set(own.subarray(4 * count * layer, 4 * count * (layer + 1)), 4 * first);
+        const source = /** @type {Block} */ (run.raw.get(at)).layers;
+        halves.set(source.subarray(4 * count * layer, 4 * count * (layer + 1)), 4 * first);
       }
       fillTexture(this.gl, this.transfer, halves, [0, run.row, layer], [ROW, run.rows, 1]);
     }
@@ -281,7 +326,7 @@ export class Texels {
 }
 
 /**
- * Textures of folded light: records, and the noise of each.
+ * Make textures for light that is folded on the card: records, and the noise of each.
  * @param {WebGL2RenderingContext} gl
  * @param {number} height rows
  * @returns {Folded}
@@ -294,7 +339,7 @@ function foldedTextures(gl, height) {
 }
 
 /**
- * The bits that are set in two words, ascending.
+ * Return the bits that are set in two words, in ascending order, 0 to 63.
  * @param {number} low
  * @param {number} high
  * @returns {number[]}
@@ -305,13 +350,17 @@ function bitsOf(low, high) {
   );
 }
 
-/** Whether all of a run has raw transfer. @param {Run} run @returns {boolean} */
+/**
+ * Return true if raw transfer of all chunks of a run is here.
+ * @param {Run} run
+ * @returns {boolean}
+ */
 export function isRaw(run) {
   return run.blocks.every((block) => run.raw.has(block.at));
 }
 
 /**
- * Runs with all that has one light, and raw transfer or none, side by side.
+ * Join runs that have the same light, and either all have raw transfer or lack some of it.
  * @param {Run[]} runs
  * @returns {Run[]}
  */
@@ -330,8 +379,7 @@ function joinedRuns(runs) {
 }
 
 /**
- * Runs without the oldest blocks where all would take more rows than these; the newest run stays
- * whole.
+ * Drop the oldest blocks until the rest fits `most` rows; the newest run stays complete.
  * @param {Run[]} runs
  * @param {number} most rows
  * @returns {Run[]}
@@ -341,6 +389,8 @@ function youngest(runs, most) {
   const kept = runs.map((run, n) => {
     const before = neededRows(run.blocks);
     const blocks = [...run.blocks];
+    // Drop an eighth of the run at a time: rows are rounded up, so that single blocks may free
+    // none.
     while (n < runs.length - 1 && blocks.length && before - neededRows(blocks) < over)
       blocks.splice(0, Math.ceil(blocks.length / 8));
     over -= before - neededRows(blocks);
@@ -349,7 +399,11 @@ function youngest(runs, most) {
   return kept.filter(({ blocks }) => blocks.length);
 }
 
-/** Rows that the records of some blocks take. @param {Block[]} blocks @returns {number} */
+/**
+ * Return the number of rows that the records of some blocks take.
+ * @param {Block[]} blocks
+ * @returns {number}
+ */
 function neededRows(blocks) {
   return Math.ceil(blocks.reduce((sum, block) => sum + block.count, 0) / ROW);
 }

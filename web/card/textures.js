@@ -1,4 +1,6 @@
-/** Textures of a card: made once at their size, as WebGL 2 has it, and filled part by part. */
+/**
+ * Textures of a card: allocated once at a fixed size, as WebGL 2 has it, and filled part by part.
+ */
 
 /** @typedef {"R8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGBA16F"|"RGBA32F"} Format */
 /**
@@ -6,7 +8,7 @@
  */
 
 /**
- * Format and type of the data of each internal format.
+ * Format and type of the data that fills each internal format.
  * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGBA_INTEGER"|"RGBA",
  *   "UNSIGNED_BYTE"|"UNSIGNED_SHORT"|"FLOAT"|"UNSIGNED_INT"|"HALF_FLOAT"]>}
  */
@@ -34,16 +36,18 @@ const BYTES = {
 };
 
 /**
- * A texture without content: of two dimensions, or of three where `size` has three numbers.
+ * Allocate a texture: two-dimensional if `size` has two numbers, otherwise a volume or an array of
+ * layers.
  * @param {WebGL2RenderingContext} gl
  * @param {Format} format
- * @param {readonly number[]} size texels along x, y, and z
- * @param {{layered?: boolean, smooth?: boolean}} [options] an array of layers in place of a volume;
- *   filtered linearly
+ * @param {readonly number[]} size texels along x, y, and z or layers
+ * @param {{layered?: boolean, smooth?: boolean}} [options] `layered` makes an array of layers;
+ *   `smooth` filters linearly
  * @returns {Texture}
  */
 export function makeTexture(gl, format, size, { layered = false, smooth = false } = {}) {
-  const target = size.length === 2 ? gl.TEXTURE_2D : layered ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_3D;
+  const spatial = layered ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_3D;
+  const target = size.length === 2 ? gl.TEXTURE_2D : spatial;
   const id = gl.createTexture();
   gl.bindTexture(target, id);
   for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
@@ -57,12 +61,12 @@ export function makeTexture(gl, format, size, { layered = false, smooth = false 
 }
 
 /**
- * Fill a box of a texture, the whole by default.
+ * Fill a box of a texture, by default all of it.
  * @param {WebGL2RenderingContext} gl
  * @param {Texture} texture
  * @param {ArrayBufferView} data x fastest
- * @param {readonly number[]} [at] the box's first texel
- * @param {readonly number[]} [size] the box's texels
+ * @param {readonly number[]} [at] first texel of the box
+ * @param {readonly number[]} [size] texels of the box along each axis
  */
 export function fillTexture(gl, texture, data, at = [0, 0, 0], size = texture.size) {
   const [format, type] = DATA[texture.format].map((name) => gl[name]);
@@ -76,7 +80,7 @@ export function fillTexture(gl, texture, data, at = [0, 0, 0], size = texture.si
 }
 
 /**
- * Bytes that a texture takes.
+ * Return the number of bytes that a texture takes.
  * @param {Format} format
  * @param {readonly number[]} size
  * @returns {number}
@@ -86,7 +90,7 @@ export function bytesOf(format, size) {
 }
 
 /**
- * A framebuffer that draws into textures of one size.
+ * Make a framebuffer that draws into textures of one size, and bind it.
  * @param {WebGL2RenderingContext} gl
  * @param {Texture[]} textures
  * @returns {WebGLFramebuffer}

@@ -1,4 +1,4 @@
-/** The volume on the card: its voxels, whole, and the active-cell map of the isovalue at hand. */
+/** The volume on the card: all of its voxels, and the active-cell map of the current isovalue. */
 
 import { brickShape, findRanges, markCells } from "./cells.js";
 import { Refusal } from "./device.js";
@@ -13,10 +13,10 @@ const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, float32: Float32Array }
 const MAP_ROW = 2048; // marked bricks in a row of `cells`: ROW in volume.glsl
 
 /**
- * Codes of a volume, as the document's slabs hold them side by side.
+ * Join the slabs of a volume along z.
  * @param {CardDocument} document
- * @param {ArrayBuffer[]} slabs
- * @returns {Voxels}
+ * @param {ArrayBuffer[]} slabs bytes of each slab, in the order of the document
+ * @returns {Voxels} x fastest, then y
  */
 export function joinSlabs({ grid: { size }, volume }, slabs) {
   const codes = new ARRAYS[volume.type](size[0] * size[1] * size[2]);
@@ -26,13 +26,13 @@ export function joinSlabs({ grid: { size }, volume }, slabs) {
   return codes;
 }
 
-/** The voxels of a scene on a card. */
+/** The voxels of a scene on a card, with the active-cell map of one isovalue. */
 export class Volume {
   /**
    * @param {import("./device.js").Device} device
    * @param {CardDocument} document
    * @param {Voxels} codes x fastest, then y
-   * @throws {Refusal} where the card's textures are too small
+   * @throws {Refusal} if the volume is larger than the card's textures
    */
   constructor({ gl, most3d }, { grid, volume }, codes) {
     if (Math.max(...grid.size) > most3d) {
@@ -45,6 +45,8 @@ export class Volume {
     this.source = codes;
     this.texture = makeTexture(gl, FORMATS[volume.type], grid.size);
     fillTexture(gl, this.texture, codes);
+    // The map treats voxels without a value as NaN; the texture keeps their code, as shaders
+    // compare it with HOLE.
     this.codes =
       volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
     this.ranges = findRanges(this.codes, grid.size);
@@ -53,13 +55,14 @@ export class Volume {
     this.isovalue = NaN;
   }
 
-  /** All of its textures. @returns {Texture[]} */
+  /** Return all textures of the volume, to delete them. @returns {Texture[]} */
   get textures() {
     return [this.texture, this.tops, this.cells];
   }
 
   /**
-   * What shaders read of the volume at an isovalue; its map is made where that has changed.
+   * Return the uniforms of the volume at an isovalue, and make its active-cell map if the isovalue
+   * has changed.
    * @param {number} isovalue as a code
    * @returns {Record<string, import("./programs.js").Value>}
    */
@@ -69,13 +72,14 @@ export class Volume {
     return { voxels: this.texture, size, spacing, isovalue, tops: this.tops, cells: this.cells };
   }
 
-  /** @param {number} isovalue as a code */
+  /** Make the active-cell map of an isovalue, and upload it. @param {number} isovalue as a code */
   #map(isovalue) {
     const { gl } = this;
     const map = markCells(this.codes, this.grid.size, this.ranges, isovalue);
     const rows = Math.max(Math.ceil(map.marked / MAP_ROW), 1);
     const words = new Uint32Array(2 * MAP_ROW * rows);
     words.set(map.cells);
+    // Grow by half more than is needed, so that sliding the isovalue seldom allocates.
     if (this.cells.size[1] < rows) {
       gl.deleteTexture(this.cells.id);
       this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, rows + (rows >> 1)]);

@@ -1,6 +1,6 @@
 /**
- * Light of texels for the card: what its view reads, most visible first, and as transfer once the
- * light is turned.
+ * Requests light of texels for the card: the light that its view reads, most visible chunks first,
+ * and raw transfer once the light is rotated.
  */
 
 import { CLOCK } from "../net/trouble.js";
@@ -12,38 +12,43 @@ import { anglesOf } from "./view.js";
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
 /**
- * @typedef {object} Wanted what a view reads
+ * @typedef {object} Wanted chunks that a view reads
  * @property {CardChunk[]} chunks most visible first
  * @property {Knobs} values
  * @property {boolean} moving
- * @property {Set<string>} asked what was asked for: a chunk that grew meanwhile comes with a
- *   version of the next list
+ * @property {Set<string>} asked requests that were made for this list: no chunk is requested twice,
+ *   as a version that is newer than the list is named by the next one
  */
 
 /**
- * @typedef {object} LightCard what of a card takes light
+ * @typedef {object} LightCard the methods of a card that take light
  * @property {(chunks: CardChunk[], turn: import("../card/light.js").Quaternion) => {light:
  *   string[], transfer: string[]}} lacking
  * @property {(answer: ArrayBuffer, turn: import("../card/light.js").Quaternion) => void} take
  */
 
-// chunks of a request: the most visible ones are soon on the screen
-const [FIRST, TOGETHER] = [16, 64];
-const AGAIN_MS = 2000; // until light that converges is brought again; each time twice as long
+/** Chunks of the first request of a list, so that the most visible ones arrive soon. */
+const FIRST = 16;
 
-/** Keeps the light on a card up with the views that it draws. */
+/** Chunks of each later request. */
+const TOGETHER = 64;
+
+/** Time until converging light is requested again; it doubles with each request. */
+const AGAIN_MS = 2000;
+
+/** Supplies the card with the light of the views that it draws. */
 export class Feed {
   #card;
   #ask;
   #onLight;
-  /** How the light is turned that the records are folded by. @type {Angles} */
+  /** Rotation of the light that the card's records are folded with. @type {Angles} */
   #turn;
   /** @type {Wanted|null} */
   #wanted = null;
   #clock;
   /**
-   * When light of a chunk may be brought again that is not final, and how long that waited, by its
-   * place.
+   * Per place of a chunk whose light is not final: time of its next request, and the wait before
+   * it.
    * @type {Map<string, {due: number, wait: number}>}
    */
   #here = new Map();
@@ -53,7 +58,8 @@ export class Feed {
   /**
    * @param {LightCard} card
    * @param {(what: "light"|"transfer", chunks: string[], turn: Angles) => Promise<ArrayBuffer>} ask
-   * @param {Angles} turn of the light at first
+   *   requests chunks of one kind under a rotation
+   * @param {Angles} turn rotation of the light at first
    * @param {() => void} onLight is called when the card has new light
    * @param {import("../net/trouble.js").Clock} [clock]
    */
@@ -66,10 +72,11 @@ export class Feed {
   }
 
   /**
-   * Bring what some chunks lack; the newest list counts.
+   * Request the light that some chunks lack. A newer list replaces an older one that is still being
+   * worked on.
    * @param {CardChunk[]} chunks that a view reads, most visible first
    * @param {Knobs} values of the view
-   * @param {boolean} moving
+   * @param {boolean} moving true if the view goes on changing
    */
   async bring(chunks, values, moving) {
     this.#wanted = { chunks, values, moving, asked: new Set() };
@@ -82,15 +89,19 @@ export class Feed {
     }
   }
 
-  /** Bring nothing more: the card shows another scene, or none. */
+  /** Request nothing more, as the card shows another scene, or none. */
   close() {
     this.#closed = true;
   }
 
-  /** Bring the next few chunks that the newest list lacks. @param {Wanted} wanted */
+  /**
+   * Request the next few chunks that the newest list lacks, and hand them to the card.
+   * @param {Wanted} wanted
+   */
   async #step(wanted) {
     const next = this.#next(wanted);
     if (!next) {
+      // The list is done, unless a newer one came meanwhile.
       if (wanted === this.#wanted) this.#wanted = null;
       return;
     }
@@ -103,26 +114,33 @@ export class Feed {
   }
 
   /**
-   * What to ask for next: chunks of which nothing is here, or that are final, and others ever more
-   * rarely. Light that
-   * converges is filtered as it is folded, and so a view at rest in a turned light has it folded
-   * once more; of light that
-   * is final transfer serves all turns.
+   * Choose the next request: chunks that the card lacks or whose light has become final; converging
+   * light again, at growing intervals.
+   *
+   * Converging light is filtered while the server folds it. A view that rests under rotated light
+   * is therefore folded by the server again, with the new rotation. Of final light, raw transfer is
+   * requested, which serves all rotations.
+   *
    * @param {Wanted} wanted
-   * @returns {{what: "light"|"transfer", chunks: string[]}|null}
+   * @returns {{what: "light"|"transfer", chunks: string[]}|null} null if nothing is lacking
    */
   #next({ chunks, values, moving, asked }) {
+    // A view at rest under another rotation needs converging light folded again, for the filter.
     const isTurned = JSON.stringify(anglesOf(values)) !== JSON.stringify(this.#turn);
     if (isTurned && !moving && chunks.some(({ final }) => !final)) {
       this.#turn = anglesOf(values);
       this.#here.clear();
     }
+
+    // Request light that is final or due again, then transfer of final light once the visitor
+    // rotates it.
     const { light, transfer } = this.#card.lacking(chunks, fromAngles(this.#turn));
     const final = new Set(
       chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`),
     );
     const due = light.filter((name) => final.has(name) || this.#isDue(placeOf(name)));
     const lasting = isTurned ? transfer.filter((name) => final.has(name)) : [];
+    // Each list of chunks asks only once for a chunk; the first request is small.
     for (const [what, names] of /** @type {const} */ ([
       ["light", due],
       ["transfer", lasting],
@@ -133,19 +151,23 @@ export class Feed {
     return null;
   }
 
-  /** Whether light that converges is to be brought. @param {string} place */
+  /** Return true if converging light of a place may be requested now. @param {string} place */
   #isDue(place) {
     return this.#clock.now() >= (this.#here.get(place)?.due ?? -Infinity);
   }
 
-  /** Light of a chunk was brought. @param {string} place */
+  /** Note that light of a chunk was received: double its wait. @param {string} place */
   #note(place) {
     const wait = 2 * (this.#here.get(place)?.wait ?? AGAIN_MS / 2);
     this.#here.set(place, { due: this.#clock.now() + wait, wait });
   }
 }
 
-/** The place of a chunk that is named with its version. @param {string} name @returns {string} */
+/**
+ * Return the place of a chunk from its name, which is place-version.
+ * @param {string} name
+ * @returns {string}
+ */
 function placeOf(name) {
   return name.split("-")[0];
 }

@@ -1,6 +1,6 @@
 /**
- * Who draws: the visitor's card what moves, as far as it can; the server what rests, and all else.
- * Nobody chooses.
+ * Chooses the part that draws: the visitor's card draws moving views as far as it can, and the
+ * server draws views at rest and everything else. The visitor need not choose.
  */
 
 import { Refusal } from "../card/device.js";
@@ -25,14 +25,14 @@ import {
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
-const LIST_MS = 1000; // between two lists of chunks that a moving view reads
+const LIST_MS = 1000; // time between two lists of chunks of a moving view
 const MOST_KNOWN = 256; // lists that are kept
-const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
-const SLOW_PICTURES = 4; // in a row, after which the server draws
-const FADED_MS = 200; // after which nobody sees the card's picture any more
+const SLOW_MS = 250; // time that a card may be busy with one picture, at its smallest share
+const SLOW_PICTURES = 4; // slow pictures in a row after which the server draws
+const FADED_MS = 200; // time after which the card's picture has faded out
 
 /**
- * @typedef {object} Source what the server is asked for
+ * @typedef {object} Source requests to the server
  * @property {(query: FrameQuery) => Promise<CardFacts>} document
  * @property {(href: string) => Promise<ArrayBuffer>} bytes
  * @property {(query: FrameQuery) => Promise<CardChunk[]>} chunks
@@ -41,17 +41,19 @@ const FADED_MS = 200; // after which nobody sees the card's picture any more
  *
  * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts:
  *   NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
- *   what the card has, what of a view that depends on, also but for the albedo, and that
+ *   a scene on the card: the parameters that it depends on, the same without the albedo, the albedo
+ *   of its light, and its document
  *
  * @typedef {object} LiveHooks
- * @property {() => Card} open opens the card; throws a Refusal where there is none
+ * @property {() => Card} open opens the card; throws a Refusal if there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
- * @property {() => HTMLImageElement|null} [picture] the server's picture that is on the stage
- * @property {() => void} drawn the card's picture of the newest view is on the stage
- * @property {() => void} [gone] the card's picture is on the stage no more
- * @property {() => void} lost the card draws no more: the server is to draw the view that moves
- * @property {(reason: string) => void} refused why the card does not draw, which was asked for by
- *   force, or has drawn until now
+ * @property {() => HTMLImageElement|null} [picture] returns the server's picture on the stage
+ * @property {() => void} drawn is called when the card's picture of the newest view is on the stage
+ * @property {() => void} [gone] is called when the card's picture has left the stage
+ * @property {() => void} lost is called when the card draws no more, so that the server must draw
+ *   the moving view
+ * @property {(reason: string) => void} refused is called with the reason if the card does not draw
+ *   although the address asks for it, or if it stops drawing
  */
 
 /** Draws the views of one scene by the card, as far as it can. */
@@ -67,11 +69,10 @@ export class Live {
   #opening = null;
   /** @type {Loaded|null} */
   #loaded = null;
-  /** What the newest list names. @type {CardChunk[]} */
+  /** Chunks of the newest list. @type {CardChunk[]} */
   #chunks = [];
   /**
-   * Lists of all final light, by what they were asked for by: asking once more would tell nothing
-   * new.
+   * Lists whose light is all final, by their request: the server would send the same list again.
    * @type {Map<string, CardChunk[]>}
    */
   #known = new Map();
@@ -84,20 +85,22 @@ export class Live {
   #frame = 0;
   #listed = -LIST_MS;
   /**
-   * The view at rest by which the card is checked, since when, and whether the card has begun it.
+   * The view at rest that the card is checked with, the time since then, and true once the card has
+   * begun to draw it.
    * @type {{values: Knobs, since: number, begun: boolean}|null}
    */
   #check = null;
   #isChecked = false;
-  #busy = Infinity; // since when
-  #slow = 0;
+  #busy = Infinity; // time since which the card refuses new pictures
+  #slow = 0; // slow pictures in a row
 
   /**
-   * @param {HTMLCanvasElement} canvas over the server's picture
+   * @param {HTMLCanvasElement} canvas lies over the server's picture
    * @param {Scene} scene
    * @param {Source} source
    * @param {LiveHooks} hooks
-   * @param {string|null} choice "card", "server", or null for the page's own
+   * @param {string|null} choice "card" or "server" to force one of them, null to let the page
+   *   choose
    */
   constructor(canvas, scene, source, hooks, choice) {
     this.#canvas = canvas;
@@ -109,14 +112,14 @@ export class Live {
   }
 
   /**
-   * Whether the card draws this view while it moves: also in another albedo, as predicted, but not
-   * under the colours of errors.
+   * Return true if the card draws this view while it moves. A view in another albedo is drawn too,
+   * as a prediction; the colours of errors are not.
    * @param {Knobs} values
    * @returns {boolean}
    */
   draws(values) {
     if (this.#refused || this.#card?.lost || !this.#loaded) return false;
-    if (values.overlay === "error") return false; // colours that only the server knows
+    if (values.overlay === "error") return false; // only the server knows the errors
     return (
       this.#has(values) ||
       (this.#loaded.look === this.#lookOf(values) &&
@@ -124,16 +127,19 @@ export class Live {
     );
   }
 
-  /** Whether the card has the light of this view. @param {Knobs} values @returns {boolean} */
+  /**
+   * Return true if the card has the light of this view.
+   * @param {Knobs} values
+   * @returns {boolean}
+   */
   #has(values) {
     return this.#loaded?.key === this.#keyOf(values);
   }
 
   /**
-   * The error of the card's pictures, as far as it can be predicted: once light of all that the
-   * view reads is here, and
-   * final, by the light's target and what the plan expects besides.
-   * @returns {number|null}
+   * Predict the relative error of the card's pictures: from the target of the light and the error
+   * that the plan expects besides, once final light of all chunks of the view is here.
+   * @returns {number|null} null if it cannot be predicted
    */
   get predicted() {
     if (
@@ -152,12 +158,12 @@ export class Live {
       : null;
   }
 
-  /** Whether the card's picture is on the stage. @returns {boolean} */
+  /** Return true if the card's picture is on the stage. @returns {boolean} */
   get shows() {
     return !this.#canvas.hidden && !this.#canvas.hasAttribute("data-faded");
   }
 
-  /** The view is now this one. @param {Knobs} values */
+  /** Change the view: let the card draw it if it can. @param {Knobs} values */
   show(values) {
     this.#values = values;
     this.#check = null;
@@ -170,55 +176,65 @@ export class Live {
     this.#list();
   }
 
-  /** The view goes on changing, or rests. @param {boolean} moving */
+  /** Note that the view goes on changing, or rests. @param {boolean} moving */
   move(moving) {
     this.#moving = moving;
     if (!moving && this.shows) this.#animate();
   }
 
   /**
-   * The server's picture of a view at rest is there, under the card's: lay it open where it shows
-   * light all over, and
-   * have the card ready for what comes next.
+   * Take note that the server's picture of a view at rest lies below the card's. Uncover it if all
+   * of its pixels have light, and prepare the card for the next view.
    * @param {Knobs} values
-   * @param {{provisional?: boolean, coverage: {provisional: number}}|null} facts
-   * @param {CardChunk[]} [chunks] that it reads, where the server named them
+   * @param {{provisional?: boolean, coverage: {provisional: number}}|null} facts facts of the
+   *   server's picture
+   * @param {CardChunk[]} [chunks] chunks that the picture reads, if the server named them
    */
   rest(values, facts, chunks) {
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    if (values.overlay !== "none" || facts?.provisional === false || facts?.coverage.provisional === 0)
-      this.#fade();
+    const isLit = facts?.provisional === false || facts?.coverage.provisional === 0;
+    if (values.overlay !== "none" || isLit) this.#fade();
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
     else this.#prepare(values);
+    // A card that has not been checked yet is checked with this view.
     if (!card || this.shows || this.#isChecked || values.overlay !== "none") return;
     if (this.#check?.values !== values)
       this.#check = { values, since: performance.now(), begun: false };
     this.#animate();
   }
 
-  /** Have the card take on what a view shows. @param {Knobs} values */
+  /**
+   * Load the scene of a view on the card, unless that is being done or cannot be done.
+   * @param {Knobs} values
+   */
   async #prepare(values) {
     const key = this.#keyOf(values);
     if (values.shading !== "gi" || this.#refused || this.#preparing === key || this.#card?.lost)
       return;
     this.#preparing = key;
     try {
+      // Open the card at the first scene, and ask the server if a card can draw this one.
       const card = this.#card ?? (await (this.#opening ??= this.#open()));
       const { scene: facts, reason } = await this.#source.document(
         documentQuery(this.#scene, values),
       );
       if (!facts) return this.#decline(reason);
+
+      // Read the volume before the former scene is dropped, which is drawn until then.
       const slabs = await Promise.all(
         facts.volume.slabs.map(({ href }) => this.#source.bytes(href)),
       );
+      // Another view may have changed the scene while slabs arrived.
       if (this.#preparing !== key) return;
       this.#loaded?.feed.close();
       this.#loaded = null;
       this.#known.clear();
       await card.load(facts, slabs);
       this.#isChecked = false;
+
+      // Light is requested with the parameters of this view; transfer belongs to no rotation.
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
@@ -241,12 +257,15 @@ export class Live {
       this.#preparing = "";
       this.#opening = null;
       if (error instanceof Refusal) this.#refuse(error.message);
-      // the server's pictures say what is wrong with it
+      // Trouble with the server is reported by the requests for its pictures.
       else if (!(error instanceof Trouble)) throw error;
     }
   }
 
-  /** Open the card, and see if it is of use; who asks for it by force has seen that. */
+  /**
+   * Open the card, and check that it is quick enough, unless the address asks for the card.
+   * @throws {Refusal} if there is no card, or a slow one
+   */
   async #open() {
     const card = this.#hooks.open();
     card.onlost = (forGood) => this.#lose(forGood);
@@ -257,19 +276,22 @@ export class Live {
     return card;
   }
 
-  /** This card does not draw, now and later. @param {string} reason */
+  /** Let the server draw from now on. @param {string} reason */
   #refuse(reason) {
     this.#refused = true;
     this.#hide();
     this.#decline(reason);
   }
 
-  /** Say why the card does not draw, to those who asked for it. @param {string} reason */
+  /** Report why the card does not draw, if the address asks for the card. @param {string} reason */
   #decline(reason) {
     if (this.#choice === "card") this.#hooks.refused(reason);
   }
 
-  /** @param {boolean} forGood whether it was lost again and again */
+  /**
+   * Let the server draw while the card is lost.
+   * @param {boolean} forGood true if the card will not come back
+   */
   #lose(forGood) {
     this.#hide();
     this.#hooks.lost();
@@ -278,7 +300,7 @@ export class Live {
     this.#hooks.refused("The graphics card was lost twice within a minute: the server draws.");
   }
 
-  /** Draw the view once more: there is more light. */
+  /** Draw the view again, as there is more light. */
   #refresh() {
     if (this.#check) this.#check.begun = false;
     if (!this.#values || !(this.shows || this.#check)) return;
@@ -286,14 +308,16 @@ export class Live {
     this.#animate();
   }
 
+  /** Draw in the next frame of the screen. */
   #animate() {
     if (!this.#frame) this.#frame = requestAnimationFrame(() => this.#draw());
   }
 
-  /** One frame of the screen: the newest view, or the one at rest a little better. */
+  /** Draw one frame of the screen: the newest view, or a refinement of the view at rest. */
   #draw() {
     this.#frame = 0;
     if (!this.#values || !this.#card || !this.#loaded || !this.draws(this.#values)) return;
+    // Without a new view, either check the card unseen or refine its picture.
     if (!this.#waiting) {
       if (!this.shows) this.#prove(this.#card);
       else if (!this.#moving && this.#card.refine()) this.#animate();
@@ -305,24 +329,25 @@ export class Live {
   }
 
   /**
-   * Have the card draw a view, unless it is busy.
+   * Draw a view with the card, unless it is busy.
    * @param {Card} card
    * @param {Loaded} loaded
    * @param {Knobs} values
-   * @returns {boolean} whether it does
+   * @returns {boolean} true if it was drawn
    */
   #drawn(card, { facts, albedo }, values) {
     return card.draw(cardView(this.#scene, facts, values, albedo), this.#hooks.size());
   }
 
   /**
-   * Check the card at the first rest, under the server's picture: once it has the light of that, it
-   * draws the view as well as it can, and both are compared.
+   * Check the card at the first rest, below the server's picture: draw the view as well as the card
+   * can once it has all of its light, and compare both.
    * @param {Card} card
    */
   #prove(card) {
     const check = this.#check;
     if (!check || !this.#loaded || this.#moving || this.predicted === null) return;
+    // Begin only after the card's picture has faded out, as the canvas is about to change.
     const isSeen = performance.now() - check.since < FADED_MS;
     if (!isSeen && !check.begun) check.begun = this.#drawn(card, this.#loaded, check.values);
     if (!check.begun || card.refine()) {
@@ -331,16 +356,16 @@ export class Live {
     }
     const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
     const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
-    if (share === null) return; // another picture of the server may tell
+    if (share === null) return; // try again with another picture of the server
     this.#check = null;
     this.#isChecked = true;
     if (share <= MOST_DIFFER) return;
-    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels unlike the server: the server draws.`;
+    const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
     this.#hooks.refused(reason);
   }
 
-  /** The newest view is drawn: show it. */
+  /** Show the picture of the newest view. */
   #put() {
     this.#waiting = false;
     this.#canvas.hidden = false;
@@ -349,7 +374,7 @@ export class Live {
     this.#time();
   }
 
-  /** Leave pictures to the server where the card takes long for many in a row. */
+  /** Let the server draw if the card was slow several times in a row. */
   #time() {
     this.#slow = performance.now() - this.#busy > SLOW_MS ? this.#slow + 1 : 0;
     this.#busy = Infinity;
@@ -357,13 +382,16 @@ export class Live {
     this.#leave("The graphics card is too slow.");
   }
 
-  /** Leave all pictures to the server, also that of the view that moves. @param {string} reason */
+  /** Let the server draw from now on, the moving view included. @param {string} reason */
   #leave(reason) {
     this.#refuse(reason);
     this.#hooks.lost();
   }
 
-  /** Ask which chunks the view reads: of one that moves now and then. @param {boolean} [now] */
+  /**
+   * Request the list of chunks that the view reads, at most every LIST_MS while the view moves.
+   * @param {boolean} [now] true to request it at once, for exactly this view
+   */
   async #list(now = false) {
     const values = this.#values;
     const time = performance.now();
@@ -380,7 +408,11 @@ export class Live {
     }
   }
 
-  /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<CardChunk[]>} */
+  /**
+   * Return the chunks that a view reads, and keep the list if all of its light is final.
+   * @param {FrameQuery} query
+   * @returns {Promise<CardChunk[]>}
+   */
   async #listOf(query) {
     const key = JSON.stringify(query);
     const known = this.#known.get(key);
@@ -391,33 +423,40 @@ export class Live {
     return chunks;
   }
 
-  /** @param {CardChunk[]} chunks */
+  /** Request the light of some chunks. @param {CardChunk[]} chunks */
   #bring(chunks) {
     if (!this.#loaded || !this.#values) return;
     this.#chunks = chunks;
     this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
-      // of trouble, the next list asks again
+      // After trouble with the server, the next list requests the light again.
       if (!(error instanceof Trouble)) this.#leave(error.message);
     });
   }
 
-  /** What the card has depends on it. @param {Knobs} values */
+  /** Return a key of all parameters that the card's scene depends on. @param {Knobs} values */
   #keyOf(values) {
     return JSON.stringify(documentQuery(this.#scene, values));
   }
 
-  /** What the card has depends on it, but for the albedo. @param {Knobs} values */
+  /**
+   * Return a key of all parameters that the card's scene depends on, except the albedo.
+   * @param {Knobs} values
+   */
   #lookOf(values) {
     return this.#keyOf({ ...values, albedo: undefined });
   }
 
-  /** Let the server's picture through, softly; what still waited to be drawn would lie over it. */
+  /**
+   * Fade out the card's picture. A picture that is still waiting would cover the server's again:
+   * drop it.
+   */
   #fade() {
     this.#waiting = false;
     this.#canvas.setAttribute("data-faded", "");
     this.#hooks.gone?.();
   }
 
+  /** Hide the card's picture. */
   #hide() {
     this.#canvas.hidden = true;
     this.#hooks.gone?.();

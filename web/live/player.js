@@ -1,7 +1,4 @@
-/**
- * Plays a series in time: one step after the other, each once the one before it is seen, round and
- * round.
- */
+/** Plays a time series in a loop: each step follows once the one before it has been shown. */
 
 import { CLOCK } from "../net/trouble.js";
 
@@ -9,7 +6,7 @@ import { CLOCK } from "../net/trouble.js";
 /** @typedef {import("../net/shown.js").Shown} Shown */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
-const STEP_MS = 500; // a step is seen for this long, at least
+const STEP_MS = 500; // time that a step is shown, at least
 
 /** A button that plays the steps, and pauses. */
 export class Player {
@@ -19,8 +16,8 @@ export class Player {
   #steps;
   #clock;
   #timer = 0;
-  #due = false;
-  #step = NaN; // that was set last
+  #due = false; // true once the current step was shown for long enough
+  #step = NaN; // step that was set last
 
   /**
    * @param {HTMLButtonElement} button
@@ -36,30 +33,30 @@ export class Player {
     this.#steps = scene.volume.times ?? 1;
     this.#clock = clock;
     button.addEventListener("click", () => (this.plays ? this.pause() : this.play()));
-    view.subscribe(({ time }) => time === this.#step || this.pause()); // somebody chose another
+    view.subscribe(({ time }) => time === this.#step || this.pause()); // the visitor chose another
     shown.subscribe(() => this.#go());
   }
 
-  /** @returns {boolean} */
+  /** Return true while steps are being played. @returns {boolean} */
   get plays() {
     return this.#button.getAttribute("aria-pressed") === "true";
   }
 
-  /** Go on from the step that is shown, at once. */
+  /** Play from the step that is shown, without waiting. */
   play() {
     this.#mark(true);
     this.#due = true;
     this.#go();
   }
 
-  /** Stay at the step that is shown. */
+  /** Pause at the step that is shown. */
   pause() {
     if (!this.plays) return;
     this.#clock.cancel(this.#timer);
     this.#mark(false);
   }
 
-  /** @param {boolean} plays */
+  /** Show the state on the button. @param {boolean} plays */
   #mark(plays) {
     this.#button.setAttribute("aria-pressed", String(plays));
     this.#button.textContent = plays ? "Pause" : "Play";
@@ -67,7 +64,8 @@ export class Player {
   }
 
   /**
-   * Show the next step where it is time for it, and the one before has been seen: none is skipped.
+   * Show the next step if it is due and the picture of the last one is on the stage, so that no
+   * step is skipped.
    */
   #go() {
     if (!this.plays || !this.#due || this.#shown.pictureOf !== this.#shown.asked) return;

@@ -1,6 +1,6 @@
 /**
- * The view of the page's knobs, as the graphics card draws it, and as the server is asked for what
- * that takes.
+ * The view of the page's controls, as the graphics card draws it, and as parameters of the requests
+ * that the card needs.
  */
 
 import { cutQuery, frameQuery, ground } from "../net/request.js";
@@ -17,27 +17,37 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
+/** Parameters that the transfer of texels depends on. */
 const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "material"];
+
+/** Parameters that a scene's document depends on. */
 const OF_DOCUMENT = [
   ...VARIANT,
   "shading",
   "shine",
   ...NUMBERS.filter((name) => UNITS[name] === "share"),
 ];
-// what a list of chunks does not depend on
+/** Parameters that a list of chunks does not depend on. */
 const OF_PICTURE = ["f", "overlay", "background", "exposure"];
-// pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
+
+/** Width of the picture for which chunks are listed, pixels: chunks are seldom smaller on it. */
 const WIDEST = 160;
 
-const STEP = 15; // degrees between the views that are listed while the camera turns
+/** Degrees between the views for which chunks are listed while the camera turns. */
+const STEP = 15;
 
-/** @param {FrameQuery} query @param {string[]} names @returns {FrameQuery} */
+/**
+ * Return the parameters with some names.
+ * @param {FrameQuery} query
+ * @param {string[]} names
+ * @returns {FrameQuery}
+ */
 function only(query, names) {
   return Object.fromEntries(Object.entries(query).filter(([name]) => names.includes(name)));
 }
 
 /**
- * The parameters that a scene's document is asked for by: all on which it depends.
+ * Return the parameters of the request for a scene's document: all that it depends on.
  * @param {Scene} scene
  * @param {Knobs} values
  * @returns {FrameQuery}
@@ -47,13 +57,15 @@ export function documentQuery(scene, values) {
 }
 
 /**
- * The parameters that the chunks of a view are asked for by: it is looked at coarsely.
+ * Return the parameters of the request for the chunks that a view reads: those of a small picture,
+ * which lists the chunks quickly.
  * @param {Scene} scene
  * @param {Knobs} values
  * @param {{width: number, height: number}} size of the picture
  * @returns {FrameQuery}
  */
 export function chunksQuery(scene, values, { width, height }) {
+  // A small picture with the proportions of the stage reads the same chunks.
   const size = { width: WIDEST, height: Math.max(Math.round((WIDEST * height) / width), 1) };
   return Object.fromEntries(
     Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)),
@@ -61,9 +73,12 @@ export function chunksQuery(scene, values, { width, height }) {
 }
 
 /**
- * A view that reads nearly the same chunks, one for many that move: whoever turns the object asks
- * for few lists, and
- * whoever turns the light, or changes the albedo, for none.
+ * Return a nearby view that reads almost the same chunks, one for many moving views.
+ *
+ * Camera angles are rounded. The light's rotation and the albedo, which no list depends on, are
+ * reset. A visitor who turns the object thus causes few requests, and one who turns the light
+ * causes none.
+ *
  * @param {Knobs} values
  * @returns {Knobs}
  */
@@ -81,10 +96,10 @@ export function viewNear(values) {
 }
 
 /**
- * The parameters that records of texels are asked for by, or their transfer.
+ * Return the parameters of the request for records of texels, or for their transfer.
  * @param {Scene} scene
  * @param {Knobs} values
- * @param {Angles|null} turn of the light; null for transfer, which is of none
+ * @param {Angles|null} turn rotation of the light; null for transfer, which depends on none
  * @returns {FrameQuery}
  */
 export function lightQuery(scene, values, turn) {
@@ -95,13 +110,17 @@ export function lightQuery(scene, values, turn) {
   return turn && scene.turns ? { ...query, ...anglesOf(turn) } : query;
 }
 
-/** How the light is turned, and nothing else. @param {Angles} values @returns {Angles} degrees */
+/**
+ * Return the angles of the light's rotation alone, degrees.
+ * @param {Angles} values
+ * @returns {Angles} degrees
+ */
 export function anglesOf({ yaw, pitch, roll }) {
   return { yaw, pitch, roll };
 }
 
 /**
- * What share of the light the surface reflects in a view.
+ * Return the albedo of a view, linear RGB.
  * @param {Scene} scene
  * @param {Knobs} values
  * @returns {Vec3} linear RGB
@@ -114,15 +133,16 @@ export function albedoOf(scene, values) {
 }
 
 /**
- * The view as a card draws it.
+ * Return the view as a card draws it.
  * @param {Scene} scene
  * @param {CardDocument} document
  * @param {Knobs} values
- * @param {Vec3} [folded] the albedo that the card's light is for, where views may choose it
+ * @param {Vec3} [folded] albedo that the card's light was computed for, if views may change it
  * @returns {import("../card/drawing.js").View}
  */
 export function cardView(scene, document, values, folded) {
   const { eye, target, up } = rayThrough(scene, { ...values, projection: "perspective" }, 0, 0);
+  // The card makes parallel rays by itself, from the perspective camera.
   const parallel = values.projection === "orthographic";
   return {
     isovalue: values.isovalue,

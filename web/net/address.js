@@ -1,11 +1,10 @@
 /**
- * The view in the address bar: read on load, written shortly after a change, so a link shows the
- * same picture.
+ * The view in the address bar: read on load, and written shortly after a change, so that a link
+ * shows the same picture.
  */
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
-import { readCrossHair, writeCrossHair } from "../view/crosshair.js";
-import { readMeasure, writeMeasure } from "../view/measures.js";
+import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
 import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
@@ -15,6 +14,7 @@ import { cutQuery, isUpload } from "./request.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
+/** Parameters that are names, and are copied as they are. */
 const CHOICES = [
   "shading",
   "overlay",
@@ -26,6 +26,8 @@ const CHOICES = [
   "rulers",
   "projection",
 ];
+
+/** Parameters of an address that this page knows, besides numbers. */
 const KNOWN = new Set([
   ...CHOICES,
   "scene",
@@ -41,17 +43,18 @@ const KNOWN = new Set([
   "material",
   "draw",
 ]);
-/** Who may be made to draw, by an address of those who compare. */
+
+/** Values of `draw`, by which an address forces the card or the server to draw, to compare them. */
 const DRAWS = ["card", "server"];
-const PAUSE_MS = 150;
-const REST_MS = 1000; // a view that was at rest for so long is one to come back to
+const PAUSE_MS = 150; // time without a change before the address is written
+const REST_MS = 1000; // time at rest after which a view becomes an entry of the history
 
 /**
- * Read knobs from an address. What is no number is left out; the view then takes the scene's
- * default.
+ * Read the knobs of a view from an address. Values that are not numbers are left out, so that the
+ * scene's defaults apply.
  * @param {string} search the part of the address from `?` on
- * @returns {{scene: string|null, draw: string|null, start: Partial<Knobs>}} `draw` names who draws:
- *   "card" or "server"
+ * @returns {{scene: string|null, draw: string|null, start: Partial<Knobs>}} `draw` is "card",
+ *   "server" or null; `start` holds the knobs that the address gives
  */
 export function readAddress(search) {
   const query = new URLSearchParams(search);
@@ -62,8 +65,9 @@ export function readAddress(search) {
   const start = Object.fromEntries(numbers.filter(([, value]) => Number.isFinite(value)));
   const target = query.get("target");
   if (target !== null) start.target = target.split(",").map(Number);
-  else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
+  else if (query.has("distance")) start.target = null; // the address gives a whole camera
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
+  // Cut and window together are the planes of the view; with a cut, light comes in.
   const planes = ["cut", "window"]
     .map((name) => query.get(name))
     .filter(Boolean)
@@ -86,9 +90,11 @@ export function readAddress(search) {
 }
 
 /**
- * The address query of a view. The names are those of the frame request. What the scene starts with
- * is as short as its
- * slider can tell it, and the exposure that is usual in its light is left out.
+ * Write the address query of a view, with the names of the frame request.
+ *
+ * Values that equal the scene's defaults are written as short as their slider can tell them apart,
+ * and the default exposure is left out.
+ *
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
  * @returns {string}
@@ -99,6 +105,7 @@ export function writeAddress(scene, values) {
   const idle = idleKnobs(values.material);
   for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) {
     const value = /** @type {number} */ (values[name]);
+    // The exposure's default depends on the light, so that a link should not fix it.
     const usual = value === scene.defaults[name];
     if (!usual || name !== "exposure")
       query.set(name, String(usual ? inShort(scene, name, value) : value));
@@ -129,10 +136,10 @@ export function writeAddress(scene, values) {
 }
 
 /**
- * What an address says that cannot be shown, in sentences.
+ * Return sentences about the parts of an address that cannot be shown.
  * @param {string} search the part of the address from `?` on
  * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene,
- *   "environments">>} scene that is shown
+ *   "environments">>} scene the scene that is shown
  * @returns {string[]}
  */
 export function complaints(search, scene) {
@@ -154,7 +161,7 @@ export function complaints(search, scene) {
 }
 
 /**
- * What is wrong with an isovalue, if anything is.
+ * Return a sentence if a scene has no surface at an isovalue, otherwise "".
  * @param {Pick<Scene, "ranges"|"volume">} scene
  * @param {number} isovalue
  * @returns {string}
@@ -169,6 +176,7 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
 }
 
 /**
+ * Return a sentence if a parameter that is not a number does not fit the scene, otherwise "".
  * @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene,
  *   "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string}
  */
@@ -177,6 +185,7 @@ function choiceComplaint(
   name,
   value,
 ) {
+  // Check each kind of parameter; the first problem is reported.
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value))
@@ -198,22 +207,28 @@ function choiceComplaint(
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
 }
 
-/** @type {(materials: import("../documents.js").Material[], value: string) => string} */
+/**
+ * Return a sentence that says why a material does not fit the scene.
+ * @type {(materials: import("../documents.js").Material[], value: string) => string}
+ */
 function materialComplaint(materials, value) {
   const { refused } = materials.find(({ kind }) => kind === value.split(",")[0]) ?? {};
   return `“${value}” is no material of this scene${refused ? `: ${refused}` : "."}`;
 }
 
 /**
- * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause. A
- * view that was at
- * rest is one to go back to; going back and forward shows what the address then says.
+ * Keep the address bar up to date with the view.
+ *
+ * Browsers limit how often pages may do so: the address is written after a short pause. A view that
+ * was at rest becomes an entry of the history; going back and forward shows the view of the entry.
+ *
  * @param {Scene} scene
  * @param {ViewModel} view
- * @returns {() => string} writes what is due, at once, and gives the whole address
+ * @returns {() => string} writes a pending address now, and returns the whole address
  */
 export function followAddress(scene, view) {
-  let [timer, changed] = [0, -Infinity]; // the latter is when the view last did
+  let timer = 0;
+  let changed = -Infinity; // time of the view's last change
   const { draw } = readAddress(location.search);
   const kept = draw ? `&draw=${draw}` : "";
   /** @type {"replaceState"|"pushState"} */

@@ -1,6 +1,6 @@
 /**
- * The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front
- * works.
+ * The requests of the HTTP API that the page makes. Addresses are relative, so that the page works
+ * behind a path prefix.
  */
 
 import { valuesOfGreys } from "./bytes.js";
@@ -18,16 +18,21 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
-// parameters of a view that say what its surface is
+
+/** Parameters of a view that the shape of its surface depends on. */
 const OF_SIZE = ["isovalue", "cut", "time", "smooth", "hide"];
-// and what of it is seen, and what is beside it
+
+/** Parameters of a view that its visible surfaces depend on. */
 const OF_SURFACE = [...OF_SIZE, "window", "surfaces"];
+
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
-const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
+const [HIT, POSITION] = [12, 24]; // places in a pixel, bytes
 
 /**
- * List the scenes, and what may be uploaded.
+ * List the scenes, and the limits of uploads.
  * @returns {Promise<SceneList>}
+ * @throws {Trouble} if the server does not answer, or reports a problem; so do all requests of this
+ *   module
  */
 export async function listScenes() {
   return (await ask("v1/scenes")).json();
@@ -35,14 +40,14 @@ export async function listScenes() {
 
 /**
  * @typedef {object} Readiness
- * @property {boolean} ready whether pictures are drawn
- * @property {{done: number, total: number, seconds?: number}} [compiling] kernels, and the time
- *   left
+ * @property {boolean} ready true if the server draws pictures
+ * @property {{done: number, total: number, seconds?: number}} [compiling] numbers of kernels, and
+ *   the time left
  */
 
 /**
- * How ready the server is to draw pictures.
- * @returns {Promise<Readiness|null>} null where it does not answer
+ * Ask whether the server is ready to draw pictures.
+ * @returns {Promise<Readiness|null>} null if it does not answer
  */
 export async function readReadiness() {
   try {
@@ -53,11 +58,11 @@ export async function readReadiness() {
 }
 
 /**
- * Upload a volume, or a light probe. `fetch` reports no progress, so this is an `XMLHttpRequest`.
+ * Upload a volume, or a light probe, with an `XMLHttpRequest`: `fetch` reports no progress.
  * @param {"volumes"|"environments"} kind
  * @param {Blob} file
  * @param {string} name
- * @param {(share: number) => void} progress
+ * @param {(share: number) => void} progress is called with the share that was sent, 0 to 1
  * @returns {Promise<{id: string}>}
  */
 export function sendFile(kind, file, name, progress) {
@@ -77,8 +82,8 @@ export function sendFile(kind, file, name, progress) {
 }
 
 /**
- * Delete what was uploaded.
- * @param {string} href its address
+ * Delete an upload.
+ * @param {string} href address of the upload
  * @returns {Promise<void>}
  */
 export async function deleteUpload(href) {
@@ -86,12 +91,11 @@ export async function deleteUpload(href) {
 }
 
 /**
- * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows
- * its surface whole.
+ * Read the document of a scene, and the camera that shows its surface as a whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
- * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] of the view; the scene's where
- *   they are left out, or have no meaning
+ * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] knobs of the view; the scene's
+ *   defaults replace those that are missing or out of range
  * @returns {Promise<Scene>}
  */
 export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
@@ -101,10 +105,11 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
       asked.set("projection", String(projection));
     return (await ask(`${scenePath(id)}/fit?${asked}`)).json();
   };
+  // Make both requests at once if the camera does not depend on the scene's ranges: the server may
+  // be far away.
   const coming = ask(scenePath(id));
-  // Both at once where the camera does not depend on what the scene allows: it may be far away.
   const early = isovalue === undefined ? fit() : null;
-  early?.catch(() => {}); // the scene's own trouble says more
+  early?.catch(() => {}); // trouble with the scene itself is reported instead
   const scene = await (await coming).json();
   const { min, max } = scene.ranges?.isovalue ?? {};
   if (isovalue !== undefined && isovalue >= min && isovalue <= max)
@@ -113,25 +118,26 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
 }
 
 /**
- * Ask whether the server has a scene.
+ * Check that the server has a scene.
  * @param {string} id
  * @returns {Promise<void>}
- * @throws {Trouble} where it has not, or does not answer
+ * @throws {Trouble} if it has not, or does not answer
  */
 export async function probeScene(id) {
   try {
     await ask(scenePath(id));
   } catch (error) {
     if (!(error instanceof Trouble && error.status === 404)) throw error;
-    const detail = `It was started again, and has no scene “${id}”.`;
+    const detail = `The server was restarted, and has no scene “${id}”.`;
     throw new Trouble("The server has another scene", detail, { status: 404, retry: true });
   }
 }
 
 /**
- * What a scene is in other light, or of another material: what of its document depends on that.
+ * Read the parts of a scene's document that depend on its light or its material.
  * @param {string} id
- * @param {Partial<Pick<Knobs, "environment"|"material">>} knobs of the view; "" for the scene's own
+ * @param {Partial<Pick<Knobs, "environment"|"material">>} knobs of the view; "" stands for the
+ *   scene's light or material
  * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns">>}
  */
 export async function readLight(id, { environment, material }) {
@@ -146,7 +152,7 @@ export async function readLight(id, { environment, material }) {
 }
 
 /**
- * Ask for one frame. With `etag`, an unchanged frame comes back with `blob: null`.
+ * Request one frame. With `etag`, an unchanged frame has `blob: null`.
  * @param {string} scene
  * @param {FrameQuery} query
  * @param {{etag?: string|null, signal?: AbortSignal}} options
@@ -165,11 +171,12 @@ export async function readFrame(scene, query, { etag, signal } = {}) {
 }
 
 /**
- * World position of the surface at a place of the picture; null where there is none, or no answer.
+ * Return the world position of the surface at a place of the picture; null if there is no surface,
+ * or no answer.
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
- * @param {number} right of the middle, in heights of the picture
- * @param {number} up of the middle, in heights of the picture
+ * @param {number} right distance to the right of the middle, heights of the picture
+ * @param {number} up distance above the middle, heights of the picture
  * @returns {Promise<Vec3|null>}
  */
 export async function readSurfacePoint(scene, values, right, up) {
@@ -187,12 +194,12 @@ export async function readSurfacePoint(scene, values, right, up) {
   });
 }
 
-/** Milliseconds before what a click asks for is asked for again, while the server is busy. */
+/** Waits before the request of a click is repeated while the server is busy, milliseconds. */
 const AGAIN_MS = [300, 1000, 3000];
 
 /**
- * What is read, also where a busy server answers late; null where it does not, and the picture's
- * own requests say why.
+ * Repeat a request while the server is busy. Return null if it stays busy: the picture's requests
+ * report the trouble.
  * @template T
  * @param {() => Promise<T>} read
  * @returns {Promise<T|null>}
@@ -213,9 +220,9 @@ async function persistently(read) {
 }
 
 /**
- * What the surface is like in one pixel of a view; null where there is none, or no answer.
+ * Describe the surface at one pixel of a view; null if there is no surface, or no answer.
  * @param {string} scene
- * @param {FrameQuery} query of the view, and the place: see `pointQuery`
+ * @param {FrameQuery} query parameters of the view, and the place: see `pointQuery`
  * @returns {Promise<SurfacePoint|null>}
  */
 export async function readPoint(scene, query) {
@@ -226,7 +233,7 @@ export async function readPoint(scene, query) {
 }
 
 /**
- * How large a view's surface is.
+ * Return the area and volume of a view's surface.
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
  * @param {AbortSignal} signal
@@ -240,7 +247,7 @@ export async function readSize(scene, values, signal) {
 }
 
 /**
- * World position in the last pixel of an `npy` frame; null where it shows no surface.
+ * Return the world position in the last pixel of an `npy` frame; null if it shows no surface.
  * @param {ArrayBuffer} frame
  * @returns {Vec3|null}
  */
@@ -251,10 +258,10 @@ export function surfacePoint(frame) {
 }
 
 /**
- * A picture of the light around a scene: latitude and longitude, tone-mapped, not turned.
+ * Return a picture of the light around a scene: latitude and longitude, tone-mapped, not rotated.
  * @param {string} scene
  * @param {number} width pixels
- * @param {string} environment "" for the scene's own
+ * @param {string} environment "" for the scene's light
  * @returns {Promise<Blob>}
  */
 export async function readSky(scene, width, environment) {
@@ -263,7 +270,7 @@ export async function readSky(scene, width, environment) {
 }
 
 /**
- * The whole address of a frame, as others may ask for it.
+ * Return the complete address of a frame, for other programs.
  * @param {string} scene
  * @param {FrameQuery} query
  * @returns {URL}
@@ -273,12 +280,16 @@ export function frameAddress(scene, query) {
 }
 
 /**
- * The values on a slice through a scene's volume, as an `npy` file: in steps of a grey where the
- * server keeps them; null where it does not answer.
+ * Return the values on a slice through a scene's volume as an `npy` file; null if the server does
+ * not answer.
+ *
+ * If the server does not give out values, they are read from a picture of the slice, in 256 steps
+ * of grey.
+ *
  * @param {Scene} scene
- * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
- * @param {number} at voxel index
- * @param {string} voxels parameters that say which voxels, see `voxelsOf`
+ * @param {"x"|"y"|"z"} axis axis that the slice is perpendicular to
+ * @param {number} at voxel index on that axis
+ * @param {string} voxels parameters that select voxels, see `voxelsOf`
  * @returns {Promise<ArrayBuffer|null>}
  */
 export async function readSlice(scene, axis, at, voxels) {
@@ -291,6 +302,7 @@ export async function readSlice(scene, axis, at, voxels) {
     } catch (error) {
       if (!(error instanceof Trouble) || error.status !== 403) throw error;
     }
+    // The histogram spans all values: its ends are black and white.
     const { edges } = scene.histogram;
     const [low, high] = [edges[0], edges[edges.length - 1]];
     const picture = await createImageBitmap(await bodyOf(await read({ f: "png", low, high })));
@@ -302,7 +314,7 @@ export async function readSlice(scene, axis, at, voxels) {
 }
 
 /**
- * Whether a graphics card can draw a view of a scene, and what it takes.
+ * Ask whether a graphics card can draw a view of a scene, and for the document that it needs.
  * @param {string} scene
  * @param {FrameQuery} query
  * @returns {Promise<import("../documents.js").Card>}
@@ -312,7 +324,7 @@ export async function readCard(scene, query) {
 }
 
 /**
- * Bytes at an address of that document.
+ * Return the bytes at an address of that document.
  * @param {string} scene
  * @param {string} href
  * @returns {Promise<ArrayBuffer>}
@@ -322,7 +334,7 @@ export async function readCardBytes(scene, href) {
 }
 
 /**
- * The chunks of texels that a view reads, most visible first.
+ * Return the chunks of texels that a view reads, most visible first.
  * @param {string} scene
  * @param {FrameQuery} query
  * @returns {Promise<import("../documents.js").CardChunk[]>}
@@ -332,10 +344,10 @@ export async function readChunks(scene, query) {
 }
 
 /**
- * Light of some chunks, or the transfer that it is made of.
+ * Return light of some chunks, or their raw transfer.
  * @param {string} scene
  * @param {"light"|"transfer"} what
- * @param {string[]} chunks by their places and versions
+ * @param {string[]} chunks names of chunks: place-version
  * @param {FrameQuery} query
  * @returns {Promise<ArrayBuffer>}
  */
@@ -346,7 +358,7 @@ export async function readBlocks(scene, what, chunks, query) {
 }
 
 /**
- * Have a file made of the surface, or the volume, with its light: the address of the job.
+ * Begin to export the surface, or the volume, with its light, and return the address of the job.
  * @param {string} scene
  * @param {FrameQuery} query
  * @returns {Promise<string>}
@@ -359,29 +371,34 @@ export async function beginExport(scene, query) {
   return `v1/jobs/${(await answer.json()).jobID}`;
 }
 
-/** How far a job is. @param {string} address @returns {Promise<import("../documents.js").Job>} */
+/**
+ * Return the state of a job.
+ * @param {string} address
+ * @returns {Promise<import("../documents.js").Job>}
+ */
 export async function readJob(address) {
   return (await ask(address)).json();
 }
 
-/** End a job, also of a page that goes. @param {string} address */
+/** Stop a job; the request outlives the page. @param {string} address */
 export async function stopJob(address) {
   await ask(address, { method: "DELETE", keepalive: true });
 }
 
 /**
- * Whether the server wants a token from clients that have not this browser's cookie.
+ * Return true if the server asks programs without this browser's cookie for a token.
  * @returns {Promise<boolean>}
  */
 export async function wantsToken() {
-  // as behind a token only
+  // Only a server with a token marks its answers as private.
   return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false;
 }
 
 /**
- * Open the stream of one scene. Throws where the browser has no sockets.
+ * Open the stream of one scene.
  * @param {string} scene
  * @returns {WebSocket}
+ * @throws {Error} if the browser has no sockets
  */
 export function openStream(scene) {
   const address = new URL(`${scenePath(scene)}/stream`, document.baseURI);
@@ -390,8 +407,9 @@ export function openStream(scene) {
 }
 
 /**
+ * Return the address of a resource of a scene.
  * @param {string} scene
- * @param {string} what is asked for of it
+ * @param {string} what name of the resource
  * @param {FrameQuery} query
  */
 function sceneAddress(scene, what, query) {
@@ -399,14 +417,16 @@ function sceneAddress(scene, what, query) {
   return new URL(`${scenePath(scene)}/${what}?${new URLSearchParams(texts)}`, document.baseURI);
 }
 
-/** @param {string} id */
+/** Return the relative address of a scene. @param {string} id */
 function scenePath(id) {
   return `v1/scenes/${encodeURIComponent(id)}`;
 }
 
 /**
+ * Make a request, and return its answer if that is good or unchanged.
  * @param {string|URL} path
  * @param {RequestInit} [options]
+ * @throws {Trouble} if the server does not answer, or reports a problem
  */
 async function ask(path, options) {
   const answer = await fetch(new URL(path, document.baseURI), options).catch(failed);
@@ -418,13 +438,13 @@ async function ask(path, options) {
   );
 }
 
-/** @param {Response} answer */
+/** Return the body of an answer. @param {Response} answer */
 async function bodyOf(answer) {
   return answer.blob().catch(failed);
 }
 
 /**
- * Any failure of the network is the same trouble; what was aborted stays so.
+ * Throw `lost()` for any failure of the network; an aborted request keeps its error.
  * @param {Error} error
  * @returns {never}
  */

@@ -1,13 +1,13 @@
 /** Bytes of files that the page makes: notes in PNGs (PNG, third edition, 11.3.3), and ZIPs. */
 
-const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
+import { writeRows } from "../view/npy.js";
 
-const HEAD = 8 + 25; // the signature and the first chunk, which must stay the first
+const HEAD = 8 + 25; // bytes of the signature and of IHDR, which must remain the first chunk
 
 /**
- * The same picture with notes in it.
+ * Return the same picture with notes in it.
  * @param {Blob} png
- * @param {Record<string, string>} notes by PNG's keywords, in Latin-1
+ * @param {Record<string, string>} notes by their keywords in PNG; in Latin-1
  * @returns {Promise<Blob>}
  */
 export async function withNotes(png, notes) {
@@ -18,7 +18,7 @@ export async function withNotes(png, notes) {
 }
 
 /**
- * Length, type, data and their checksum.
+ * Make a chunk of a PNG: length, type, data and their checksum.
  * @param {string} type
  * @param {string} text
  */
@@ -32,20 +32,26 @@ function chunk(type, text) {
   return bytes;
 }
 
+// Signatures of a ZIP's records (APPNOTE.TXT, 4.3).
 const LOCAL = 0x04034b50;
 const CENTRAL = 0x02014b50;
 const END = 0x06054b50;
-const VERSION = 20;
-const UTF8 = 0x0800; // names are UTF-8
+const VERSION = 20; // version 2.0 of the format
+const UTF8 = 0x0800; // flag: names are UTF-8
 const [LOCAL_BYTES, CENTRAL_BYTES, END_BYTES] = [30, 46, 22];
 
+/** Remainders of all bytes by the polynomial of CRC-32. */
 const TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
   let code = byte;
   for (let bit = 0; bit < 8; bit += 1) code = code & 1 ? (code >>> 1) ^ 0xedb88320 : code >>> 1;
   return code;
 });
 
-/** CRC-32, as PNG (Annex D) and ZIP want it. @param {Uint8Array} bytes @returns {number} */
+/**
+ * Return the CRC-32 of bytes, as PNG (Annex D) and ZIP define it.
+ * @param {Uint8Array} bytes
+ * @returns {number}
+ */
 function crcOf(bytes) {
   let code = 0xffffffff;
   for (const byte of bytes) code = TABLE[(code ^ byte) & 255] ^ (code >>> 8);
@@ -53,7 +59,7 @@ function crcOf(bytes) {
 }
 
 /**
- * A ZIP file of some files, in their order.
+ * Pack files into a ZIP file, uncompressed, in their order.
  * @param {{path: string, file: Blob}[]} files of less than 4 GB in all
  * @returns {Promise<Blob>}
  */
@@ -65,7 +71,7 @@ export async function zipOf(files) {
   let place = 0;
   for (const { path, file } of files) {
     const name = new TextEncoder().encode(path);
-    // each is read, and let go, before the next
+    // Read one file at a time for its checksum: the ZIP refers to the files without copying them.
     const crc = crcOf(new Uint8Array(await file.arrayBuffer()));
     const facts = [VERSION, UTF8, 0, 0, 0, crc, file.size, file.size, name.length, 0];
     const local = record(LOCAL, LOCAL_BYTES, facts, [2, 2, 2, 2, 2, 4, 4, 4, 2, 2]);
@@ -79,6 +85,8 @@ export async function zipOf(files) {
     directory.push(central, name);
     place += LOCAL_BYTES + name.length + file.size;
   }
+
+  // The directory repeats each file's record, with the place of the file.
   const size = directory.reduce((sum, { length }) => sum + length, 0);
   const count = files.length;
   const end = record(END, END_BYTES, [0, 0, count, count, size, place, 0], [2, 2, 2, 2, 4, 4, 2]);
@@ -86,11 +94,11 @@ export async function zipOf(files) {
 }
 
 /**
- * A record of numbers, each in so many bytes, the lowest first, after its mark.
- * @param {number} mark
- * @param {number} bytes of it all
+ * Make a record: its signature, then numbers of 2 or 4 bytes each, little-endian.
+ * @param {number} mark signature
+ * @param {number} bytes length of the record
  * @param {number[]} numbers
- * @param {number[]} widths
+ * @param {number[]} widths bytes of each number
  * @returns {Uint8Array<ArrayBuffer>}
  */
 function record(mark, bytes, numbers, widths) {
@@ -106,21 +114,15 @@ function record(mark, bytes, numbers, widths) {
 }
 
 /**
- * An `npy` file of the values that a grey picture shows, of its first channel.
+ * Return the values that a grey picture shows as an `npy` file, from the picture's first channel.
  * @param {{data: Uint8ClampedArray, width: number, height: number}} picture RGBA
  * @param {readonly [number, number]} greys the values that are black and white in it
- * @returns {ArrayBuffer}
+ * @returns {ArrayBuffer} read by `readRows`
  */
 export function valuesOfGreys({ data, width, height }, [black, white]) {
-  const shape = `'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width})`;
-  const start = LENGTH_AT + 2;
-  // values begin at a multiple of four bytes
-  const header = `{${shape}, }`.padEnd(4 * Math.ceil((start + shape.length + 4) / 4) - start);
-  const file = new ArrayBuffer(start + header.length + 4 * width * height);
-  new DataView(file).setUint16(LENGTH_AT, header.length, true);
-  new Uint8Array(file, start, header.length).set(new TextEncoder().encode(header));
-  const values = new Float32Array(file, start + header.length);
-  for (let i = 0; i < values.length; i += 1)
-    values[i] = black + (data[4 * i] / 255) * (white - black);
-  return file;
+  const values = Float32Array.from(
+    { length: width * height },
+    (_, i) => black + (data[4 * i] / 255) * (white - black),
+  );
+  return writeRows(values, width, height);
 }

@@ -1,17 +1,19 @@
-/** How far kernels are compiled, at the first start on a machine: a line over the picture. */
+/**
+ * Shows how far kernels are compiled, at the first start on a machine, in a line over the picture.
+ */
 
 import { find } from "../dom.js";
 import { CLOCK } from "./trouble.js";
 
-const LOOK_MS = 500;
+const LOOK_MS = 500; // time between two looks
 
 /** @typedef {import("./api.js").Readiness} Readiness */
 /** @typedef {NonNullable<Readiness["compiling"]>} Progress */
 
 /**
- * What a person reads of a compilation at the start of a server.
+ * Describe a compilation at the start of a server.
  * @param {Progress} compiling
- * @param {boolean} drawn whether pictures are drawn already, without light
+ * @param {boolean} drawn true if pictures are already drawn, without light
  * @returns {string}
  */
 export function compilingWords(compiling, drawn) {
@@ -19,8 +21,8 @@ export function compilingWords(compiling, drawn) {
 }
 
 /**
- * What is compiled, and how far that is.
- * @param {string} what
+ * Describe the progress of a compilation.
+ * @param {string} what the beginning of the sentence
  * @param {Progress} compiling
  * @returns {string}
  */
@@ -29,12 +31,12 @@ export function progressWords(what, { done, total, seconds }) {
   return `${what}, once on this machine: ${done} of ${total}${left}`;
 }
 
-/** @param {number} seconds */
+/** Return a time in words, in seconds or minutes. @param {number} seconds */
 function timeLeft(seconds) {
   return seconds < 90 ? `${Math.max(Math.round(seconds), 1)} s` : `${Math.round(seconds / 60)} min`;
 }
 
-/** Shows the line while there is something to compile. */
+/** A line that is shown while the server compiles. */
 export class CompilingLine {
   #root;
   #ask;
@@ -42,8 +44,7 @@ export class CompilingLine {
 
   /**
    * @param {HTMLElement} root
-   * @param {() => Promise<Readiness|null>} ask how ready the server is; null where it does not
-   *   answer
+   * @param {() => Promise<Readiness|null>} ask asks the server; null if it does not answer
    * @param {import("./trouble.js").Clock} [clock]
    */
   constructor(root, ask, clock = CLOCK) {
@@ -52,18 +53,21 @@ export class CompilingLine {
     this.#clock = clock;
   }
 
-  /** Whether the server compiled when it was last looked at. */
+  /** Return true if the server was compiling at the last look. @returns {boolean} */
   get shown() {
     return !this.#root.hidden;
   }
 
-  /** Look again and again until all is compiled. */
+  /** Look every LOOK_MS until all is compiled. */
   async watch() {
     while (await this.look())
       await new Promise((resolve) => this.#clock.after(LOOK_MS, () => resolve(undefined)));
   }
 
-  /** Look once: whether the server compiles. @returns {Promise<boolean>} */
+  /**
+   * Look once, update the line, and return true if the server compiles.
+   * @returns {Promise<boolean>}
+   */
   async look() {
     const readiness = await this.#ask();
     const compiling = readiness?.compiling ?? null;

@@ -1,5 +1,5 @@
 /**
- * The part of the panel of files that has the server export the surface, or the volume, with its
+ * The part of the panel of files that lets the server export the surface, or the volume, with its
  * light.
  */
 
@@ -11,6 +11,7 @@ import { Trouble } from "./trouble.js";
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../documents.js").Job} Job */
 
+/** Parameters of a picture that the light of an export depends on. */
 const OF_LIGHT = [
   "isovalue",
   "yaw",
@@ -26,11 +27,12 @@ const OF_LIGHT = [
   "hide",
   "material",
 ];
-const ASK_MS = 1000; // between two questions how far the job is
-const GONE = 404;
+const ASK_MS = 1000; // time between two requests for the job's state
+const GONE = 404; // HTTP status of a job that the server does not have
 
 /**
- * What of a picture's parameters an export reads: camera and size change no light.
+ * Return the parameters of a picture that an export reads: light does not depend on camera and
+ * size.
  * @param {FrameQuery} query
  * @returns {FrameQuery}
  */
@@ -39,7 +41,7 @@ export function exportQuery(query) {
 }
 
 /**
- * How far a job is, for a person.
+ * Describe the state of a job.
  * @param {Pick<Job, "message"|"progress"|"time_left">} job
  * @returns {string}
  */
@@ -48,7 +50,7 @@ export function jobInWords({ message, progress, time_left: left }) {
 }
 
 /**
- * Has one file made at a time, and hands it to the browser. It goes on while the panel is closed.
+ * Makes one file at a time, and hands it to the browser. Work continues while the panel is closed.
  */
 export class Exporter {
   #part;
@@ -70,7 +72,7 @@ export class Exporter {
     this.#query = query;
     this.#name = file;
     const [x, y, z] = scene.volume.size;
-    // light is not at voxels
+    // A VTI file holds values at voxels: it needs one texel per voxel.
     if (scene.plan.texels.total !== x * y * z) find(part, "option[value=vti]").remove();
     find(part, "#export-start").addEventListener("click", () => this.#start());
     find(part, "#export-stop").addEventListener("click", () =>
@@ -79,6 +81,7 @@ export class Exporter {
     addEventListener("pagehide", () => this.#work && this.#stop(""));
   }
 
+  /** Begin an export with the chosen format and deadline. */
   async #start() {
     const { value: f } = find(this.#part, "#export-kind", HTMLSelectElement);
     const { value: deadline } = find(this.#part, "#export-time", HTMLSelectElement);
@@ -93,6 +96,7 @@ export class Exporter {
         f,
         ...(deadline && { deadline }),
       });
+      // The visitor stopped it before the job had an address.
       if (this.#work !== work) return void stopJob(work.address).catch(() => {});
       await this.#follow(work, name);
     } catch (error) {
@@ -101,7 +105,7 @@ export class Exporter {
   }
 
   /**
-   * Tell how far a job is until it has ended, and fetch what it has made.
+   * Show the state of a job until it ends, and download its result.
    * @param {{address: string}} work
    * @param {string} name of the file
    */
@@ -109,6 +113,7 @@ export class Exporter {
     while (this.#work === work) {
       const job = await this.#ask(work.address);
       if (this.#work !== work) return;
+      // Download the result by a link, as the browser can then save it while it arrives.
       const file = job?.links.find(({ rel }) => rel.endsWith("/results"));
       if (job?.status === "successful" && file) {
         Object.assign(document.createElement("a"), {
@@ -127,7 +132,7 @@ export class Exporter {
   }
 
   /**
-   * How far a job is; null where the server does not answer now.
+   * Return the state of a job; null if the server does not answer now.
    * @param {string} address
    * @returns {Promise<Job|null>}
    */
@@ -141,21 +146,21 @@ export class Exporter {
     }
   }
 
-  /** @param {string} words */
+  /** Stop the job, and show some words. @param {string} words */
   #stop(words) {
-    // it is over by now, or the server is away
+    // A failure does not matter: the job has ended, or the server is away.
     if (this.#work?.address) stopJob(this.#work.address).catch(() => {});
     this.#end(words);
   }
 
-  /** @param {string} words */
+  /** Show that no job is running, and some words. @param {string} words */
   #end(words) {
     this.#work = null;
     this.#show(false);
     this.#say(words);
   }
 
-  /** @param {boolean} busy */
+  /** Show or hide the parts of the panel that belong to a running job. @param {boolean} busy */
   #show(busy) {
     const progress = find(this.#part, "progress", HTMLProgressElement);
     progress.hidden = !busy;
@@ -166,7 +171,7 @@ export class Exporter {
     find(this.#part, "#export-stop").hidden = !busy;
   }
 
-  /** @param {string} words */
+  /** Show some words below the buttons. @param {string} words */
   #say(words) {
     find(this.#part, ".note").textContent = words;
   }

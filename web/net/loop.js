@@ -1,4 +1,6 @@
-/** The frame loop: shows the view by a stream where there is one, else by single requests. */
+/**
+ * The frame loop: shows the view through a stream if it can be had, otherwise by single requests.
+ */
 
 import { Polling } from "./polling.js";
 import { Streaming } from "./streaming.js";
@@ -11,34 +13,33 @@ import { CLOCK } from "./trouble.js";
 /** @typedef {import("../documents.js").CardChunk} CardChunk */
 /** @typedef {import("./shown.js").Asked} Asked */
 
-const SETTLE_MS = 200; // a view that has not changed for this long is at rest
+const SETTLE_MS = 200; // time without a change after which a view is at rest
 
 /**
- * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture,
- *   whether to name the
- *   chunks that it reads, and the view that they are of
+ * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture;
+ *   true in `chunks` to list the chunks that it reads; and the view that it shows
  * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: CardChunk[], of: Asked}} Answer a
- *   picture, where it is a new
- *   one, the chunks that it reads, where they were asked for, and its view
+ *   picture, null if it has not changed; its facts; the chunks that it reads, if they were asked
+ *   for; and the view that it shows
  *
- * @typedef {object} Hooks what the loop calls
- * @property {(answer: Answer, draft: boolean) => Promise<void>} frame a picture came; `facts` are
- *   the latest also where
- *   the answer had none; it is settled once the picture is shown
- * @property {(error: Error) => void} trouble
- * @property {(moving: boolean) => void} moving whether the view goes on changing
+ * @typedef {object} Hooks functions that the loop calls
+ * @property {(answer: Answer, draft: boolean) => Promise<void>} frame is called for each answer;
+ *   `facts` are the latest ones if the answer had none; the promise is fulfilled once the picture
+ *   is shown
+ * @property {(error: Error) => void} trouble is called if a request fails
+ * @property {(moving: boolean) => void} moving is called when the view begins to change, or rests
  *
  * @typedef {object} Server
  * @property {() => WebSocket} open opens a socket
- * @property {(moving: boolean) => View} view as it is now, which goes over it
+ * @property {(moving: boolean) => View} view returns the current view
  * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask
  *   sends one request
- * @property {() => boolean} [drafts] whether the view is drawn by the server while it moves
- * @property {() => Promise<unknown>} [probe] asks by HTTP if the server has the scene; throws what is
- *   wrong
+ * @property {() => boolean} [drafts] returns true if the server draws the moving view
+ * @property {() => Promise<unknown>} [probe] checks by HTTP that the server has the scene; throws
+ *   the trouble
  */
 
-/** Shows a view that may change at any time. */
+/** Shows a view that may change at any time: drafts while it moves, full pictures at rest. */
 export class FrameLoop {
   /** @type {Streaming|Polling} */
   #transport;
@@ -57,6 +58,7 @@ export class FrameLoop {
     this.#hooks = hooks;
     this.#clock = clock;
     this.#drafts = drafts;
+    // Begin with a stream; if none can be had, continue with single requests.
     this.#transport = new Streaming(
       open,
       view,
@@ -75,7 +77,7 @@ export class FrameLoop {
     window.addEventListener("online", () => this.#transport.resume());
   }
 
-  /** The view has changed, and may go on changing: show drafts until it rests. */
+  /** Note that the view has changed, and may go on changing: show drafts until it rests. */
   change() {
     this.#moving = true;
     this.#hooks.moving(true);
@@ -84,17 +86,17 @@ export class FrameLoop {
     this.#show();
   }
 
-  /** The page no longer draws what moves: the server is to. */
+  /** Let the server draw the moving view, as the page no longer does. */
   redraw() {
     this.#show();
   }
 
-  /** The view is as it was, but more is asked of its picture. */
+  /** Request a better picture of the same view. */
   improve() {
     if (!this.#moving) this.#transport.show(false);
   }
 
-  /** The view rests: ask for the full picture now. */
+  /** Note that the view rests, and request the full picture now. */
   settle() {
     this.#clock.cancel(this.#timer);
     this.#moving = false;
@@ -102,7 +104,7 @@ export class FrameLoop {
     this.#show();
   }
 
-  /** Have the view drawn: one that moves by the page itself, where the server need not. */
+  /** Request a picture of the view, unless it moves and the page draws it. */
   #show() {
     if (this.#moving && !this.#drafts()) this.#transport.pause();
     else this.#transport.show(this.#moving);

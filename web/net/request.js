@@ -1,6 +1,6 @@
 /**
  * A view as the parameters of a frame request, in words, as the name of a file, and as lines for a
- * shell and Python.
+ * shell and for Python.
  */
 
 import { albedoQuery } from "../view/albedo.js";
@@ -15,32 +15,35 @@ import { idleKnobs } from "../view/surfaces.js";
 
 /**
  * @typedef {object} Description the view that the page shows, for those who share or save it
- * @property {() => string} link the address of the page with the view in it
+ * @property {() => string} link returns the address of the page with the view in it
  * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the
  *   picture shown
  * @property {() => {blob: Blob, facts: import("./schemas.js").Facts, width: number, height:
  *   number}|null} ready that picture, if it is final; null before that
  * @property {() => string} file the name of its file, without an ending
- * @property {() => string} alt what it shows, in words
- * @property {() => string} empty what is said of it where it shows no surface
+ * @property {() => string} alt a description of the picture
+ * @property {() => string} empty the words for a picture that shows no surface
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers
  *   its scale bar and axes
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null}
- *   legend of its colours; null where it has none
+ *   legend of its colours; null if it has none
  */
 
+/** Parameters that have no meaning if the scene's light cannot be rotated. */
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
 
 /**
- * The parameters of the request for a view's picture.
+ * Return the parameters of the request for a view's picture.
  * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size pixels
- * @param {boolean} [moving] whether the view goes on changing: light then stays as it is for all of
- *   the object
+ * @param {boolean} [moving] true if the view goes on changing: cuts are then shown as windows,
+ *   which leave light unchanged
  * @returns {FrameQuery & {width: number, height: number}}
  */
 export function frameQuery(scene, values, { width, height }, moving = false) {
+  // Leave out knobs that the material ignores, and those at the scene's default that depends on the
+  // light.
   const idle = idleKnobs(values.material);
   const given = NUMBERS.filter(
     (name) => name in values && name !== "albedo" && !idle.includes(name),
@@ -71,10 +74,13 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
 }
 
 /**
- * What is cut away: light comes in by planes along axes; others, and those of a moving view, are
- * windows.
+ * Return the parameters of planes that take matter away.
+ *
+ * Planes along axes are cuts, which let light in. Oblique planes, and all planes of a moving view,
+ * are windows, which hide matter from the eye alone.
+ *
  * @param {Pick<Knobs, "planes"|"opened">} values knobs of the view
- * @param {boolean} [moving] whether the view goes on changing
+ * @param {boolean} [moving] true if the view goes on changing
  * @returns {{cut?: string, window?: string}}
  */
 export function cutQuery({ planes, opened }, moving = false) {
@@ -84,10 +90,10 @@ export function cutQuery({ planes, opened }, moving = false) {
 }
 
 /**
- * The parameters of the request for the point at a place of a view's picture.
+ * Return the parameters of the request for the point at a place of a view's picture.
  * @param {FrameQuery & {width: number, height: number}} query of the picture
- * @param {number} right of the middle, in heights of the picture
- * @param {number} up of the middle, in heights of the picture
+ * @param {number} right distance to the right of the middle, heights of the picture
+ * @param {number} up distance above the middle, heights of the picture
  * @returns {FrameQuery}
  */
 export function pointQuery({ overlay, background, f, ...view }, right, up) {
@@ -102,7 +108,7 @@ export function pointQuery({ overlay, background, f, ...view }, right, up) {
 }
 
 /**
- * What is behind the surface: light or dark, as the page is where the view leaves it to that.
+ * Return the colour scheme of the background: that of the view, or that of the page.
  * @param {Pick<Knobs, "background">} values knobs of the view
  * @returns {"light"|"dark"}
  */
@@ -114,7 +120,7 @@ export function ground({ background }) {
 }
 
 /**
- * What a view's picture shows.
+ * Describe a view's picture in words.
  * @param {Pick<Scene, "name">} scene
  * @param {Pick<Knobs, "isovalue"|"azimuth"|"elevation"|"shading">} values knobs of the view
  * @returns {string}
@@ -125,10 +131,10 @@ export function describe(scene, values) {
 }
 
 const DIGEST = /^[0-9a-f]{20}([0-9a-f]{12})?$/; // the id of an upload
-const MOST_LETTERS = 40; // of a file's name
+const MOST_LETTERS = 40; // letters of a file's name
 
 /**
- * Whether a scene is an upload, whose id tells people nothing.
+ * Return true if a scene is an upload, whose id means nothing to people.
  * @param {Pick<Scene, "id">} scene
  * @returns {boolean}
  */
@@ -137,7 +143,7 @@ export function isUpload({ id }) {
 }
 
 /**
- * What files of a scene are called: by its id, or an upload by its name.
+ * Return the beginning of names of a scene's files: its id, or the name of an upload.
  * @param {Pick<Scene, "id"|"name">} scene
  * @returns {string}
  */
@@ -151,7 +157,7 @@ export function nameOfFiles(scene) {
 }
 
 /**
- * The name of a view's file, without an ending.
+ * Return the name of a view's file, without an ending.
  * @param {Pick<Scene, "id"|"name">} scene
  * @param {Pick<Knobs, "isovalue">} values knobs of the view
  * @returns {string}
@@ -161,7 +167,7 @@ export function fileName(scene, values) {
 }
 
 /**
- * The parameters that differ from the scene's defaults, and the isovalue in any case.
+ * Return the parameters that differ from the scene's defaults, and always the isovalue.
  * @param {Pick<Scene, "defaults">} scene
  * @param {FrameQuery} query
  * @returns {FrameQuery}
@@ -175,26 +181,36 @@ export function changedParameters(scene, query) {
   return Object.fromEntries(Object.entries(query).filter(changed));
 }
 
+/** Keys of the table `[view]` of a scene file. */
 const VIEW_KEYS = [
   ...["azimuth", "elevation", "distance", "target", "fov"],
   ...["yaw", "pitch", "roll", "exposure", "background"],
 ];
+
+/** Keys of a scene file that views may change. */
 const SCENE_KEYS = ["isovalue", "smooth", "projection", "environment", "cut", "albedo"];
 
 /**
- * The view as lines of a scene file: keys of the scene, and its table `[view]`.
+ * Write the view as lines of a scene file: keys of the scene, and its table `[view]`.
  * @param {FrameQuery} query the parameters of the picture shown
  * @returns {string}
  */
 export function sceneText(query) {
   /** @param {string} name */
   const line = (name) => `${name} = ${tomlValue(name, query[name])}`;
-  const given = (/** @type {string[]} */ names) => names.filter((name) => query[name] !== undefined);
+  const given = (/** @type {string[]} */ names) =>
+    names.filter((name) => query[name] !== undefined);
   const made = materialLines(query.material);
-  return [...given(SCENE_KEYS).map(line), ...made, "[view]", ...given(VIEW_KEYS).map(line)].join("\n");
+  return [
+    ...given(SCENE_KEYS).map(line),
+    ...made,
+    "[view]",
+    ...given(VIEW_KEYS).map(line),
+  ].join("\n");
 }
 
 /**
+ * Write a parameter as a value of TOML; lists are given with commas.
  * @param {string} name
  * @param {string|number} value
  * @returns {string}
@@ -206,7 +222,7 @@ function tomlValue(name, value) {
 }
 
 /**
- * The keys of a material that `glass,index=1.3,absorption=0.1,0.2,0.3` spells.
+ * Write the keys of a material that is spelled as in `glass,index=1.3,absorption=0.1,0.2,0.3`.
  * @param {string|number|undefined} text
  * @returns {string[]}
  */
@@ -221,11 +237,11 @@ function materialLines(text) {
 }
 
 /**
- * A line for a shell that saves the picture. It names the variable that holds the token, never the
- * token.
+ * Return a line for a shell that saves the picture. It names the variable that holds the token,
+ * never the token itself.
  * @param {URL} address of the frame
  * @param {string} file
- * @param {boolean} token whether the server wants one
+ * @param {boolean} token true if the server asks for one
  * @returns {string}
  */
 export function curlLine(address, file, token) {
@@ -236,8 +252,8 @@ export function curlLine(address, file, token) {
 }
 
 /**
- * A line of Python that saves the final picture; the client finds the token in the environment
- * itself.
+ * Return a line of Python that saves the final picture. The client reads the token from the
+ * environment.
  * @param {string} server address of the server
  * @param {string} scene
  * @param {FrameQuery} view
@@ -252,22 +268,25 @@ export function pythonLine(server, scene, view, file) {
   return `from isogi.client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
 }
 
-/** @param {number} isovalue */
+/** Round an isovalue to six digits. @param {number} isovalue */
 function short(isovalue) {
   return Number(isovalue.toPrecision(6));
 }
 
-/** @param {string|number} value */
+/**
+ * Write a value for Python: its strings and numbers are those of JSON.
+ * @param {string|number} value
+ */
 function literal(value) {
   return JSON.stringify(value);
 }
 
-/** @param {string} word */
+/** Return true if a shell needs no quotes around a word. @param {string} word */
 function plain(word) {
   return /^[\w.+-]+$/.test(word);
 }
 
-/** @param {string} word */
+/** Put a word in single quotes for a shell. @param {string} word */
 function quoted(word) {
   return `'${word.replaceAll("'", "'\\''")}'`;
 }

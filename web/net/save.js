@@ -1,4 +1,6 @@
-/** The panel that saves the picture of the view, in full resolution and final. */
+/**
+ * The panel that saves the final picture of the view, in the resolution that the visitor chooses.
+ */
 
 import { find } from "../dom.js";
 import { errorInWords, frameInWords, leftAfter } from "../view/format.js";
@@ -14,26 +16,26 @@ import { Sheet, stripsOf, whole, worstOf } from "./strips.js";
 /**
  * @typedef {object} Work one picture
  * @property {AbortController} controller stops it
- * @property {AbortController} hurry has it end with what is there
- * @property {import("./strips.js").Stamp|null} stamp what is drawn over it, at a corner
- * @property {Picture|null} ready the picture, where it is on the stage, and final
+ * @property {AbortController} hurry ends it with the best picture that is there
+ * @property {import("./strips.js").Stamp|null} stamp shapes that are drawn over it, at a corner
+ * @property {Picture|null} ready the picture, if it is on the stage and final
  * @property {string} size
  * @property {string} link
  * @property {string} file
  * @property {string} alt
- * @property {string} empty what is said of it where it shows no surface
+ * @property {string} empty the words for a picture that shows no surface
  */
 
-const WIDTHS = [1920, 3840, 7680];
-const LONGEST_SIDE = 8192;
+const WIDTHS = [1920, 3840, 7680]; // widths that are offered, pixels
+const LONGEST_SIDE = 8192; // pixels that the server draws at most along a side
 const SECOND_MS = 1000;
 
 /**
- * Sizes to choose from, all of the shape of the picture shown.
+ * Return the sizes to choose from, all with the proportions of the picture shown.
  * @param {{width: number, height: number}} shown
- * @param {boolean} [ready] whether that picture is final, so that it is a file at once
- * @returns {{width: number, height: number, name: string}[]} that of the picture shown, which is
- *   offered first, then others, narrowest first
+ * @param {boolean} [ready] true if that picture is final, so that it can be saved without a request
+ * @returns {{width: number, height: number, name: string}[]} the size of the picture shown first,
+ *   then others by their width
  */
 export function sizesFor(shown, ready = false) {
   /** @type {(width: number, name: string) => {width: number, height: number, name: string}} */
@@ -50,7 +52,8 @@ export function sizesFor(shown, ready = false) {
 }
 
 /**
- * Asks for one picture at a time, beside those on the stage, and hands it to the browser as a file.
+ * Requests one picture at a time, independently of those on the stage, and hands it to the browser
+ * as a file.
  */
 export class Saver {
   #panel;
@@ -76,6 +79,7 @@ export class Saver {
     find(panel, "#save-close").addEventListener("click", () => this.#close());
   }
 
+  /** List the sizes when the panel opens. */
   #offer() {
     if (this.#work) return;
     const ready = this.#description.ready();
@@ -85,31 +89,36 @@ export class Saver {
       return new Option(text, `${width}×${height}`);
     });
     find(this.#panel, "#save-size").replaceChildren(...options);
-    const [box, coloured] = [
-      this.#box("legend"),
-      this.#description.legend({ width: 1, height: 1 }) !== null,
-    ];
+    // Offer the legend only if the picture has one.
+    const box = this.#box("legend");
+    const coloured = this.#description.legend({ width: 1, height: 1 }) !== null;
     /** @type {HTMLElement} */ (box.parentElement).hidden = !coloured;
     box.checked &&= coloured;
     this.#say("");
   }
 
-  /** What may be drawn over the picture. @param {"rulers"|"legend"} name */
+  /**
+   * Return the check box of something that may be drawn over the picture.
+   * @param {"rulers"|"legend"} name
+   */
   #box(name) {
     return find(this.#panel, `#save-${name}`, HTMLInputElement);
   }
 
+  /** Begin to save the view as it is now. */
   async #start() {
     const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement)
       .value.split("×")
       .map(Number);
     const { link, query, ready, file, alt, empty, rulers, legend } = this.#description;
+    // Keep the view of this moment: it may change while the picture is made.
     const over = [
       ...(this.#box("rulers").checked ? [rulers] : []),
       ...(this.#box("legend").checked ? [legend] : []),
     ];
     const stamp = over.length ? stampOf(over, { width, height }) : null;
-    const [controller, hurry] = [new AbortController(), new AbortController()];
+    const controller = new AbortController();
+    const hurry = new AbortController();
     const work = {
       controller,
       hurry,
@@ -130,13 +139,14 @@ export class Saver {
   }
 
   /**
-   * Ask for a picture, strip by strip, and hand it over.
+   * Request a picture, strip by strip, join the strips, and save it.
    * @param {import("./schemas.js").FrameQuery} query
    * @param {{width: number, height: number}} size
    * @param {Work} work
    */
   async #make(query, size, work) {
     const strips = work.ready ? [whole(size)] : stripsOf(size);
+    // A picture in one piece without a stamp is saved as the server encoded it.
     if (strips.length === 1 && !work.stamp)
       return this.#finish(await this.#refine(query, work, 0, 1), work);
     /** @type {Facts[]} */
@@ -154,11 +164,11 @@ export class Saver {
   }
 
   /**
-   * The best picture of strip `n` of so many: the final one, unless there is a hurry.
+   * Return the best picture of strip `n`: the final one, unless the visitor is in a hurry.
    * @param {import("./schemas.js").FrameQuery} query
    * @param {Work} work
    * @param {number} n
-   * @param {number} strips
+   * @param {number} strips number of strips
    * @returns {Promise<Picture>}
    */
   async #refine(query, { controller: { signal }, hurry, ready, empty }, n, strips) {
@@ -168,14 +178,19 @@ export class Saver {
     let best = null;
     const stop = new AbortController();
     const over = AbortSignal.any([signal, stop.signal]);
+
+    // Words about the part, and the request for it.
     const part = strips > 1 ? `Part ${n + 1} of ${strips}: ` : "";
     /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
     const ask = (waitMs, etag) =>
       readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal: over });
+
+    // Race the final picture against a visitor in a hurry, who takes the best one so far.
     const hurried = new Promise((resolve) =>
       hurry.signal.addEventListener("abort", () => best && resolve(best)),
     );
-    let [since, away] = [0, false]; // when the best picture came, and whether the server is away
+    let since = 0; // time at which the best picture came
+    let away = false; // true if the server is away
     const tell = () => {
       if (!best || away) return;
       const timeLeft = leftAfter(best.facts.timeLeft, (performance.now() - since) / 1000);
@@ -188,7 +203,9 @@ export class Saver {
     const timer = setInterval(tell, SECOND_MS);
     const refined = async () => {
       for await (const picture of untilFinal(ask, over, troubled)) {
-        [best, since, away] = [picture, performance.now(), false];
+        best = picture;
+        since = performance.now();
+        away = false;
         find(this.#panel, "#save-progress", HTMLProgressElement).value =
           (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
@@ -203,7 +220,7 @@ export class Saver {
     });
   }
 
-  /** @param {Work} work */
+  /** Show that a picture is being made. @param {Work} work */
   #begin(work) {
     this.#work = work;
     this.#show({ busy: true });
@@ -211,7 +228,7 @@ export class Saver {
   }
 
   /**
-   * Hand over a picture.
+   * Save a picture with notes about it, and say so.
    * @param {Picture} picture
    * @param {Work} work
    */
@@ -233,7 +250,7 @@ export class Saver {
     this.#end(`Saved ${name}: ${state}.`);
   }
 
-  /** @param {Facts} facts */
+  /** Return words if a picture has not reached its target, otherwise "". @param {Facts} facts */
   #missed({ provisional, error }) {
     const { target_error: target } = this.#scene;
     return provisional || error > target
@@ -241,7 +258,7 @@ export class Saver {
       : "";
   }
 
-  /** @param {string} words */
+  /** Stop the work, and show some words. @param {string} words */
   #end(words) {
     this.#work?.controller.abort();
     this.#work = null;
@@ -249,18 +266,19 @@ export class Saver {
     this.#say(words);
   }
 
-  /** Hide the panel, unless another is to be hidden first; what is being saved goes on. */
+  /** Hide the panel unless another popover is to be hidden first; saving continues. */
   #hide() {
     const open = [...document.querySelectorAll(":popover-open")];
     if (open.length === 1 && open[0] === this.#panel) this.#panel.hidePopover();
   }
 
+  /** Stop the work, or close the panel. */
   #close() {
     if (this.#work) this.#end("Stopped, nothing is saved.");
     else this.#panel.hidePopover();
   }
 
-  /** @param {{busy: boolean}} state */
+  /** Show or hide the parts of the panel that belong to work. @param {{busy: boolean}} state */
   #show({ busy }) {
     const progress = find(this.#panel, "#save-progress", HTMLProgressElement);
     find(this.#panel, "#save-size", HTMLSelectElement).disabled = busy;
@@ -271,14 +289,14 @@ export class Saver {
     find(this.#panel, "#save-close").textContent = busy ? "Stop" : "Close";
   }
 
-  /** @param {string} words */
+  /** Show some words. @param {string} words */
   #say(words) {
     find(this.#panel, ".note").textContent = words;
   }
 }
 
 /**
- * The picture on the stage, if it is final and of this size.
+ * Return the picture on the stage if it is final and of this size.
  * @param {ReturnType<Description["ready"]>} ready
  * @param {{width: number, height: number}} size
  * @returns {Picture|null}
@@ -287,12 +305,13 @@ function readyAt(ready, { width, height }) {
   return ready && ready.width === width && ready.height === height ? ready : null;
 }
 
-// of a picture, in whose pixels a stamp is drawn; in larger ones it grows
+/** Width of pictures up to which a stamp is drawn in their pixels; in wider ones it grows. */
 const STAMPED_WIDTH = 960;
 
 /**
- * Scale bar, axes and legend, as they are wanted, for a picture of a size.
- * @param {(Description["rulers"]|Description["legend"])[]} wanted
+ * Return scale bar, axes and legend for a picture of some size.
+ * @param {(Description["rulers"]|Description["legend"])[]} wanted functions that return the shapes
+ *   that the visitor wants
  * @param {{width: number, height: number}} size pixels
  * @returns {import("./strips.js").Stamp}
  */
@@ -312,7 +331,7 @@ function stampOf(wanted, { width, height }) {
   };
 }
 
-/** What PNG's notes can hold. @param {string} text */
+/** Replace characters that PNG's notes cannot hold. @param {string} text */
 function latin(text) {
   return text.replaceAll("\u2019", "'").replace(/[^\u0000-\u00ff]/g, "?");
 }

@@ -1,18 +1,24 @@
-/** What the page reads of the server besides its documents, which documents.d.ts has: frames, and what they say of themselves. */
+/**
+ * Frames of the server, and the facts that they carry. The types of the server's documents are in
+ * documents.d.ts.
+ */
 
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../documents.js").Coverage} CoverageDocument */
 /** @typedef {Record<string, string|number>} FrameQuery parameters of a frame request */
 
 /**
- * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"exposure"} SureKnob knobs of every scene
+ * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"exposure"}
+ *   SureKnob knobs of every scene
  *
- * @typedef {Omit<Partial<Record<import("../view/model.js").NumberKnob, number>>, "albedo"> & Record<SureKnob, number>
- *   & {albedo?: number|string, shine?: string, shading?: string, projection?: string}} Defaults what each parameter is
- * where it is left out; an albedo that has a colour is a text
+ * @typedef {Omit<Partial<Record<import("../view/model.js").NumberKnob, number>>, "albedo">
+ *   & Record<SureKnob, number>
+ *   & {albedo?: number|string, shine?: string, shading?: string, projection?: string}} Defaults
+ *   the value of each parameter if it is left out; an albedo with a colour is a string
  *
- * @typedef {Omit<import("../documents.js").Scene, "defaults"> & {defaults: Defaults, start: import("../documents.js").Camera
- *   & {background?: unknown}}} Scene with the camera at first, and what else the scene says of its first view
+ * @typedef {Omit<import("../documents.js").Scene, "defaults">
+ *   & {defaults: Defaults, start: import("../documents.js").Camera & {background?: unknown}}} Scene
+ *   a scene's document with the camera and the background of its first view
  */
 
 /** @typedef {"final"|"converging"|"provisional"} State of a pixel of the surface */
@@ -20,21 +26,24 @@
 /**
  * @typedef {import("../documents.js").Point} Point
  * @typedef {{[Fact in keyof Point]: NonNullable<Point[Fact]>} & {state: State}} ShownPoint
- * @typedef {Omit<ShownPoint, "value"|"wall"> & Pick<Point, "value"|"wall">} SurfacePoint what a pixel of the surface shows
+ * @typedef {Omit<ShownPoint, "value"|"wall"> & Pick<Point, "value"|"wall">} SurfacePoint the point
+ *   of the surface that a pixel shows
  */
 
 /** @typedef {Record<State, number>} Coverage shares of the surface pixels */
 
 /**
- * @typedef {Pick<CoverageDocument, "provisional"|"coverage"|"error"|"interval"|"controls"|"p99"|"p99_interval"|"chunks">
- *   & {surface: number, timeLeft: import("../view/format.js").Left|null, timing: Record<string, number>}} Facts what a frame says
- * about itself: its error is NaN where the server gives none, as is the number of pixels that show the surface, and its
- * timing has the milliseconds of each stage of its making
+ * @typedef {Pick<CoverageDocument,
+ *     "provisional"|"coverage"|"error"|"interval"|"controls"|"p99"|"p99_interval"|"chunks">
+ *   & {surface: number, timeLeft: import("../view/format.js").Left|null,
+ *     timing: Record<string, number>}} Facts
+ *   facts of a frame: `error`, and `surface`, the number of pixels that show the surface, are NaN
+ *   if the server gives none; `timing` has the milliseconds of each stage of rendering
  */
 
 /**
  * @typedef {object} Frame
- * @property {Blob|null} blob the encoded picture; null where it has not changed
+ * @property {Blob|null} blob the encoded picture; null if it has not changed
  * @property {string|null} etag
  * @property {Facts|null} facts
  */
@@ -45,19 +54,21 @@
  * @property {boolean} draft
  * @property {string} media_type
  * @property {Record<string, number>} timing
- * @property {Omit<Facts, "surface"|"timeLeft"|"timing"> & Pick<CoverageDocument, "pixels"|"time_left"|"overdue">} facts
- * @property {import("../documents.js").CardChunk[]} [chunks] that the picture reads, where they were asked for
- * @property {{status?: number, detail?: string}} [problem] in place of all others
+ * @property {Omit<Facts, "surface"|"timeLeft"|"timing">
+ *   & Pick<CoverageDocument, "pixels"|"time_left"|"overdue">} facts
+ * @property {import("../documents.js").CardChunk[]} [chunks] chunks that the picture reads, if they
+ *   were asked for
+ * @property {{status?: number, detail?: string}} [problem] replaces all other fields
  */
 
 /**
- * The states of pixels, from the best: light becomes provisional, then converging, then final.
+ * The states of pixels, best first: light is provisional, then converging, then final.
  * @type {State[]}
  */
 export const STATES = ["final", "converging", "provisional"];
 
 /**
- * The facts in the headers of a frame; null where there are none.
+ * Read the facts of a frame from its headers; null if there are none.
  * @param {Headers} headers
  * @returns {Facts|null}
  */
@@ -80,7 +91,7 @@ export function readFacts(headers) {
 }
 
 /**
- * What a header such as `0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.06; …` says of errors.
+ * Read a header such as `0.018; low=0.015; high=0.021; controls=256; p99=0.06; …` into errors.
  * @param {string} header
  * @returns {Pick<Facts, "error"|"interval"|"controls"|"p99"|"p99_interval">}
  */
@@ -103,8 +114,9 @@ function readErrors(header) {
 }
 
 /**
- * A picture that came over a stream, with the facts of the message before it.
- * @param {Pick<StreamMessage, "media_type"|"timing"|"facts"|"chunks">} message
+ * Return a picture that came over a stream, with the facts of the message before it.
+ * @param {Pick<StreamMessage, "media_type"|"timing"|"facts"|"chunks">} message message before the
+ *   picture
  * @param {Blob} data
  * @returns {{blob: Blob, facts: Facts, chunks?: StreamMessage["chunks"]}}
  */
@@ -132,7 +144,7 @@ export function parsePairs(text) {
 }
 
 /**
- * Read a `Server-Timing` header into milliseconds of each stage; their total is left out.
+ * Read a `Server-Timing` header into the milliseconds of each stage, without their total.
  * @param {string|null} text
  * @returns {Record<string, number>}
  */
@@ -142,7 +154,11 @@ export function parseTiming(text) {
   return Object.fromEntries(named.map(([name, ms]) => [name, Number(ms)]));
 }
 
-/** @param {Headers} headers @returns {Facts["timeLeft"]} */
+/**
+ * Read the estimated time until the picture is final, in seconds.
+ * @param {Headers} headers
+ * @returns {Facts["timeLeft"]}
+ */
 function readTimeLeft(headers) {
   const text = headers.get("Isogi-Time-Left");
   const { low, likely, high } = parsePairs(text);

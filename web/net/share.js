@@ -10,12 +10,12 @@ import { changedParameters, curlLine, pythonLine, sceneText } from "./request.js
 /** @typedef {import("./request.js").Description} Description */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const WAIT_MS = 10_000; // the longest that a request may wait for light
-const COPIED_MS = 1600;
-const REFUSED = "The browser lets no page copy here: it is selected, copy it by keys.";
+const WAIT_MS = 10_000; // longest time that a request may wait for light
+const COPIED_MS = 1600; // time that a button says “Copied”
+const REFUSED = "The browser does not let this page copy: the text is selected, copy it with the keyboard.";
 
 /**
- * Tie the menu to the view.
+ * Keep the menu's lines up to date with the view while it is open.
  * @param {HTMLElement} menu a popover that holds `#share-link`, `#share-scene`, `#share-curl`,
  *   `#share-python`, each with its button
  * @param {Scene} scene
@@ -23,11 +23,12 @@ const REFUSED = "The browser lets no page copy here: it is selected, copy it by 
  * @param {Description} description of the view
  */
 export function attachShare(menu, scene, view, { link, query, file }) {
-  /** @type {boolean|null} */
+  /** True if the server asks for a token; null until it has answered. @type {boolean|null} */
   let token = null;
   const write = async () => {
     token ??= await wantsToken().catch(() => null);
-    const [changed, name] = [changedParameters(scene, query()), `${file()}.png`];
+    const changed = changedParameters(scene, query());
+    const name = `${file()}.png`;
     const address = frameAddress(scene.id, { ...changed, f: "png", wait_ms: WAIT_MS });
     const server = new URL(".", document.baseURI).href.replace(/\/$/, "");
     find(menu, "#share-link").textContent = link();
@@ -41,6 +42,7 @@ export function attachShare(menu, scene, view, { link, query, file }) {
 }
 
 /**
+ * Let a line's button copy its text. If the browser refuses, select the text for the keyboard.
  * @param {Element} line
  * @param {HTMLElement} note
  */

@@ -1,6 +1,6 @@
 /**
- * What the stage shows, and what the controls ask for: whether both are one view, and since when
- * they are not.
+ * Compares the picture on the stage with the controls: if both show one view, and since when they
+ * do not.
  */
 
 import { leftAfter } from "../view/format.js";
@@ -13,29 +13,29 @@ import { CLOCK } from "./trouble.js";
 /**
  * @typedef {object} Asked a view that the controls ask for, or have asked for
  * @property {Knobs} values
- * @property {string} key the same for two views whose pictures are the same
- * @property {number} since when the controls came to it, milliseconds
- * @property {number} until when they left it; Infinity before that
+ * @property {string} key equal for views whose pictures are the same
+ * @property {number} since time at which the controls came to it, milliseconds
+ * @property {number} until time at which the controls left it; Infinity before that
  *
  * @typedef {object} ShownPicture a picture on the stage
- * @property {Asked} of the view that it was asked for
+ * @property {Asked} of the view that it shows
  * @property {boolean} draft
- * @property {boolean} sharp whether it has all of the screen's pixels
+ * @property {boolean} sharp true if it has all of the screen's pixels
  * @property {Facts|null} facts
  *
  * @typedef {object} Cover the card's picture, which lies over the server's
- * @property {Asked} of the view that it is of
- * @property {number|null} predicted its relative error, where it can be told
+ * @property {Asked} of the view that it shows
+ * @property {number|null} predicted its relative error; null if it cannot be predicted
  *
- * @typedef {"loading"|"trouble"|"away"|"moving"|"updating"|"provisional"|"final"} State of the stage: from
- *   `moving` on there is
- *   a picture, and from `provisional` on it is the full one of the view that the controls ask for;
- *   `away`: the server is, and the page draws by itself
+ * @typedef {"loading"|"trouble"|"away"|"moving"|"updating"|"provisional"|"final"} State state of
+ *   the stage: from `moving` on there is a picture, and from `provisional` on it is the full
+ *   picture of the view that the controls ask for; `away` means that the server does not answer,
+ *   and the page draws by itself
  */
 
 /**
- * Compares the picture on the stage with the controls. All that the page says of its picture is
- * read here.
+ * Compares the picture on the stage with the controls. The page reads here everything that it says
+ * about its picture.
  */
 export class Shown {
   #keyOf;
@@ -46,7 +46,7 @@ export class Shown {
   #picture = null;
   /** @type {Cover|null} */
   #cover = null;
-  #cameAt = 0; // when the picture came
+  #cameAt = 0; // time at which the server's picture came
   #moving = false;
   #lost = false;
   #away = false;
@@ -55,7 +55,7 @@ export class Shown {
 
   /**
    * @param {Knobs} values of the controls
-   * @param {(values: Knobs) => string} keyOf gives the key of a view
+   * @param {(values: Knobs) => string} keyOf returns the key of a view
    * @param {Clock} [clock]
    */
   constructor(values, keyOf, clock = CLOCK) {
@@ -64,13 +64,13 @@ export class Shown {
     this.#asked = { values, key: keyOf(values), since: clock.now(), until: Infinity };
   }
 
-  /** The view that the controls ask for. @returns {Asked} */
+  /** Return the view that the controls ask for. @returns {Asked} */
   get asked() {
     return this.#asked;
   }
 
   /**
-   * The knobs of the picture on the stage; before the first one, those of the controls.
+   * Return the knobs of the picture on the stage; before the first picture, those of the controls.
    * @returns {Knobs}
    */
   get values() {
@@ -78,14 +78,14 @@ export class Shown {
   }
 
   /**
-   * The view that the picture on the stage is of; null before the first one.
+   * Return the view that the picture on the stage shows; null before the first picture.
    * @returns {Asked|null}
    */
   get pictureOf() {
     return (this.#cover ?? this.#picture)?.of ?? null;
   }
 
-  /** @returns {State} */
+  /** Return the state of the stage. @returns {State} */
   get state() {
     if (this.#lost) return "trouble";
     if (this.#away && this.#picture && this.facts?.provisional !== false) return "away";
@@ -95,9 +95,12 @@ export class Shown {
   }
 
   /**
-   * What may be said of the picture: nothing, unless it is the full one of the view that the
-   * controls ask for. Where the card's lies over it, as it is not lit all over, that is how far its
-   * light is, and not its error, which is of what nobody sees.
+   * Return the facts of the picture; null unless it is the full picture of the view that the
+   * controls ask for.
+   *
+   * While the card's picture covers a provisional one of the server, only the state of its light is
+   * returned: its error belongs to a picture that nobody sees.
+   *
    * @returns {Facts|null}
    */
   get facts() {
@@ -109,8 +112,7 @@ export class Shown {
   }
 
   /**
-   * The time until the picture is done, as what was said of it stands now: it becomes less while
-   * nothing comes.
+   * Return the estimated time until the picture is final, less the time since it was estimated.
    * @returns {import("../view/format.js").Left|null}
    */
   get left() {
@@ -118,21 +120,21 @@ export class Shown {
   }
 
   /**
-   * The predicted error of the picture that the graphics card drew of the view that the controls
-   * ask for.
+   * Return the predicted error of the card's picture, if it shows the view that the controls ask
+   * for.
    * @returns {number|null}
    */
   get predicted() {
     return this.#cover && this.#isAsked(this.#cover.of) ? this.#cover.predicted : null;
   }
 
-  /** Whether the picture has all of the screen's pixels. @returns {boolean} */
+  /** Return true if the picture has all of the screen's pixels. @returns {boolean} */
   get sharp() {
     return this.#picture?.sharp ?? false;
   }
 
   /**
-   * When the controls left the picture on the stage; Infinity where they have not.
+   * Return the time at which the controls left the picture on the stage; Infinity if they have not.
    * @returns {number}
    */
   get leftAt() {
@@ -141,7 +143,7 @@ export class Shown {
   }
 
   /**
-   * Since when the controls wait for a full picture; Infinity where they do not.
+   * Return the time since which the controls wait for a full picture; Infinity if they do not.
    * @returns {number}
    */
   get waitsSince() {
@@ -149,7 +151,8 @@ export class Shown {
   }
 
   /**
-   * Whether a picture of a view would take the place of one that the controls ask for.
+   * Return true if a picture of view `of` would replace a picture of the view that the controls ask
+   * for.
    * @param {Asked} of
    * @returns {boolean}
    */
@@ -158,15 +161,15 @@ export class Shown {
     return shown !== null && this.#isAsked(shown) && !this.#isAsked(of);
   }
 
-  /** Call `listener` whenever anything here has changed. @param {() => void} listener */
+  /** Call `listener` after every change. @param {() => void} listener */
   subscribe(listener) {
     this.#listeners.add(listener);
   }
 
   /**
-   * The controls are now these.
+   * Change the controls.
    * @param {Knobs} values
-   * @returns {boolean} whether they ask for another picture
+   * @returns {boolean} true if they ask for another picture
    */
   ask(values) {
     const key = this.#keyOf(values);
@@ -176,18 +179,21 @@ export class Shown {
     return other;
   }
 
-  /** The page is left for another: what it shows is not what was asked for. */
+  /**
+   * Note that the page is left for another one: its picture no longer is the one that was asked
+   * for.
+   */
   leave() {
     this.#leave(this.#asked.values, "");
   }
 
-  /** The view goes on changing, or rests. @param {boolean} moving */
+  /** Note that the view goes on changing, or rests. @param {boolean} moving */
   move(moving) {
     this.#moving = moving;
     this.#tell();
   }
 
-  /** A picture of the server is on the stage now. @param {ShownPicture} picture */
+  /** Note that a picture of the server is on the stage. @param {ShownPicture} picture */
   show(picture) {
     this.#picture = picture;
     this.#cameAt = this.#clock.now();
@@ -196,7 +202,7 @@ export class Shown {
   }
 
   /**
-   * The card's picture lies over the server's now.
+   * Note that the card's picture lies over the server's.
    * @param {Cover} cover
    */
   cover({ of, predicted }) {
@@ -207,7 +213,10 @@ export class Shown {
     this.#tell();
   }
 
-  /** The card's picture is gone: the server's last one is seen, whatever that is of. */
+  /**
+   * Note that the card's picture is gone, so that the server's last one is seen, whatever view it
+   * shows.
+   */
   uncover() {
     if (!this.#cover) return;
     this.#cover = null;
@@ -215,7 +224,7 @@ export class Shown {
   }
 
   /**
-   * The server is away, or back; while it is away the page draws by itself.
+   * Note that the server is away, or back. While it is away the page draws by itself.
    * @param {boolean} away
    */
   part(away) {
@@ -224,13 +233,18 @@ export class Shown {
     this.#tell();
   }
 
-  /** There is no picture of the view that the controls ask for. */
+  /** Note that the view that the controls ask for cannot be drawn. */
   lose() {
     this.#lost = true;
     this.#tell();
   }
 
-  /** @param {Knobs} values @param {string} key */
+  /**
+   * Change the view that the controls ask for. A picture that shows the new view already is counted
+   * as asked for.
+   * @param {Knobs} values
+   * @param {string} key
+   */
   #leave(values, key) {
     this.#asked.until = this.#clock.now();
     this.#asked = { values, key, since: this.#clock.now(), until: Infinity };
@@ -239,11 +253,12 @@ export class Shown {
     this.#tell();
   }
 
-  /** @param {Asked} of */
+  /** Return true if the controls ask for a view. @param {Asked} of */
   #isAsked({ key }) {
     return key === this.#asked.key;
   }
 
+  /** Call all listeners. */
   #tell() {
     this.#listeners.forEach((listener) => listener());
   }

@@ -1,4 +1,4 @@
-/** Pictures by a stream: views go out as they change, and pictures come in as they are drawn. */
+/** Pictures by a stream: views are sent as they change, and pictures arrive as they are drawn. */
 
 import { streamedFrame } from "./schemas.js";
 import { CLOCK, lost, retryDelay, troubleOf } from "./trouble.js";
@@ -9,14 +9,14 @@ import { CLOCK, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("./trouble.js").Clock} Clock */
 /** @typedef {import("./trouble.js").Trouble} Trouble */
 
-const RETRY_MS = [300, 600, 1200, 2400, 4000];
-const LONGEST_MS = 60_000; // longer than this a receipt may not report
-const IDLE = 4000; // the code that a stream is closed with when nothing was said for long
-const LATER = 1013; // the one when another client needs its place
+const RETRY_MS = [300, 600, 1200, 2400, 4000]; // waits after the first failure, the second, …
+const LONGEST_MS = 60_000; // longest time that a receipt may report
+const IDLE = 4000; // close code of a stream that was idle for long
+const LATER = 1013; // close code if another client needs the place
 const OPEN = 1; // `WebSocket.OPEN`
-const SILENT = 2; // handshakes in a row that fail, before the server is asked why by HTTP
+const SILENT = 2; // handshakes that fail in a row before the server is asked for the reason by HTTP
 
-/** Keeps one socket open, and opens it anew when it is lost. */
+/** Keeps one socket open, and opens it again when it is lost. */
 export class Streaming {
   #open;
   #view;
@@ -26,15 +26,15 @@ export class Streaming {
   #probe;
   /** @type {WebSocket|null} */
   #socket = null;
-  #known = false;
+  #known = false; // true once a socket has opened
   #moving = false;
   #paused = false;
   #drawing = 0;
   #timer = 0;
   #failures = 0;
-  #handshakes = 0; // that failed in a row
-  #answers = false; // whether the server has answered by HTTP since
-  #sent = 0;
+  #handshakes = 0; // handshakes that failed in a row
+  #answers = false; // true if the server has answered by HTTP since
+  #sent = 0; // id of the last view
   /** @type {Map<number, View["of"]>} views that were sent, by their ids */
   #asked = new Map();
   /** @type {StreamMessage|null} */
@@ -42,12 +42,12 @@ export class Streaming {
 
   /**
    * @param {() => WebSocket} open
-   * @param {(moving: boolean) => View} view as it is now
+   * @param {(moving: boolean) => View} view returns the current view
    * @param {Hooks} hooks
-   * @param {() => void} refused is called when no stream can be had
+   * @param {() => void} refused is called if no stream can be had
    * @param {Clock} [clock]
-   * @param {(() => Promise<unknown>)|null} [probe] asks by HTTP if the server has the scene; throws what
-   *   is wrong
+   * @param {(() => Promise<unknown>)|null} [probe] checks by HTTP that the server has the scene;
+   *   throws the trouble
    */
   constructor(open, view, hooks, refused, clock = CLOCK, probe = null) {
     this.#open = open;
@@ -58,20 +58,19 @@ export class Streaming {
     this.#probe = probe;
   }
 
-  /** The view is now another one; show it. @param {boolean} moving whether it goes on changing */
+  /** Send the current view. @param {boolean} moving true if the view goes on changing */
   show(moving) {
     this.#moving = moving;
     this.#paused = false;
     cancelAnimationFrame(this.#drawing);
     if (moving)
-      // no more often than the screen changes
+      // Send no more often than the screen changes.
       this.#drawing = requestAnimationFrame(() => this.#send());
     else this.#send();
   }
 
   /**
-   * The view moves, and the page draws it by itself: the server is to draw none until the next is
-   * shown.
+   * Tell the server to draw nothing until the next `show`: the view moves, and the page draws it.
    */
   pause() {
     if (this.#paused) return;
@@ -81,17 +80,19 @@ export class Streaming {
     if (this.#socket) this.#send();
   }
 
-  /** The page is seen again, or has a network: try at once, if there is no stream. */
+  /** Try to connect again without waiting, as the page is visible again or has a network. */
   resume() {
     if (!this.#socket && this.#failures) this.#send();
   }
 
+  /** Send the current view, or connect first. */
   #send() {
     this.#clock.cancel(this.#timer);
     if (!this.#socket) this.#connect();
     else if (this.#socket.readyState === OPEN) {
       const { query, chunks, of } = this.#view(this.#moving);
       this.#asked.set(++this.#sent, of);
+      // Send optional fields only if they are set.
       const wishes = { ...(chunks && { chunks }), ...(this.#paused && { pictures: false }) };
       this.#socket.send(
         JSON.stringify({ id: this.#sent, view: query, moving: this.#moving, ...wishes }),
@@ -99,11 +100,12 @@ export class Streaming {
     }
   }
 
+  /** Open a socket, and follow its life. */
   #connect() {
     try {
       this.#socket = this.#open();
     } catch {
-      this.#refused(); // a browser, or a policy, without sockets
+      this.#refused(); // the browser, or a policy, allows no sockets
       return;
     }
     this.#socket.binaryType = "blob";
@@ -115,7 +117,9 @@ export class Streaming {
     };
     this.#socket.onmessage = ({ data }) =>
       typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data);
-    const before = ++this.#handshakes; // until it opens
+    // The count is reset when the socket opens: if it is unchanged at the end, the handshake
+    // failed.
+    const before = ++this.#handshakes;
     this.#socket.onclose = ({ code, reason }) =>
       this.#known && this.#handshakes === before
         ? this.#unanswered()
@@ -123,7 +127,8 @@ export class Streaming {
   }
 
   /**
-   * @param {StreamMessage} message about the picture that comes next, or a problem in place of one
+   * Keep the message that precedes a picture, or report its problem if it concerns the newest view.
+   * @param {StreamMessage} message about the next picture, or with a problem in place of one
    */
   #announced(message) {
     this.#message = message;
@@ -131,9 +136,15 @@ export class Streaming {
       this.#failed(troubleOf(message.problem));
   }
 
-  /** @param {Blob} data */
+  /**
+   * Show a picture, and send a receipt with the time that this took, by which the server paces
+   * itself.
+   * @param {Blob} data
+   */
   async #came(data) {
-    const [socket, message, came] = [this.#socket, this.#message, this.#clock.now()];
+    const socket = this.#socket;
+    const message = this.#message;
+    const came = this.#clock.now();
     if (!socket || !message) return;
     this.#failures = 0;
     await this.#hooks.frame(
@@ -146,13 +157,20 @@ export class Streaming {
     );
   }
 
-  /** The view that was sent with an id; those before it are answered no more. @param {number} id */
+  /**
+   * Return the view that was sent with an id, and forget older ones, which are no longer answered.
+   * @param {number} id
+   */
   #askedBy(id) {
     for (const each of this.#asked.keys()) if (each < id) this.#asked.delete(each);
     return /** @type {View["of"]} */ (this.#asked.get(id));
   }
 
-  /** @param {number} code @param {string} reason */
+  /**
+   * Handle the end of a stream: connect again, unless it was idle or never opened.
+   * @param {number} code
+   * @param {string} reason
+   */
   #closed(code, reason) {
     this.#socket = null;
     if (!this.#known) this.#refused();
@@ -160,7 +178,10 @@ export class Streaming {
     else if (code !== IDLE) this.#failed(lost());
   }
 
-  /** A handshake failed, and browsers do not say why: the server does by HTTP. */
+  /**
+   * Handle a failed handshake. Browsers do not report the reason, so that the server is asked by
+   * HTTP after a few.
+   */
   async #unanswered() {
     this.#socket = null;
     if (!this.#probe || this.#handshakes < SILENT) {
@@ -171,12 +192,15 @@ export class Streaming {
       () => null,
       (reason) => reason,
     );
-    if (this.#socket) return; // another one is on its way
+    if (this.#socket) return; // another socket was opened meanwhile
     if (error) this.#failed(error);
     else this.#welcome();
   }
 
-  /** The server answers by HTTP: it is back, or lets no stream through. */
+  /**
+   * Handle a server that answers by HTTP after failed handshakes: it is back, or something blocks
+   * streams. Try once more, then give up the stream.
+   */
   #welcome() {
     if (this.#answers) {
       this.#refused();
@@ -186,7 +210,7 @@ export class Streaming {
     this.#send();
   }
 
-  /** Say what is wrong, and try again where that can help. @param {Trouble} error */
+  /** Report trouble, and try again later if that can help. @param {Trouble} error */
   #failed(error) {
     const delay = retryDelay(error, this.#failures, RETRY_MS);
     this.#failures += 1;

@@ -1,27 +1,25 @@
-/**
- * A large picture in strips: each is asked for by itself, and all are put together where there is
- * more than one.
- */
+/** A large picture in strips: each is requested by itself, and all of them are joined. */
 
 /** @typedef {import("./schemas.js").Facts} Facts */
 /**
- * @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes from the
- *   lower left corner on
+ * @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes that are
+ *   drawn over a picture, from its lower left corner on
  */
 /**
- * @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are asked for, `from`
- *   to `to` are shown
+ * @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are requested, and
+ *   rows [from, to) of them are used
  */
 
-const STRIP = 1 << 23; // pixels: what a server draws without taking much memory
-const OVERLAP = 2; // rows that neighbours share, so that edges are smooth across the seam
+const STRIP = 1 << 23; // pixels of a strip at most, to limit the server's memory
+const OVERLAP = 2; // extra rows at each side, so that edges are smooth across the seam
 
 /**
- * The strips of a picture, from its top.
+ * Part a picture into strips, from its top.
  * @param {{width: number, height: number}} size
  * @returns {Strip[]}
  */
 export function stripsOf({ width, height }) {
+  // Rows of a strip without its overlaps.
   const high = Math.max(1, Math.floor(STRIP / width) - 2 * OVERLAP);
   if (width * height <= STRIP) return [whole({ height })];
   return Array.from({ length: Math.ceil(height / high) }, (_, n) => {
@@ -30,13 +28,13 @@ export function stripsOf({ width, height }) {
   });
 }
 
-/** The one strip that is all of a picture. @param {{height: number}} size @returns {Strip} */
+/** Return the strip that is a whole picture. @param {{height: number}} size @returns {Strip} */
 export function whole({ height }) {
   return { rows: [0, height], from: 0, to: height };
 }
 
 /**
- * What is known of a picture of which these are parts: that of its worst part.
+ * Return the facts of a picture that is made of parts: those of its worst part.
  * @param {Facts[]} all
  * @returns {Facts}
  */
@@ -48,7 +46,7 @@ export function worstOf(all) {
   );
 }
 
-/** A picture that strips are painted into. */
+/** A picture that strips are drawn into. */
 export class Sheet {
   #canvas;
   #paint;
@@ -60,6 +58,7 @@ export class Sheet {
   }
 
   /**
+   * Draw a strip.
    * @param {Blob} blob picture of the strip's rows
    * @param {Strip} strip
    */
@@ -82,7 +81,7 @@ export class Sheet {
   /**
    * Draw shapes over the picture.
    * @param {Stamp} stamp
-   * @param {boolean} light whether the ground is
+   * @param {boolean} light true if the background is light
    */
   stamp({ shapes, scale }, light) {
     const paint = this.#paint;
@@ -90,13 +89,18 @@ export class Sheet {
     const colours = light
       ? { over: "#3a4048", under: "#cbced1" }
       : { over: "#f4ead8", under: "#1a1d22" };
+    // Shapes are given from the lower left corner, with y upwards.
     paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
     shapes.areas?.forEach((area) => fillArea(paint, area, colours));
     shapes.lines.forEach((line) => strokeLine(paint, line, colours));
     shapes.words.forEach((words) => paintWords(paint, words, colours));
   }
 
-  /** All of it as a file. @returns {Promise<Blob>} */
+  /**
+   * Return the picture as a PNG file.
+   * @returns {Promise<Blob>}
+   * @throws {Error} if the picture is too large for this browser
+   */
   async file() {
     /** @type {Blob|null} */
     const blob = await new Promise((done) => this.#canvas.toBlob(done, "image/png"));
@@ -107,11 +111,12 @@ export class Sheet {
 }
 
 /**
- * @typedef {{over: string, under: string}} Colours of a line, and of what sets it off from the
- *   picture
+ * @typedef {{over: string, under: string}} Colours colour of a line, and of the outline that sets
+ *   it off from the picture
  */
 
 /**
+ * Fill an area with a gradient of its colours, with an outline.
  * @param {CanvasRenderingContext2D} paint
  * @param {import("../view/rulers.js").Area} area
  * @param {Colours} colours
@@ -128,6 +133,7 @@ function fillArea(paint, { from: [left, low], to: [right, high], colours }, { un
 }
 
 /**
+ * Draw a line over a broader one, its outline; lines of a kind are dotted.
  * @param {CanvasRenderingContext2D} paint
  * @param {import("../view/rulers.js").Line} line
  * @param {Colours} colours
@@ -143,6 +149,7 @@ function strokeLine(paint, { kind, points }, { over, under }) {
 }
 
 /**
+ * Draw words with an outline.
  * @param {CanvasRenderingContext2D} paint
  * @param {import("../view/rulers.js").Words} words
  * @param {Colours} colours

@@ -1,13 +1,13 @@
-/** What can be wrong with a request, and when to ask again. */
+/** Troubles that a request can meet, and the time of the next try. */
 
 const NO_ANSWER = "The page keeps asking and continues by itself when the server is back.";
 
 /**
  * @typedef {object} Clock
- * @property {() => number} now milliseconds
- * @property {(milliseconds: number, run: () => void) => number} after calls `run` later; gives what
- *   cancels it
- * @property {(timer: number) => void} cancel
+ * @property {() => number} now current time, milliseconds
+ * @property {(milliseconds: number, run: () => void) => number} after calls `run` later; returns
+ *   the timer
+ * @property {(timer: number) => void} cancel stops a timer
  */
 
 /** The browser's clock. @type {Clock} */
@@ -18,14 +18,15 @@ export const CLOCK = {
 };
 
 /**
- * A problem that the server reports, or that it does not answer. `retry` is whether asking again
- * can help.
+ * A problem that the server reports, or the lack of an answer. `retry` is true if another request
+ * may succeed.
  */
 export class Trouble extends Error {
   /**
    * @param {string} title what is wrong, in a few words
    * @param {string} detail one sentence for a person
-   * @param {{status?: number, retry?: boolean, after?: number}} [facts] `after` in seconds
+   * @param {{status?: number, retry?: boolean, after?: number}} [facts] `status` of HTTP, 0 without
+   *   an answer; `after` in seconds
    */
   constructor(title, detail, { status = 0, retry = false, after = 0 } = {}) {
     super(detail);
@@ -37,15 +38,15 @@ export class Trouble extends Error {
   }
 }
 
-/** The trouble that there is no answer at all. @returns {Trouble} */
+/** Return the trouble that the server does not answer. @returns {Trouble} */
 export function lost() {
   return new Trouble("The server does not answer", NO_ANSWER, { retry: true });
 }
 
 /**
- * The trouble that a problem document of the server reports.
+ * Return the trouble that a problem document of the server reports.
  * @param {{status?: number, detail?: unknown}} problem
- * @param {number} [after] seconds after which to ask again
+ * @param {number} [after] seconds after which to try again
  * @returns {Trouble}
  */
 export function troubleOf({ status = 0, detail }, after = 0) {
@@ -59,12 +60,13 @@ export function troubleOf({ status = 0, detail }, after = 0) {
 }
 
 /**
- * Milliseconds until the next try: those that the server asks for, else longer after each failure.
+ * Return the milliseconds until the next try: those that the server asks for, otherwise longer
+ * after each failure.
  * @param {unknown} error
- * @param {number} failures how many came before it
- * @param {number[]} waits milliseconds after the first failure, the second, and so on; the last is
- *   kept
- * @returns {number|null} null where asking again cannot help
+ * @param {number} failures failures before this one
+ * @param {number[]} waits milliseconds after the first failure, the second, and so on; the last one
+ *   repeats
+ * @returns {number|null} null if another try cannot help
  */
 export function retryDelay(error, failures, waits) {
   if (!(error instanceof Trouble && error.retry)) return null;

@@ -1,6 +1,6 @@
 /**
- * Volumes and light probes of one's own: files or a folder that are opened or dropped go to the
- * server, and are shown; or deleted.
+ * The visitor's volumes and light probes: files or a folder that are opened or dropped are sent to
+ * the server and shown, or deleted from it.
  */
 
 import { find } from "../dom.js";
@@ -9,21 +9,21 @@ import { zipOf } from "./bytes.js";
 import { progressWords } from "./compiling.js";
 
 /** @typedef {import("../documents.js").UploadLimits} UploadLimits */
-/** @typedef {{path: string, file: File}} Chosen a file, and where it lies in what was chosen */
+/** @typedef {{path: string, file: File}} Chosen a file, and its path in the chosen folder */
 
 const MEGABYTE = 1 << 20;
-const LOOK_MS = 500; // between two looks at what the server compiles for a file
+const LOOK_MS = 500; // time between two looks at kernels that the server compiles for a file
 
 /**
- * Offer to open files, and to delete what was uploaded. Does nothing where the server takes no
- * uploads.
+ * Offer to open files, and to delete uploads. Does nothing if the server takes no uploads.
  * @param {HTMLElement} root holds the buttons `#upload-open`, `#upload-folder` and
  *   `#upload-delete`, the inputs `#upload-file` and `#upload-files`, and the `#upload-note` popover
  *   with a `p` and a `progress`
- * @param {HTMLElement} stage where files may be dropped
- * @param {UploadLimits|null} limits what may be uploaded
- * @param {{name: string, volume: string|null}} scene the one that is shown
- * @param {(scene: string|null) => void} show goes to a scene; to the first where it is null
+ * @param {HTMLElement} stage element that files may be dropped on
+ * @param {UploadLimits|null} limits limits of uploads; null if there are none
+ * @param {{name: string, volume: string|null}} scene the scene that is shown; `volume` is its
+ *   address if it is an upload
+ * @param {(scene: string|null) => void} show goes to a scene; null goes to the first one
  * @param {(environment: string) => void} light shows the scene in the light of an uploaded probe
  */
 export function attachUpload(root, stage, limits, scene, show, light) {
@@ -42,6 +42,8 @@ export function attachUpload(root, stage, limits, scene, show, light) {
     );
   root.hidden = false;
   erase.hidden = !scene.volume;
+  // The buttons open the browser's dialogs; the same file can be chosen again, as the input is
+  // emptied.
   for (const [button, input] of [
     [open, find(root, "#upload-file", HTMLInputElement)],
     [folder, find(root, "#upload-files", HTMLInputElement)],
@@ -64,7 +66,7 @@ export function attachUpload(root, stage, limits, scene, show, light) {
 }
 
 /**
- * Why files may not be uploaded; "" where they may.
+ * Return a sentence if files exceed the limits of an upload, otherwise "".
  * @param {{name: string, size: number}[]} files
  * @param {{limit_bytes: number, limit_files: number}} limits
  * @returns {string}
@@ -73,21 +75,21 @@ export function tooLarge(files, limits) {
   const size = files.reduce((sum, file) => sum + file.size, 0);
   const most = `the ${Math.floor(limits.limit_bytes / MEGABYTE)} MB that an upload may be`;
   if (files.length > limits.limit_files)
-    return `These are ${files.length} files, and ${limits.limit_files} are the most that an upload may be.`;
+    return `These are ${files.length} files; an upload may have ${limits.limit_files} at most.`;
   if (size <= limits.limit_bytes) return "";
   return files.length === 1
     ? `${files[0].name} is larger than ${most}.`
     : `These ${files.length} files are larger than ${most}, together.`;
 }
 
-// names of files that systems leave in folders, which hold nothing to show
+/** Names of files that operating systems leave in folders. */
 const NO_VOLUMES = /(^|\/)(\.|__MACOSX\/|DICOMDIR$|Thumbs\.db$|desktop\.ini$)/i;
 
 /**
- * The files of a choice that may belong to a volume.
+ * Return the files of a choice that may belong to a volume.
  * @template {{path: string}} T
  * @param {T[]} chosen
- * @returns {T[]} by their paths
+ * @returns {T[]} sorted by their paths
  */
 export function ofVolumes(chosen) {
   return chosen
@@ -96,7 +98,8 @@ export function ofVolumes(chosen) {
 }
 
 /**
- * What several files are called together: their folder, else the header among them, else the first.
+ * Return a name for several files: that of their folder, else of the header among them, else of the
+ * first file.
  * @param {{path: string}[]} chosen
  * @returns {string}
  */
@@ -107,7 +110,7 @@ export function nameOfAll(chosen) {
 }
 
 /**
- * Whether a file is light and no volume, by its name.
+ * Return true if a file's name is that of a light probe.
  * @param {string} file
  * @returns {boolean}
  */
@@ -116,7 +119,7 @@ export function isProbe(file) {
 }
 
 /**
- * The name of a file as a title: without its ending, and no longer than the server takes.
+ * Make a title of a file's name: without its ending, and no longer than the server accepts.
  * @param {string} file
  * @returns {string}
  */
@@ -128,6 +131,7 @@ export function volumeName(file) {
 }
 
 /**
+ * Send files that are dropped on the stage.
  * @param {HTMLElement} stage
  * @param {(chosen: Chosen[]) => void} send
  */
@@ -146,12 +150,12 @@ function attachDrop(stage, send) {
 }
 
 /**
- * All files that were dropped, also those in folders.
+ * Return all files that were dropped, including those in folders.
  * @param {DataTransfer|null} data
  * @returns {Promise<Chosen[]>}
  */
 async function dropped(data) {
-  // what was dropped can be asked for at once alone
+  // The data can be read only before the event's handler first waits.
   const files = [...(data?.files ?? [])];
   const entries = [...(data?.items ?? [])].map((item) => item.webkitGetAsEntry?.() ?? null);
   if (!entries.some((entry) => entry?.isDirectory))
@@ -161,21 +165,21 @@ async function dropped(data) {
 }
 
 /**
- * The files of an entry: its own, or all below a folder.
+ * Return the files of an entry: the file itself, or all files below a folder.
  * @param {FileSystemEntry} entry
  * @returns {Promise<Chosen[]>}
  */
 async function filesIn(entry) {
   const path = entry.fullPath.replace(/^\//, "");
   if (entry.isFile) {
-    const own = /** @type {FileSystemFileEntry} */ (entry);
-    return [{ path, file: await new Promise((done, failed) => own.file(done, failed)) }];
+    const leaf = /** @type {FileSystemFileEntry} */ (entry);
+    return [{ path, file: await new Promise((done, failed) => leaf.file(done, failed)) }];
   }
   const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
   /** @type {Chosen[]} */
   const found = [];
   for (;;) {
-    // a folder is read in batches, until one is empty
+    // A folder is read in batches; an empty batch ends it.
     /** @type {FileSystemEntry[]} */
     const batch = await new Promise((done, failed) => reader.readEntries(done, failed));
     if (!batch.length) return found;
@@ -184,12 +188,12 @@ async function filesIn(entry) {
 }
 
 /**
- * Send files while the note says how far it is: one as it is, several as one ZIP file.
+ * Send files, and show progress in the note: a single file as it is, several as one ZIP file.
  * @param {Chosen[]} all
  * @param {UploadLimits} limits
  * @param {HTMLElement} note
  * @returns {Promise<{id: string, kind: "volumes"|"environments"}|null>} the volume, or the
- *   environment; null where nothing was chosen
+ *   environment; null if nothing was chosen
  */
 async function upload(all, limits, note) {
   if (!all.length) return null;
@@ -199,8 +203,9 @@ async function upload(all, limits, note) {
         chosen.map(({ file }) => file),
         limits,
       )
-    : "There is no file of a volume in it.";
+    : "It contains no file of a volume.";
   if (refusal) return reporting(note, Promise.reject(new Error(refusal)));
+  // A single file keeps its format; several files, as DICOM series are, become one ZIP.
   const alone = chosen.length === 1;
   const name = alone ? chosen[0].file.name : nameOfAll(chosen);
   const kind = alone && isProbe(name) ? "environments" : "volumes";
@@ -212,16 +217,18 @@ async function upload(all, limits, note) {
 }
 
 /**
- * Send what is one file while the note says how far it is.
+ * Send one file, and show progress in the note.
  * @param {"volumes"|"environments"} kind
  * @param {Blob} body
- * @param {{name: string, said: string}} names of the volume, and of what is sent
+ * @param {{name: string, said: string}} names `name` of the volume, and `said`, the words for the
+ *   file in the note
  * @param {HTMLElement} note
  * @returns {Promise<{id: string}>} the volume, or the environment
  */
 function sendBody(kind, body, { name, said }, note) {
   const bar = find(note, "progress", HTMLProgressElement);
-  let [sent, done] = [false, false];
+  let sent = false; // true if the server has all bytes
+  let done = false;
   /** @param {number} share */
   const progress = (share) => {
     if (sent) return;
@@ -243,11 +250,11 @@ function sendBody(kind, body, { name, said }, note) {
 }
 
 /**
- * Say how far the server compiles what draws a file, where it must.
- * @param {string} said what the file is called
+ * Show the progress of kernels that the server compiles for a file, until the file is done.
+ * @param {string} said words for the file
  * @param {HTMLElement} note
  * @param {HTMLProgressElement} bar
- * @param {() => boolean} done whether the file is there, or was refused
+ * @param {() => boolean} done returns true once the file was accepted or refused
  */
 async function watchCompiling(said, note, bar, done) {
   for (
@@ -265,7 +272,7 @@ async function watchCompiling(said, note, bar, done) {
 }
 
 /**
- * The same promise; where it fails the note says why, until it is closed.
+ * Return the result of a promise; if it fails, show the reason in the note first.
  * @template T
  * @param {HTMLElement} note
  * @param {Promise<T>} promise
@@ -281,6 +288,7 @@ async function reporting(note, promise) {
 }
 
 /**
+ * Show a sentence in the note.
  * @param {HTMLElement} note
  * @param {string} text
  */

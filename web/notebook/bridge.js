@@ -1,6 +1,6 @@
 /**
- * The way from a notebook's page to the server: requests go to the kernel as messages, which hands
- * the answers back.
+ * The connection of a notebook's page to the server: requests go to the kernel as messages, and the
+ * kernel sends the answers back.
  */
 
 import { troubleOf } from "../net/trouble.js";
@@ -8,7 +8,7 @@ import { troubleOf } from "../net/trouble.js";
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
 
 /**
- * @typedef {object} Model of a widget, as notebooks have it
+ * @typedef {object} Model model of a widget, as notebooks define it
  * @property {(name: string) => any} get
  * @property {(name: string, value: any) => void} set
  * @property {() => void} save_changes
@@ -16,11 +16,11 @@ import { troubleOf } from "../net/trouble.js";
  * @property {(event: string, listener: (...given: any[]) => void) => void} on
  * @property {(event: string, listener: (...given: any[]) => void) => void} off
  *
- * @typedef {{number: number, status: number, detail: string}} Answer of the kernel, to the request
- *   of that number
+ * @typedef {{number: number, status: number, detail: string}} Answer the kernel's answer to the
+ *   request with this number
  */
 
-/** Asks the server by way of the kernel. */
+/** Sends requests to the server through the kernel. */
 export class Bridge {
   #model;
   #number = 0;
@@ -33,12 +33,15 @@ export class Bridge {
     model.on("msg:custom", this.#came);
   }
 
-  /** Take no more answers. */
+  /** Ignore further answers. */
   close() {
     this.#model.off("msg:custom", this.#came);
   }
 
-  /** What a graphics card draws the scene from. @returns {import("../live/live.js").Source} */
+  /**
+   * Return the requests by which a graphics card draws the scene.
+   * @returns {import("../live/live.js").Source}
+   */
   get source() {
     return {
       document: async (query) => read(await this.#ask(`card?${textOf(query)}`)),
@@ -49,16 +52,16 @@ export class Bridge {
     };
   }
 
-  /** Text of a shader's file. @param {string} name @returns {Promise<string>} */
+  /** Read a shader's file. @param {string} name @returns {Promise<string>} */
   async readShader(name) {
     return new TextDecoder().decode(await this.#ask(`web/card/shaders/${name}`));
   }
 
   /**
-   * Bytes at an address of the card's, below the scene's, or of a file of the page.
+   * Request the bytes at an address below the scene's, or of a file of the page.
    * @param {string} path
    * @returns {Promise<ArrayBuffer>}
-   * @throws {import("../net/trouble.js").Trouble} what the server reports
+   * @throws {import("../net/trouble.js").Trouble} if the server reports a problem
    */
   #ask(path) {
     const number = ++this.#number;
@@ -68,27 +71,31 @@ export class Bridge {
     });
   }
 
-  /** @param {Answer} answer @param {DataView[]} buffers */
+  /**
+   * Settle the request that an answer belongs to.
+   * @param {Answer} answer
+   * @param {DataView[]} buffers
+   */
   #came = ({ number, status, detail }, buffers) => {
     const waiting = this.#waiting.get(number);
-    if (!waiting) return; // another page with this widget has asked
+    if (!waiting) return; // the request of another page with this widget
     this.#waiting.delete(number);
     if (!buffers.length) waiting.failed(troubleOf({ status, detail }));
     else waiting.done(bytesOf(buffers[0]));
   };
 }
 
-/** @param {DataView} view @returns {ArrayBuffer} */
+/** Copy the bytes of a view. @param {DataView} view @returns {ArrayBuffer} */
 function bytesOf({ buffer, byteOffset, byteLength }) {
   return /** @type {ArrayBuffer} */ (buffer.slice(byteOffset, byteOffset + byteLength));
 }
 
-/** @param {ArrayBuffer} bytes @returns {any} */
+/** Read JSON. @param {ArrayBuffer} bytes @returns {any} */
 function read(bytes) {
   return JSON.parse(new TextDecoder().decode(bytes));
 }
 
-/** @param {FrameQuery} query @returns {string} */
+/** Write parameters as the query of an address. @param {FrameQuery} query @returns {string} */
 function textOf(query) {
   return new URLSearchParams(
     Object.entries(query).map(([name, value]) => [name, String(value)]),

@@ -1,5 +1,6 @@
-/** A view in a notebook: the visitor's graphics card draws what moves, and the server's picture of a view at rest comes
- * by way of the kernel.
+/**
+ * A view in a notebook: the visitor's graphics card draws moving views, and the kernel sends the
+ * server's picture of a view at rest.
  */
 
 import { Card } from "../card/card.js";
@@ -23,11 +24,12 @@ import { Bridge } from "./bridge.js";
  */
 
 /**
- * Knobs of the view that the kernel knows as the page moves them.
+ * Knobs of the view that page and kernel share.
  * @type {("isovalue"|"azimuth"|"elevation"|"distance"|"yaw"|"pitch"|"roll"|"target")[]}
  */
 const SHARED = ["isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll", "target"];
-/** Parameters of a view that the page knows; one with others is drawn by the server. */
+
+/** Parameters of a view that the page knows; a view with others is drawn by the server. */
 const KNOWN = new Set([
   ...NUMBERS,
   "target",
@@ -39,8 +41,8 @@ const KNOWN = new Set([
   "max_error",
   "draw",
 ]);
-const REST_MS = 200; // a view that has not changed for this long is at rest
-const STEP = 5; // degrees that an arrow key turns by
+const REST_MS = 200; // time without a change after which a view is at rest
+const STEP = 5; // degrees of rotation by an arrow key
 
 /**
  * Show the widget of a model in an element.
@@ -63,7 +65,7 @@ export function show(model, element) {
 }
 
 /**
- * Lay the widget out.
+ * Make the elements of the widget.
  * @param {HTMLElement} element
  * @param {[number, number]} size pixels of the picture
  * @returns {Parts}
@@ -86,7 +88,7 @@ function partsIn(element, [width, height]) {
 }
 
 /**
- * The knobs that the kernel has the view start with.
+ * Return the first knobs, as the kernel gives them.
  * @param {Model} model
  * @returns {Partial<Knobs>}
  */
@@ -95,12 +97,16 @@ function startOf(model) {
   return { background: "light", ...start, ...sharedOf(model) };
 }
 
-/** Knobs as the kernel has them. @param {Model} model @returns {Partial<Knobs>} */
+/** Return the knobs that the kernel shares. @param {Model} model @returns {Partial<Knobs>} */
 function sharedOf(model) {
   return Object.fromEntries(SHARED.map((name) => [name, model.get(name)]));
 }
 
-/** Who is to draw what moves: null for whoever can. @param {Model} model @returns {string|null} */
+/**
+ * Return the part that must draw moving views: "card" or "server"; null to let the page choose.
+ * @param {Model} model
+ * @returns {string|null}
+ */
 function choiceOf(model) {
   const given = model.get("given");
   const known = Object.entries(given).every(
@@ -111,7 +117,7 @@ function choiceOf(model) {
 }
 
 /**
- * The card's part of the view.
+ * Make the part of the widget that draws with the card.
  * @param {Parts} parts
  * @param {Scene} scene
  * @param {Model} model
@@ -120,6 +126,7 @@ function choiceOf(model) {
  */
 function liveIn({ canvas, line }, scene, model, bridge) {
   const [width, height] = model.get("size");
+  // The line below the picture tells how good the card's picture is.
   /** @type {Live} */
   const live = new Live(
     canvas,
@@ -144,25 +151,26 @@ function liveIn({ canvas, line }, scene, model, bridge) {
   return live;
 }
 
-/** Have the kernel know what changed. @param {Model} model @param {Record<string, any>} values */
+/** Send values to the kernel. @param {Model} model @param {Record<string, any>} values */
 function share(model, values) {
   for (const [name, value] of Object.entries(values)) model.set(name, value);
   model.save_changes();
 }
 
 /**
- * Keep the page, the kernel and the card at the same view.
+ * Keep page, kernel and card at the same view.
  * @param {Parts} parts
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Live} live
  * @param {Model} model
- * @returns {{settle: () => void, end: () => void}} the view rests; nobody looks any more
+ * @returns {{settle: () => void, end: () => void}} `settle` ends a motion; `end` removes all
+ *   listeners
  */
 function followed(parts, scene, view, live, model) {
   let timer = 0;
-  let led = false;
-  let shares = false; // the kernel changes the view; the page does, knob by knob
+  let led = false; // true while the kernel changes the view
+  let shares = false; // true while the page sends knobs to the kernel, one by one
   const tell = (/** @type {Record<string, any>} */ values) => {
     shares = true;
     share(model, values);
@@ -177,6 +185,7 @@ function followed(parts, scene, view, live, model) {
     clearTimeout(timer);
     live.show(values);
     live.move(true);
+    // Send knobs to the kernel, unless it has just sent them.
     const shared = led ? {} : Object.fromEntries(SHARED.map((name) => [name, values[name]]));
     tell({ ...shared, moving: live.draws(values) });
     timer = setTimeout(settle, REST_MS);
@@ -190,6 +199,7 @@ function followed(parts, scene, view, live, model) {
   };
   const came = () => {
     put(parts, model, describe(scene, view.values));
+    // Only a picture of the newest view can replace the card's.
     const isNewest =
       JSON.stringify(model.get("seen")) === JSON.stringify(SHARED.map((name) => model.get(name)));
     if (isNewest) live.rest(view.values, { coverage: { provisional: model.get("provisional") } });
@@ -213,7 +223,7 @@ function followed(parts, scene, view, live, model) {
 }
 
 /**
- * Show the server's picture, under the card's.
+ * Show the server's picture, below the card's.
  * @param {Parts} parts
  * @param {Model} model
  * @param {string} alt
@@ -224,7 +234,7 @@ function put({ picture }, model, alt) {
   picture.alt = alt;
 }
 
-/** Say what the kernel knows. @param {Parts} parts @param {Model} model */
+/** Show the kernel's state: isovalue and status line. @param {Parts} parts @param {Model} model */
 function mirror({ slider, line }, model) {
   const [low, high] = model.get("span").map(String);
   Object.assign(slider, {
@@ -237,7 +247,7 @@ function mirror({ slider, line }, model) {
 }
 
 /**
- * Pointer, wheel, arrow keys and the slider change the view.
+ * Let pointer, wheel, arrow keys and the slider change the view.
  * @param {Parts} parts
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -249,7 +259,7 @@ function attachControls({ stage, slider }, scene, view, onRest) {
   stage.addEventListener("keydown", (event) => {
     if (!(event.key in ARROWS)) return;
     event.preventDefault();
-    event.stopPropagation(); // or the notebook goes to another cell
+    event.stopPropagation(); // the notebook would select another cell
     const [right, down] = ARROWS[event.key];
     const turn = event.shiftKey && scene.turns ? dragLight : dragObject;
     view.set(turn(view.values, STEP * right, STEP * down));

@@ -1,6 +1,6 @@
 /**
- * Draws a history: the error on a logarithmic axis, and under it the coverage, over the same
- * seconds.
+ * Draws the history of a picture: the error on a logarithmic axis, and below it the coverage, over
+ * the same seconds.
  */
 
 import { find, svgElement } from "../dom.js";
@@ -9,26 +9,27 @@ import { errorInWords, niceStep } from "../view/format.js";
 
 /** @typedef {import("./error.js").Moment} Moment */
 /**
- * @typedef {Moment & {lasts?: boolean}} Drawn `lasts` marks the end of the axis, which no frame has
- *   reached
+ * @typedef {Moment & {lasts?: boolean}} Drawn a moment; `lasts` marks the end of the axis, to which
+ *   the final state is extended
  */
 /** @typedef {import("../net/schemas.js").State} State */
 /** @typedef {{at: number, label: string}} Tick */
-/** @typedef {(value: number) => number} Scale from seconds, an error or a share to pixels */
+/** @typedef {(value: number) => number} Scale maps seconds, an error or a share to pixels */
 
 const [LEFT, RIGHT] = [46, 14]; // margins, pixels
-const ERROR = { top: 20, bottom: 112 };
-const SHARES = { top: 142, bottom: 184 };
-const ROOM = 1.1; // how far the time axis goes beyond the newest moment, at least
-/** @type {[number, string][]} */
+const ERROR = { top: 20, bottom: 112 }; // place of the error's diagram, pixels
+const SHARES = { top: 142, bottom: 184 }; // place of the coverage's diagram, pixels
+const ROOM = 1.1; // length of the time axis over the newest moment, at least
+
+/** Units of the time axis: seconds, and name. @type {[number, string][]} */
 const UNITS = [
   [3600, "hours"],
   [60, "minutes"],
   [1, "seconds"],
 ];
-const MOST_TICKS = 6;
+const MOST_TICKS = 6; // ticks of an axis
 
-/** A chart that fills the width of its SVG element, pixel for pixel. */
+/** A chart that fills the width of its SVG element, in pixels. */
 export class Chart {
   #svg;
   #layer;
@@ -52,6 +53,7 @@ export class Chart {
     this.#draw();
   }
 
+  /** Draw the history at the current width. */
   #draw() {
     const { moments, target } = this.#shown;
     const time = timeAxis(ROOM * (moments.at(-1)?.seconds ?? 0));
@@ -72,7 +74,7 @@ export class Chart {
 }
 
 /**
- * What is final stays so: its last moment lasts until the end of the axis.
+ * Extend the final state to the end of the axis, as it does not change any more.
  * @param {Moment[]} moments
  * @param {number} end seconds
  * @returns {Drawn[]}
@@ -83,7 +85,7 @@ function held(moments, end) {
 }
 
 /**
- * An axis of time from 0 to the first tick that is no earlier than `seconds`, in a fitting unit.
+ * Return an axis of time from 0 to the first tick at or after `seconds`, in a suitable unit.
  * @param {number} seconds
  * @returns {{end: number, unit: string, ticks: Tick[]}} `end` and `at` in seconds
  */
@@ -100,19 +102,21 @@ export function timeAxis(seconds) {
 }
 
 /**
- * A logarithmic axis around some relative errors, from 1, 2 or 5 times a power of ten, a little
- * below, to 1 or 5 times one.
- * @param {number[]} errors those that are not above zero have no place on it
+ * Return a logarithmic axis around some relative errors. It begins a little below the least at 1, 2
+ * or 5 times a power of ten, and ends at 1 or 5 times one.
+ * @param {number[]} errors those that are not above zero are left out
  * @returns {{low: number, high: number, ticks: Tick[]}}
  */
 export function errorAxis(errors) {
   const seen = errors.filter((error) => error > 0);
   const [least, most] = seen.length ? [Math.min(...seen), Math.max(...seen)] : [0.01, 1];
   const all = niceNumbers(Math.floor(Math.log10(least)) - 1, Math.ceil(Math.log10(most)) + 1);
+  // Begin at least 20 % below the least error.
   const low = /** @type {number} */ (all.findLast((each) => each <= 0.8 * least));
   const ends = all.filter((_, i) => i % 3 !== 1); // 1 and 5 times a power of ten
   const high = /** @type {number} */ (ends.find((each) => each >= most * (1 - 1e-9)));
   const within = all.filter((each) => each >= low && each <= high);
+  // If there are too many ticks, keep powers of ten and the end.
   const ticks =
     within.length > MOST_TICKS
       ? within.filter((each) => each === high || isPowerOfTen(each))
@@ -121,7 +125,7 @@ export function errorAxis(errors) {
 }
 
 /**
- * 1, 2 and 5 times the powers of ten from `first` to `last`.
+ * Return 1, 2 and 5 times the powers of ten from `first` to `last`.
  * @param {number} first
  * @param {number} last
  */
@@ -130,17 +134,18 @@ function niceNumbers(first, last) {
   return powers.flatMap((power) => [1, 2, 5].map((factor) => Number(`${factor}e${power}`)));
 }
 
-/** @param {number} number */
+/** Return true if a number is a power of ten. @param {number} number */
 function isPowerOfTen(number) {
   return Number.isInteger(Number(Math.log10(number).toFixed(9)));
 }
 
-/** @param {number} number */
+/** Write a number with three digits at most. @param {number} number */
 function short(number) {
   return String(Number(number.toPrecision(3)));
 }
 
 /**
+ * Draw the labels and the name of the time axis.
  * @param {{end: number, unit: string, ticks: Tick[]}} axis
  * @param {Scale} x
  */
@@ -153,10 +158,12 @@ function drawTime({ end, unit, ticks }, x) {
     { x: x(end / 2), y: SHARES.bottom + 31, class: "x" },
     `${unit} since the view changed`,
   );
+  // Each state lies on top of the states that are better.
   return [...labels, name];
 }
 
 /**
+ * Draw the error over time, its axis, and its target.
  * @param {Drawn[]} moments
  * @param {number} target
  * @param {Scale} x
@@ -181,11 +188,12 @@ function drawError(moments, target, x) {
 }
 
 /**
+ * Draw the target as a line.
  * @param {number} target
  * @param {number} y pixels
  */
 function drawTarget(target, y) {
-  const under = y - ERROR.top < 12; // the axis has its name there
+  const under = y - ERROR.top < 12; // above the line is the name of the axis
   const label = { class: "target", x: LEFT + 6, y: under ? y + 13 : y - 5 };
   return [
     svgElement("path", { class: "target", d: `M${LEFT} ${y}H10000` }),
@@ -194,6 +202,7 @@ function drawTarget(target, y) {
 }
 
 /**
+ * Draw the coverage over time as stacked areas.
  * @param {Drawn[]} moments
  * @param {Scale} x
  */
@@ -219,12 +228,13 @@ function drawShares(moments, x) {
   ];
 }
 
-/** Sum of the shares of the first `count` states. @param {Moment} moment @param {number} count */
+/** Add the shares of the first `count` states. @param {Moment} moment @param {number} count */
 function upTo({ coverage }, count) {
   return STATES.slice(0, count).reduce((sum, state) => sum + coverage[state], 0);
 }
 
 /**
+ * Draw the area of one state.
  * @param {State} state
  * @param {Drawn[]} moments
  * @param {Scale} x
@@ -244,6 +254,7 @@ function drawArea(state, moments, x, lower, upper) {
 }
 
 /**
+ * Draw ticks with grid lines.
  * @param {Tick[]} ticks
  * @param {Scale} y
  */
@@ -254,7 +265,7 @@ function drawTicks(ticks, y) {
   ]);
 }
 
-/** The middle of a pixel, where a thin line is sharp. @param {number} length */
+/** Return the middle of a pixel, at which a thin line is sharp. @param {number} length */
 function crisp(length) {
   return Math.round(length) + 0.5;
 }

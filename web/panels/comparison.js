@@ -1,6 +1,6 @@
 /**
- * Two shadings of one view side by side: left the view's own, right another one, and a divider that
- * is moved.
+ * Two shadings of one view side by side: the view's shading on the left, another one on the right,
+ * and a divider that can be moved.
  */
 
 import { find } from "../dom.js";
@@ -9,9 +9,10 @@ import { shadingName } from "../view/format.js";
 
 /** @typedef {"moving"|"coming"|"lost"|"provisional"|"final"} State of the right side */
 
-// percent that an arrow moves the divider by; and one with shift, or a page key
+/** Percent by which an arrow moves the divider, and an arrow with shift or a page key. */
 const [STEP, STRIDE] = [2, 10];
-/** @type {Record<State, string>} */
+
+/** Words behind the name of the right side's shading. @type {Record<State, string>} */
 const WORDS = {
   moving: " · when the view rests",
   coming: " · drawing…",
@@ -21,8 +22,8 @@ const WORDS = {
 };
 
 /**
- * The right side: a picture of the view as it is now, or none. While the view moves it is dim, for
- * drafts are of the left.
+ * The right side: a picture of the current view, or none. It is dimmed while the view moves, as
+ * drafts are drawn on the left only.
  */
 export class Comparison {
   #root;
@@ -59,12 +60,12 @@ export class Comparison {
     this.#compare();
   }
 
-  /** The left side shows a picture of this shading. @param {string} shading */
+  /** Name the shading of the picture on the left. @param {string} shading */
   name(shading) {
     find(this.#root, ".left").textContent = shadingName(shading);
   }
 
-  /** The view goes on changing, or rests. @param {boolean} moving */
+  /** Note that the view goes on changing, or rests. @param {boolean} moving */
   moving(moving) {
     this.#moving = moving;
     if (!this.#on) return;
@@ -72,17 +73,19 @@ export class Comparison {
     else if (this.#picture.hidden) this.#ask();
   }
 
-  /** The view is as it was, but more is asked of its pictures; the present one stays meanwhile. */
+  /** Request a better picture of the same view; the present one is shown meanwhile. */
   improve() {
     if (!this.#on || this.#moving) return;
     this.#mark("provisional");
     this.#polling.show(false);
   }
 
+  /** Return true if shadings are compared. */
   get #on() {
     return this.#view.values.compare !== "";
   }
 
+  /** Begin, change or end the comparison. */
   #compare() {
     this.#root.hidden = !this.#on;
     this.#hide("moving");
@@ -91,26 +94,30 @@ export class Comparison {
     if (!this.#moving) this.#ask();
   }
 
+  /** Request the picture of the right side. */
   #ask() {
     this.#mark("coming");
     this.#polling.show(false);
   }
 
-  /** @param {{blob: Blob|null, facts: import("../net/schemas.js").Facts|null}} frame */
+  /**
+   * Show a picture and its state.
+   * @param {{blob: Blob|null, facts: import("../net/schemas.js").Facts|null}} frame
+   */
   async #show({ blob, facts }) {
     const alt = `The same isosurface; ${shadingName(this.#view.values.compare)}`;
     if (blob && !(await this.#picture.show(blob, alt))) return;
     this.#mark(facts?.provisional ? "provisional" : "final");
   }
 
-  /** @param {State} state */
+  /** Hide the picture. After trouble, requests continue. @param {State} state */
   #hide(state) {
     if (state !== "lost") this.#polling.stop();
     this.#picture.hide();
     this.#mark(state);
   }
 
-  /** @param {State} state */
+  /** Show the state of the right side. @param {State} state */
   #mark(state) {
     this.#root.dataset.state = state;
     find(this.#root, ".right").textContent =
@@ -127,7 +134,7 @@ export class Comparison {
 }
 
 /**
- * Where a key moves the divider to, in percent from the left; null for a key that does not.
+ * Return the place to which a key moves the divider, in percent from the left; null for other keys.
  * @param {{key: string, shiftKey: boolean}} event
  * @param {number} now
  * @returns {number|null}
@@ -149,7 +156,7 @@ export function dividerPlace({ key, shiftKey }, now) {
 }
 
 /**
- * Move the divider by pointer and keys.
+ * Let pointer and keys move the divider.
  * @param {HTMLElement} divider
  * @param {(at: number) => void} onMove called with the percent from the left
  */
@@ -160,7 +167,7 @@ function attachDivider(divider, onMove) {
     onMove(at);
   };
   divider.addEventListener("pointerdown", (event) => {
-    event.stopPropagation(); // the stage would turn the object
+    event.stopPropagation(); // on the stage a drag turns the object
     divider.setPointerCapture(event.pointerId);
   });
   divider.addEventListener("pointermove", (event) => {

@@ -1,6 +1,6 @@
 /**
- * What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and
- * which labels are shown.
+ * The panels of visible matter: planes that cut it away, the pinned surfaces, the material of the
+ * surface, and the labels that are shown.
  */
 
 import { find } from "../dom.js";
@@ -32,14 +32,15 @@ import {
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
 /**
- * Tie the sliders to the view, both ways.
+ * Tie sliders of planes to the view, both ways.
  * @param {HTMLElement} panel holds `#cut-sliders`, `#oblique`, `#opened`, `#cut-note`, `#add-plane`
  *   and `#uncut`
  * @param {Pick<Scene, "volume"|"cuts">} scene
  * @param {ViewModel} view
  */
 export function attachCuts(panel, { volume, cuts }, view) {
-  const [opened, note] = [find(panel, "#opened", HTMLInputElement), find(panel, "#cut-note")];
+  const opened = find(panel, "#opened", HTMLInputElement);
+  const note = find(panel, "#cut-note");
   const [add, uncut] = ["#add-plane", "#uncut"].map((id) => find(panel, id, HTMLButtonElement));
   const [sides, oblique] = [find(panel, "#cut-sliders"), find(panel, "#oblique")];
   const label = /** @type {HTMLElement} */ (opened.parentElement);
@@ -50,6 +51,7 @@ export function attachCuts(panel, { volume, cuts }, view) {
     const planes = readPlanes(view.values.planes, volume.bounds);
     view.set({ planes: writePlanes({ ...planes, others: change(planes.others) }, volume.bounds) });
   };
+  // A new oblique plane faces the viewer.
   const facing = () => {
     const { planes, azimuth, elevation } = view.values;
     return termOf(
@@ -62,6 +64,7 @@ export function attachCuts(panel, { volume, cuts }, view) {
   const mirror = () => {
     const { planes, opened: open } = view.values;
     const all = movablePlanes(volume, planes);
+    // Keep one row per plane; rows of oblique planes have buttons as well.
     while (rows.length > all.length) rows.pop()?.node.remove();
     for (let k = rows.length; k < all.length; k++) {
       const row = planeRow(k, volume, view);
@@ -87,28 +90,28 @@ export function attachCuts(panel, { volume, cuts }, view) {
   if (view.values.planes) panel.toggleAttribute("open", true);
 }
 
-const SIDES = 6; // of a box
+const SIDES = 6; // sides of a box, which come first in `movablePlanes`
 
 /**
- * What light does where something is cut away.
- * @param {boolean} opened whether it comes in
- * @param {boolean} oblique whether there are planes along no axis
+ * Describe the light at a cut.
+ * @param {boolean} opened true if light comes in
+ * @param {boolean} oblique true if there are oblique planes
  */
 function cutInWords(opened, oblique) {
-  if (!opened) return "The light stays that of the whole, and cut faces show values.";
+  if (!opened) return "The light remains that of the uncut object, and cut faces show values.";
   return oblique
-    ? "Light comes in by the sides of the box. Oblique planes only hide what is before them, and show values: cut voxels would leave steps there."
+    ? "Light comes in through the sides of the box. Oblique planes only hide the matter in front of them, and show values: cut voxels would leave steps there."
     : "What is left is lit again.";
 }
 
-/** @param {HTMLElement[]} buttons */
+/** Make a row of buttons. @param {HTMLElement[]} buttons */
 function buttonsOf(buttons) {
   const row = Object.assign(document.createElement("div"), { className: "buttons" });
   row.append(...buttons);
   return row;
 }
 
-/** @param {string} text @param {() => void} action */
+/** Make a button. @param {string} text @param {() => void} action */
 function plainButton(text, action) {
   const button = Object.assign(document.createElement("button"), {
     type: "button",
@@ -123,7 +126,7 @@ function plainButton(text, action) {
  */
 
 /**
- * The slider of a plane, and what shows its value.
+ * Make the slider of a plane, with its value.
  * @param {number} k number of the plane
  * @param {Scene["volume"]} volume
  * @param {ViewModel} view
@@ -142,6 +145,7 @@ function planeRow(k, volume, view) {
   } = movablePlanes(volume, view.values.planes)[k];
   const id = `cut-${name.replace(" ", "-")}`;
   Object.assign(input, { type: "range", id, name: id, min, max, step: "any" });
+  // Make the row, and move the plane with the slider.
   input.addEventListener("input", () =>
     view.set({ planes: moved(movablePlanes(volume, view.values.planes)[k], input.valueAsNumber) }),
   );
@@ -158,8 +162,8 @@ function planeRow(k, volume, view) {
 }
 
 /**
- * Tie a switch and a slider for each surface to the view, both ways; without surfaces the panel is
- * hidden.
+ * Tie a switch and a slider for each pinned surface to the view, both ways; hide the panel if there
+ * are none.
  * @param {HTMLElement} panel holds `#surface-rows`
  * @param {{surfaces?: Surface[]}} scene
  * @param {ViewModel} view
@@ -181,10 +185,11 @@ export function attachSurfaces(panel, { surfaces = [] }, view) {
 }
 
 /**
- * The switch and the slider of a surface. The slider is let go before light is baked for its value.
+ * Make the switch and the slider of a pinned surface.
  * @param {Surface} surface
- * @param {number} k its number
- * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
+ * @param {number} k number of the surface
+ * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set is called once the
+ *   slider is released, as light is baked for each value
  */
 function surfaceRow({ name, isovalue }, k, set) {
   const [node, label, check] = [
@@ -192,6 +197,7 @@ function surfaceRow({ name, isovalue }, k, set) {
     document.createElement("label"),
     document.createElement("input"),
   ];
+  // Name the surface, and make its switch and its slider.
   const called = name || `Surface at ${isovalue}`;
   Object.assign(check, { type: "checkbox", id: `surface-${k}`, name: `surface-${k}` });
   Object.assign(label, { className: "check" }).append(check, ` ${called}`);
@@ -215,9 +221,8 @@ function surfaceRow({ name, isovalue }, k, set) {
 }
 
 /**
- * A slider whose every value has light, or a scene, of its own: it says its value while it moves,
- * and sets it once it is
- * let go, also by a key that was held.
+ * Make a slider whose values each need a bake, or another scene. It shows its value while it moves,
+ * and sets it once it is released, also by a key that was held.
  * @param {string} name
  * @param {{id: string, min: number, max: number, step: number|"any"}} limits
  * @param {(value: number) => string} words
@@ -233,11 +238,13 @@ function bakedSlider(name, limits, words, set) {
   Object.assign(slider, { type: "range", name: limits.id, ...limits });
   Object.assign(title, { htmlFor: limits.id, textContent: name });
   output.htmlFor.value = limits.id;
-  let [held, changed] = [false, false];
+  let held = false; // true while a key is down
+  let changed = false; // true if the value is still to be set
   const tell = () => {
     output.value = words(slider.valueAsNumber);
     slider.setAttribute("aria-valuetext", output.value);
   };
+  // A held key fires many changes: wait until it is released.
   const release = () => {
     if (changed && !held) set(slider.valueAsNumber);
     changed &&= held;
@@ -261,19 +268,18 @@ function bakedSlider(name, limits, words, set) {
   return { node, title, slider, show };
 }
 
-/** @type {Record<string, string>} */
+/** Names of a material's numbers. @type {Record<string, string>} */
 const NUMBER_NAMES = {
   index: "Refractive index",
   absorption: "Absorption",
   mean_free_path: "Mean free path",
 };
-const CLEAREST = 5; // absorption over the volume's radius at which glass is black
-const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, over that radius
+const CLEAREST = 5; // optical depth over the volume's radius at which glass is black
+const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, in radii of the volume
 
 /**
- * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hidden where
- * the scene allows
- * nothing but its own.
+ * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hide the panel
+ * if the scene allows only its own material.
  * @param {HTMLElement} panel holds a `.value`, a `select`, `#material-numbers` and a `.note`
  * @param {Pick<Scene, "material"|"materials"|"volume">} scene
  * @param {ViewModel} view
@@ -301,6 +307,7 @@ export function attachMaterial(panel, scene, view) {
   let listed = "";
   const mirror = () => {
     const made = now();
+    // Another material has other numbers: make its sliders.
     if (made.kind !== listed) {
       listed = made.kind;
       const rows = Object.keys(made.numbers).map((name) => ({
@@ -323,15 +330,15 @@ export function attachMaterial(panel, scene, view) {
 }
 
 /**
- * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and
- * the others with it;
- * what they make of white light is a tint beside it.
+ * Make the slider of a material's number. Of three numbers, one per colour, it moves the largest,
+ * and the others in proportion; a field for the tint changes the proportion.
  * @param {string} name
  * @param {Pick<Scene, "volume">} scene
  * @param {number[]} first the numbers at first
  * @param {(given: number[]) => void} set
  */
 function numberRow(name, { volume }, first, set) {
+  // Mean free paths span powers of ten: their slider is logarithmic.
   const { min, max, log } = numberRange(name, volume.bounds, Math.max(...first));
   const [inward, outward] = log
     ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
@@ -339,6 +346,7 @@ function numberRow(name, { volume }, first, set) {
   /** @type {Parameters<typeof bakedSlider>[1]} */
   const limits = { id: `material-${name}`, min: inward(min), max: inward(max), step: "any" };
   const round = (/** @type {number} */ x) => Number(x.toPrecision(3));
+  // Proportions of the three colours, which the tint sets.
   let shares = [1];
   const per =
     volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];
@@ -359,7 +367,7 @@ function numberRow(name, { volume }, first, set) {
       : undefined;
   const show = (/** @type {number[]} */ given) => {
     const most = Math.max(...given);
-    if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
+    if (most > 0) shares = given.map((each) => each / most); // zeros keep the last tint
     row.show(inward(most));
     if (tint) tint.field.value = tintOf(shares);
   };
@@ -367,8 +375,8 @@ function numberRow(name, { volume }, first, set) {
 }
 
 /**
- * A field below a slider for the colour of white light behind what absorbs it.
- * @param {string} slider its id
+ * Make a field for the colour of white light behind an absorbing material.
+ * @param {string} slider id of the slider above
  * @param {(hex: string) => void} set
  */
 function tintRow(slider, set) {
@@ -386,26 +394,27 @@ function tintRow(slider, set) {
 }
 
 /**
- * What the slider of a number of a material spans: as much as shows in a volume of that size.
+ * Return the range of the slider of a material's number: values that make a visible difference in a
+ * volume of this size.
  * @param {string} name
  * @param {Scene["volume"]["bounds"]} bounds
- * @param {number} own the scene's, which is on it
+ * @param {number} usual the scene's value, which the range includes
  * @returns {{min: number, max: number, log: boolean}}
  */
-export function numberRange(name, [low, high], own) {
+export function numberRange(name, [low, high], usual) {
   const radius = Math.hypot(...low.map((each, k) => high[k] - each)) / 2;
-  if (name === "index") return { min: 1, max: Math.max(2.5, own), log: false };
-  if (name === "absorption") return { min: 0, max: Math.max(CLEAREST / radius, own), log: false };
-  return { min: Math.min(SHORTEST * radius, own), max: Math.max(LONGEST * radius, own), log: true };
+  if (name === "index") return { min: 1, max: Math.max(2.5, usual), log: false };
+  if (name === "absorption") return { min: 0, max: Math.max(CLEAREST / radius, usual), log: false };
+  return { min: Math.min(SHORTEST * radius, usual), max: Math.max(LONGEST * radius, usual), log: true };
 }
 
-/** @param {string} word */
+/** Write a word with a capital. @param {string} word */
 function capital(word) {
   return word[0].toUpperCase() + word.slice(1);
 }
 
 /**
- * Tie a switch for each label to the view, both ways; there are none where the scene is no
+ * Tie a switch for each label to the view, both ways; there are none if the scene is no
  * segmentation.
  * @param {HTMLElement} legend holds `.labels` and `#labels-all`
  * @param {Pick<Scene, "colours">} scene
@@ -417,6 +426,7 @@ export function attachLabels(legend, { colours }, view) {
   const now = () => readHidden(view.values.hide, labels);
   /** @type {(hidden: number[]) => void} */
   const hide = (hidden) => view.set({ hide: writeHidden(hidden, labels) });
+  // A switch hides its label, or shows it again; the last label that is shown cannot be hidden.
   const rows = labels.map((label) =>
     labelRow(label, (shown) => {
       const others = now().filter((value) => value !== label.value);
@@ -436,7 +446,7 @@ export function attachLabels(legend, { colours }, view) {
 }
 
 /**
- * A label of a segmentation: its switch, its swatch and its name.
+ * Make the switch, swatch and name of a label.
  * @param {Label} label
  * @param {(shown: boolean) => void} set
  */
@@ -454,7 +464,7 @@ function labelRow({ name, colour }, set) {
   /** @type {(shown: boolean, alone: boolean) => void} */
   const show = (shown, alone) => {
     check.checked = shown;
-    check.disabled = shown && alone; // one is always shown
+    check.disabled = shown && alone; // at least one label is shown
     label.title = check.disabled ? "Show another one before you hide this" : "";
   };
   return { node, show };

@@ -1,6 +1,6 @@
 /**
- * Where the light comes from: the scene's own, surroundings that come with the server, or a probe
- * that was uploaded.
+ * The choice of the light: that of the scene, surroundings that come with the server, or an
+ * uploaded probe.
  */
 
 import { find } from "../dom.js";
@@ -11,25 +11,25 @@ import { retryDelay } from "../net/trouble.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
-const SAME = 1e-3; // addresses hold four digits of an exposure
-const AGAIN_MS = [300, 1000, 3000]; // before a busy server is asked again
+const SAME = 1e-3; // relative difference of equal exposures: addresses hold four digits
+const AGAIN_MS = [300, 1000, 3000]; // pauses before a busy server is asked again
 
 /**
- * Tie the choice to the view. When the view's light or material changes, what the scene says of its
- * light is read anew.
+ * Tie the choice to the view. When the view's light or material changes, read those parts of the
+ * scene's document that depend on it.
  * @param {HTMLElement} section holds the choice `#environment` and the button `#environment-delete`
- * @param {Scene} scene its light is replaced
+ * @param {Scene} scene parts that depend on the light are replaced
  * @param {ViewModel} view
- * @param {() => void} relit shows what the scene then says
- * @param {(words: string) => void} say tells what went wrong
+ * @param {() => void} relit shows the scene in the new light
+ * @param {(words: string) => void} say shows a sentence about trouble
  */
 export function attachEnvironments(section, scene, view, relit, say) {
   const [select, erase] = [
     find(section, "#environment", HTMLSelectElement),
     find(section, "#environment-delete"),
   ];
-  const own = new Option("The scene’s own light", "");
-  select.replaceChildren(own, ...scene.environments.map(({ id, name }) => new Option(name, id)));
+  const sceneLight = new Option("The scene’s own light", "");
+  select.replaceChildren(sceneLight, ...scene.environments.map(({ id, name }) => new Option(name, id)));
   /** @param {Knobs} values */
   const mirror = ({ environment }) => {
     select.value = environment;
@@ -43,12 +43,15 @@ export function attachEnvironments(section, scene, view, relit, say) {
   );
   let before = view.values;
   view.watch(litBy, async (values) => {
-    const [former, wanted] = [before, litBy(values)];
+    const former = before;
+    const wanted = litBy(values);
+    // The visitor may choose again while the document is on its way.
     const chosenStill = () =>
       Object.entries(wanted).every(([name, text]) => Object(view.values)[name] === text);
     try {
       const light = await readPatiently(scene.id, wanted, chosenStill);
-      if (!chosenStill()) return; // another was chosen meanwhile
+      if (!chosenStill()) return; // the visitor has chosen another light
+      // Keep the brightness that the visitor chose, relative to each light's default.
       const exposure = exposureIn(
         light.defaults.exposure,
         view.values.exposure,
@@ -60,6 +63,7 @@ export function attachEnvironments(section, scene, view, relit, say) {
       relit();
     } catch (error) {
       say(/** @type {Error} */ (error).message);
+      // Without the new light's document, go back to the former light.
       if (chosenStill()) view.set(litBy(former));
     }
   });
@@ -68,17 +72,18 @@ export function attachEnvironments(section, scene, view, relit, say) {
   });
 }
 
-/** The knobs of a view that its light depends on. @param {Knobs} values */
+/** Return the knobs of a view that its light depends on. @param {Knobs} values */
 function litBy({ environment, material }) {
   return { environment, material };
 }
 
 /**
- * What a scene is in its light, also where a busy server answers late: the picture's own requests
- * say why.
+ * Read the parts of a scene that depend on its light, and try again while the server is busy. The
+ * picture's requests report the trouble.
  * @param {string} scene
  * @param {ReturnType<typeof litBy>} knobs
- * @param {() => boolean} wanted whether that is wanted still
+ * @param {() => boolean} wanted returns true as long as the result is wanted
+ * @throws {import("../net/trouble.js").Trouble} if it cannot be read
  */
 async function readPatiently(scene, knobs, wanted) {
   for (let failures = 0; ; failures += 1) {
@@ -95,13 +100,13 @@ async function readPatiently(scene, knobs, wanted) {
 }
 
 /**
- * The exposure in another light: as many stops from the new light's own as it was from the
- * former's.
- * @param {number} usual in the new light
- * @param {number} now what the view has
- * @param {number} before what it had when the light was chosen: where both differ, it was chosen
- *   too
- * @param {number} former what was usual in the former light
+ * Return the exposure in another light: as many stops from the new light's default as it was from
+ * the former light's.
+ * @param {number} usual default of the new light
+ * @param {number} now exposure of the view
+ * @param {number} before exposure when the light was chosen; if `now` differs, the visitor has
+ *   chosen `now` too
+ * @param {number} former default of the former light
  * @returns {number}
  */
 export function exposureIn(usual, now, before, former) {
@@ -111,6 +116,7 @@ export function exposureIn(usual, now, before, former) {
 }
 
 /**
+ * Find the chosen environment of a scene.
  * @type {(scene: Scene, environment: string) => import("../documents.js").Environment|undefined}
  */
 function chosen({ environments }, environment) {

@@ -1,5 +1,5 @@
 /**
- * The panel of the estimated error: how large it is, how it became so, and how long the rest takes.
+ * The panel of the estimated error: its size, its history, and the time until the picture is final.
  */
 
 import { find } from "../dom.js";
@@ -16,7 +16,7 @@ import { Chart } from "./chart.js";
 /** @typedef {import("../net/schemas.js").Facts} Facts */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 
-const MOST = 600; // moments kept; a drawing tells no more apart
+const MOST = 600; // moments that are kept: as many as a drawing can show
 const WAITING = "Waiting for the picture of this view.";
 
 /**
@@ -27,7 +27,7 @@ const WAITING = "Waiting for the picture of this view.";
  * @property {boolean} provisional
  */
 
-/** The frames of one view at rest, in the order in which they came. */
+/** The frames of one view at rest, in the order of their arrival. */
 export class History {
   #clock;
   #start;
@@ -40,16 +40,15 @@ export class History {
     this.#start = clock();
   }
 
-  /** The view has changed: forget what came before. */
+  /** Forget all frames, as the view has changed. */
   begin() {
     this.#start = this.#clock();
     this.#moments = [];
   }
 
   /**
-   * Note a frame that has just come. After the first final one the light does not change, so no
-   * more are kept; of very
-   * many, every other one is.
+   * Add a frame that has just come. Frames after the first final one are ignored, as light does not
+   * change any more; of very many frames, every other one is dropped.
    * @param {Pick<Facts, "error"|"coverage"|"provisional">} facts
    */
   add({ error, coverage, provisional }) {
@@ -63,18 +62,18 @@ export class History {
     });
   }
 
-  /** All moments, oldest first. @returns {Moment[]} */
+  /** Return all moments, oldest first. @returns {Moment[]} */
   get moments() {
     return [...this.#moments];
   }
 
-  /** The newest moment, if any. @returns {Moment|undefined} */
+  /** Return the newest moment, if any. @returns {Moment|undefined} */
   get latest() {
     return this.#moments.at(-1);
   }
 }
 
-/** Shows the history of the view that is at rest. */
+/** Shows the history of the view at rest. */
 export class ErrorPanel {
   #root;
   #target;
@@ -95,23 +94,24 @@ export class ErrorPanel {
   }
 
   /**
-   * Show what is known of the picture on the stage, and what led to it: another view begins a
-   * history of its own, unless
-   * its light is the same.
+   * Show the facts of the picture on the stage, and their history. A view in another light begins a
+   * new history.
    * @param {Pick<import("../net/shown.js").Shown, "asked"|"facts"|"left">} shown
    */
   show({ asked, facts, left }) {
     const light = JSON.stringify(lightKnobs(asked.values));
+    // Only time has passed: keep the chart.
     if (light === this.#light && facts === this.#facts) return this.#writeNote(facts, left);
     if (light !== this.#light) this.#history.begin();
     if (facts) this.#history.add(facts);
-    [this.#light, this.#facts] = [light, facts];
+    this.#light = light;
+    this.#facts = facts;
     this.#write(facts);
     this.#writeNote(facts, left);
   }
 
   /**
-   * Say how far the picture is; also of one that has not changed, as time passes.
+   * Show the progress of the picture, also while only time passes.
    * @param {Facts|null} facts of the picture
    * @param {Facts["timeLeft"]} left
    */
@@ -125,7 +125,7 @@ export class ErrorPanel {
     if (note.textContent !== words) note.textContent = words;
   }
 
-  /** @param {Facts|null} facts of the picture */
+  /** Show the error, the legend and the chart. @param {Facts|null} facts of the picture */
   #write(facts) {
     const { moments, latest } = this.#history;
     const known = latest && facts && Number.isFinite(facts.error);
@@ -145,13 +145,13 @@ export class ErrorPanel {
   }
 }
 
-/** What the light of a view depends on. @param {Knobs} values */
+/** Return the knobs that a view's light depends on. @param {Knobs} values */
 function lightKnobs({ exposure, overlay, compare, background, measures, rulers, ...rest }) {
   return rest;
 }
 
 /**
- * How far a view was at a moment, such as "after 3 s · about 20 s left (12 s to 41 s)".
+ * Describe the progress of a view, such as "after 3 s · about 20 s left (12 s to 41 s)".
  * @param {Moment} moment
  * @param {Facts["timeLeft"]} timeLeft
  * @returns {string}
@@ -163,9 +163,8 @@ export function momentInWords({ seconds, provisional, error }, timeLeft) {
 }
 
 /**
- * The error of the worst pixels, such as "1 % of pixels are off by more than 6.2 % (5.1 % to 7.9
- * %)"; nothing while it is
- * not measured.
+ * Describe the error of the worst pixels, such as "1 % of pixels are off by more than 6.2 % (5.1 %
+ * to 7.9 %)"; "" before it is measured.
  * @param {Pick<Facts, "p99"|"p99_interval">} facts
  * @returns {string}
  */
@@ -177,7 +176,7 @@ export function tailInWords({ p99, p99_interval: ends }) {
 }
 
 /**
- * The whole drawing in one sentence.
+ * Describe the whole chart in one sentence.
  * @param {Moment[]} moments
  * @param {number} target relative error
  * @returns {string}
@@ -192,7 +191,8 @@ export function courseInWords(moments, target) {
 }
 
 /**
- * A state's share of the surface. What is not final is rounded up, as the server does.
+ * Write a state's share of the surface. Shares that are not final are rounded up, as the server
+ * does.
  * @param {import("../net/schemas.js").State} state
  * @param {import("../net/schemas.js").Coverage} coverage
  * @returns {string}

@@ -10,18 +10,19 @@ import { setLimits } from "./knobs.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 
-const [WIDTH, HEIGHT] = [1000, 100];
+const [WIDTH, HEIGHT] = [1000, 100]; // box of the drawing, which is stretched to its place
 
 /**
- * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single
- * one is locked.
+ * Draw the histogram, and tie slider and number field to the view's isovalue, both ways; both are
+ * locked if the scene has a single isovalue.
  * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number`, `#histogram` and `#stops`
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
- * @param {(words: string) => void} say tells a person what cannot be shown
+ * @param {(words: string) => void} say shows a sentence about an isovalue that cannot be shown
  */
 export function attachHistogram(form, scene, view, say) {
   const allowed = sliderRange(scene, "isovalue");
+  // A single isovalue locks the slider, which then spans all values.
   const single = allowed.min === allowed.max;
   const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
   const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) =>
@@ -31,11 +32,12 @@ export function attachHistogram(form, scene, view, say) {
   const show = (/** @type {number} */ value) =>
     axis.logarithmic ? String(inDigits(value)) : showNumber(value, niceStep(max - min));
   setLimits(slider, axis.to(min), axis.to(max));
-  if (axis.logarithmic) slider.step = "any"; // or its last step may end before the largest value
+  if (axis.logarithmic) slider.step = "any"; // a step might end before the largest value
   Object.assign(number, { min, max });
   slider.disabled = number.disabled = single;
   find(form, "#isovalue-min").textContent = show(min);
   find(form, "#isovalue-max").textContent = show(max);
+  // Change the view by slider, page keys and number field.
   slider.addEventListener("input", () => view.set({ isovalue: axis.from(slider.valueAsNumber) }));
   slider.addEventListener("keydown", (event) => {
     if (!(event.key in PAGES)) return;
@@ -50,6 +52,8 @@ export function attachHistogram(form, scene, view, say) {
   if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
   else if (axis.logarithmic)
     find(form, "#histogram-note").textContent = "how often each value occurs, by powers of ten";
+
+  // Draw histogram, stops and notes.
   const ranks = attachRanks(form, scene, view);
   const solid = drawBars(
     find(form, "#histogram", SVGSVGElement),
@@ -61,10 +65,12 @@ export function attachHistogram(form, scene, view, say) {
     ticks,
   );
   find(form, "#stops-note").textContent = stopsInWords(scene.stops_note);
-  // labels have no isovalue: their surface is that of the parts shown
+  // Labels have no isovalue: their surface is that of the labels shown.
   if (scene.colours?.labels.length)
     for (const part of form.querySelectorAll("#isovalue-part > .of-values")) hide(part);
   /** @param {Knobs} values */
+
+  // Show the view's isovalue, unless the visitor is typing it.
   const mirror = ({ isovalue }) => {
     slider.value = String(axis.to(isovalue));
     slider.setAttribute("aria-valuetext", show(isovalue));
@@ -79,7 +85,7 @@ export function attachHistogram(form, scene, view, say) {
   view.subscribe(mirror);
 }
 
-/** @param {Element} part */
+/** Hide a part. @param {Element} part */
 function hide(part) {
   part.toggleAttribute("hidden", true);
 }
@@ -87,14 +93,14 @@ function hide(part) {
 /**
  * @typedef {object} Axis
  * @property {boolean} logarithmic
- * @property {(value: number) => number} to where a value is on the slider
- * @property {(place: number) => number} from the value of a place on the slider
- * @property {(value: number) => number} share where a value is, from 0 to 1
+ * @property {(value: number) => number} to returns the place of a value on the slider
+ * @property {(place: number) => number} from returns the value at a place of the slider
+ * @property {(value: number) => number} share returns the place of a value, 0 to 1
  */
 
 /**
- * The axis of the isovalue: even, or by powers of ten, where values below the histogram's first bin
- * are at its low end.
+ * Return the axis of the isovalue: linear, or logarithmic. On a logarithmic axis, values below the
+ * histogram's first bin are at the low end.
  * @param {{edges: number[], logarithmic?: boolean}} histogram
  * @param {number} min
  * @param {number} max
@@ -104,7 +110,12 @@ export function axisOf({ edges, logarithmic = false }, min, max) {
   const least = Math.max(min, edges[1]);
   if (!logarithmic || !(least < max)) {
     const same = (/** @type {number} */ value) => value;
-    return { logarithmic: false, to: same, from: same, share: (value) => share(value - min, max - min) };
+    return {
+      logarithmic: false,
+      to: same,
+      from: same,
+      share: (value) => share(value - min, max - min),
+    };
   }
   const [low, high] = [Math.log10(least), Math.log10(max)];
   const to = (/** @type {number} */ value) => Math.log10(Math.max(value, least));
@@ -116,22 +127,23 @@ export function axisOf({ edges, logarithmic = false }, min, max) {
   };
 }
 
-/** A value that a link can hold. @param {number} value */
+/** Round a value to the digits of a link. @param {number} value */
 function inDigits(value) {
   return Number(value.toPrecision(6));
 }
 
 /**
- * Tie the fields of percentile and σ to the view's isovalue.
+ * Tie the fields for percentile and σ to the view's isovalue.
  * @param {HTMLElement} form holds `#percentile` and `#sigmas`
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
- * @returns {(isovalue: number) => void} shows both of an isovalue
+ * @returns {(isovalue: number) => void} shows both for an isovalue
  */
 function attachRanks(form, { histogram }, view) {
   const [percentile, sigmas] = ["#percentile", "#sigmas"].map((id) =>
     find(form, id, HTMLInputElement),
   );
+  // σ counts from the mean; a constant volume has none.
   const { mean, deviation } = momentsOf(histogram);
   sigmas.disabled = !(deviation > 0);
   const mirror = (/** @type {number} */ isovalue) => {
@@ -140,6 +152,7 @@ function attachRanks(form, { histogram }, view) {
       if (document.activeElement !== field) field.value = String(Number(shown[i].toFixed(2)));
     });
   };
+  // A field that the visitor types in is not overwritten until it changes the view.
   percentile.addEventListener("change", () => {
     if (Number.isFinite(percentile.valueAsNumber))
       view.set({ isovalue: inDigits(valueAt(histogram, percentile.valueAsNumber)) });
@@ -154,7 +167,7 @@ function attachRanks(form, { histogram }, view) {
 }
 
 /**
- * Mean and standard deviation of the values in a histogram, by the middles of its bins.
+ * Return mean and standard deviation of the values in a histogram, from the middles of its bins.
  * @param {{counts: number[], edges: number[]}} histogram
  * @returns {{mean: number, deviation: number}}
  */
@@ -162,12 +175,15 @@ export function momentsOf({ counts, edges }) {
   const total = counts.reduce((sum, count) => sum + count, 0) || 1;
   const middles = counts.map((_, i) => edges[i] / 2 + edges[i + 1] / 2);
   const mean = counts.reduce((sum, count, i) => sum + (count / total) * middles[i], 0);
-  const square = counts.reduce((sum, count, i) => sum + (count / total) * (middles[i] - mean) ** 2, 0);
+  const square = counts.reduce(
+    (sum, count, i) => sum + (count / total) * (middles[i] - mean) ** 2,
+    0,
+  );
   return { mean, deviation: Math.sqrt(square) };
 }
 
 /**
- * The percentage of voxels below a value, evenly spread within bins.
+ * Return the percentage of voxels below a value, if values are evenly spread within bins.
  * @param {{counts: number[], edges: number[]}} histogram
  * @param {number} value
  * @returns {number}
@@ -182,7 +198,7 @@ export function percentileOf({ counts, edges }, value) {
 }
 
 /**
- * The value below which a percentage of voxels is: `percentileOf`, the other way round.
+ * Return the value below which a percentage of voxels lies: the inverse of `percentileOf`.
  * @param {{counts: number[], edges: number[]}} histogram
  * @param {number} percent
  * @returns {number}
@@ -198,11 +214,12 @@ export function valueAt({ counts, edges }, percent) {
 }
 
 /**
- * Outline of the log counts between two values, as the data of an SVG path in a box of 1000 × 100.
+ * Draw the outline of the logarithms of counts between two values, as data of an SVG path in a box
+ * of 1000 × 100.
  * @param {{counts: number[], edges: number[]}} histogram
  * @param {number} min
  * @param {number} max
- * @param {Axis} [axis] even by default
+ * @param {Axis} [axis] linear by default
  * @returns {string}
  */
 export function outline({ counts, edges }, min, max, axis = axisOf({ edges }, min, max)) {
@@ -219,12 +236,11 @@ export function outline({ counts, edges }, min, max, axis = axisOf({ edges }, mi
 }
 
 /**
- * A line from top to bottom at each stop between two values, as the data of an SVG path in a box of
- * 1000 × 100.
+ * Draw a vertical line at each stop, as data of an SVG path in a box of 1000 × 100.
  * @param {number[]} stops
  * @param {number} min
  * @param {number} max
- * @param {Axis} [axis] even by default
+ * @param {Axis} [axis] linear by default
  * @returns {string}
  */
 export function ticksAt(stops, min, max, axis = axisOf({ edges: [min, max] }, min, max)) {
@@ -234,8 +250,8 @@ export function ticksAt(stops, min, max, axis = axisOf({ edges: [min, max] }, mi
 }
 
 /**
- * What the stops are.
- * @param {string} note where they are even
+ * Describe the stops.
+ * @param {string} note on stops that are evenly spaced
  * @returns {string}
  */
 export function stopsInWords(note) {
@@ -245,9 +261,9 @@ export function stopsInWords(note) {
 }
 
 /**
- * The part of the drawing whose values are solid.
- * @param {number} split share of the width at which the isovalue is
- * @param {boolean} below whether what is below the isovalue is solid
+ * Return the part of the drawing whose values are solid.
+ * @param {number} split place of the isovalue, as a share of the width
+ * @param {boolean} below true if values below the isovalue are solid
  * @returns {{x: number, width: number}}
  */
 export function solidSpan(split, below) {
@@ -256,6 +272,7 @@ export function solidSpan(split, below) {
 }
 
 /**
+ * Return a part over a whole, limited to 0 to 1.
  * @param {number} part
  * @param {number} whole
  */
@@ -264,10 +281,10 @@ function share(part, whole) {
 }
 
 /**
- * Draw the bars, and over them the solid ones.
+ * Draw the bars, and the solid ones over them.
  * @param {SVGSVGElement} svg
  * @param {string} path
- * @returns {SVGRectElement} what is seen of the solid ones
+ * @returns {SVGRectElement} clips the solid bars
  */
 function drawBars(svg, path) {
   const clip = svgElement("clipPath", { id: "solid-side" });

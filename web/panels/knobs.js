@@ -38,6 +38,7 @@ export function attachKnobs(form, scene, view, shown) {
   const sliders = [...form.querySelectorAll(".knob")].map((knob) =>
     attachSlider(knob, scene, view),
   );
+  // Each control changes the view, and gives a function that shows the view's value.
   const mirrors = [
     ...sliders,
     attachChoice(shading, "shading", view),
@@ -71,10 +72,10 @@ export function setLimits(input, min, max) {
 }
 
 /**
- * The value of a knob with its unit.
+ * Write the value of a knob with its unit.
  * @param {NumberKnob} name
  * @param {number} value
- * @param {number} exposure the scene's own, that others are stops from
+ * @param {number} exposure default of the scene, from which stops are counted
  * @returns {string}
  */
 export function knobInWords(name, value, exposure) {
@@ -90,10 +91,10 @@ export function knobInWords(name, value, exposure) {
 }
 
 /**
- * The same as a screen reader says it, without signs.
+ * Write the value of a knob as a screen reader should say it, without signs.
  * @param {NumberKnob} name
  * @param {number} value
- * @param {number} exposure the scene's own, that others are stops from
+ * @param {number} exposure default of the scene, from which stops are counted
  * @returns {string}
  */
 export function knobSpoken(name, value, exposure) {
@@ -126,13 +127,13 @@ export function attachSlider(knob, scene, view) {
     ? [Math.log10, (/** @type {number} */ x) => 10 ** x]
     : [Number, Number];
   setLimits(input, inward(range.min), inward(range.max));
-  // each step of smoothing is another volume: it is made once the hand lets go
+  // Each step of smoothing is another volume: wait until the slider is released.
   const moved = name === "smooth" ? "change" : "input";
   input.addEventListener(moved, () => view.set({ [name]: outward(input.valueAsNumber) }));
   return ({ [name]: value = NaN, material }) => {
     knob.toggleAttribute("hidden", name === "albedo" && idleKnobs(material).includes(name));
     if (name === "exposure") {
-      // another light has others
+      // The range depends on the light.
       range = sliderRange(scene, name);
       setLimits(input, inward(range.min), inward(range.max));
     }
@@ -148,6 +149,7 @@ export function attachSlider(knob, scene, view) {
 }
 
 /**
+ * Tie a choice to the view, both ways.
  * @param {HTMLSelectElement} select
  * @param {"shading"|"compare"|"overlay"|"background"|"rulers"|"projection"} name
  * @param {ViewModel} view
@@ -160,7 +162,11 @@ function attachChoice(select, name, view) {
   };
 }
 
-/** A shading is compared with others alone. @param {HTMLSelectElement} compare @returns {Mirror} */
+/**
+ * Disable the view's shading in the choice of shadings to compare it with.
+ * @param {HTMLSelectElement} compare
+ * @returns {Mirror}
+ */
 function disableOwn(compare) {
   return ({ shading }) => {
     for (const option of compare.options)
@@ -169,7 +175,7 @@ function disableOwn(compare) {
 }
 
 /**
- * The colour field; it is hidden where the albedo is fixed.
+ * Tie the colour field to the view; hide it if the albedo is fixed.
  * @param {HTMLInputElement} input
  * @param {ViewModel} view
  * @returns {Mirror}
@@ -186,7 +192,7 @@ function attachTint(input, view) {
 }
 
 /**
- * What the surface shines as; it is hidden where that is diffuse.
+ * Tie the choice of the shine to the view; hide it if the scene has none.
  * @param {HTMLSelectElement} select
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -206,7 +212,7 @@ function attachShine(select, scene, view) {
 }
 
 /**
- * The legend of the colours of errors, shown while the picture on the stage has them.
+ * Draw the legend of errors, and show it while the picture on the stage has their colours.
  * @param {HTMLElement} legend
  * @param {Scene["error_scale"]} scale
  * @param {import("../view/rulers.js").Seen} shown
@@ -224,7 +230,7 @@ function attachScale(legend, { low, high, colours }, shown) {
 }
 
 /**
- * The legend of the surface's colours, where it has these from data.
+ * Draw the legend of the surface's colours, if data gives them.
  * @param {HTMLElement} legend
  * @param {Scene["colours"]} scale
  */
@@ -242,7 +248,7 @@ function showColours(legend, scale) {
 }
 
 /**
- * The buttons that look along an axis; that of the present view is pressed.
+ * Let buttons look along axes; the button of the current view is pressed.
  * @param {HTMLElement} group holds a button with `data-view` for each of AXIS_VIEWS
  * @param {ViewModel} view
  * @returns {Mirror}

@@ -1,6 +1,6 @@
 /**
- * The light: a mirror ball that shows it and how it is turned, as the camera sees it, and that
- * turns it.
+ * The light in a mirror ball, which shows the light and its rotation as the camera sees them, and
+ * rotates the light.
  */
 
 import { find } from "../dom.js";
@@ -13,22 +13,25 @@ import { cameraAxes, fromAngles, rollLight, turnVector } from "../view/rotation.
 /** @typedef {import("../view/rotation.js").LightAndCamera} LightAndCamera */
 /** @typedef {{data: Uint8ClampedArray, width: number, height: number}} Pixels RGBA, row by row */
 
-const DEGREES_ACROSS = 720 / Math.PI; // in the middle, what is mirrored follows the pointer
-const KEY_STEP = 10;
-const SKY_WIDTH = 128; // a pixel of the ball sees about as much as one of these
-const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
+const DEGREES_ACROSS = 720 / Math.PI; // at the middle, mirrored things follow the pointer
+const KEY_STEP = 10; // degrees
+const SKY_WIDTH = 128; // pixels of the light's picture, about as large as those of the ball
+const HIGHEST_RATIO = 1.5; // pixels per CSS pixel: more would cost much and show little
+
+/** Types of distant lights. */
 const FROM_AFAR = new Set(["sky", "probe", "environment", "directional"]);
-const RIM = 0.62; // how bright the rim is beside the middle, so that the ball is seen as one
-// numbers of a pixel: where its mirror looks, to the right, up and to the eye, and its shade
+const RIM = 0.62; // brightness of the rim over the middle, so that the ball looks round
+
+/** Numbers per pixel of the ball: direction right, up and towards the eye, and shade. */
 const RAY = 4;
 
 /**
- * Show the ball and tie it to the view. Where turning the light would show nothing, say so.
+ * Show the ball, and tie it to the view. If rotating the light would change nothing, say so.
  * @param {HTMLElement} section holds `#globe`, its knobs and `#light-note`
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {() => void} onRest called when a drag ends
- * @returns {() => void} shows it anew when the scene is in other light
+ * @param {() => void} onRest is called when a drag ends
+ * @returns {() => void} shows the ball again, in another light of the scene
  */
 export function attachLight(section, scene, view, onRest) {
   const globe = find(section, "#globe", HTMLCanvasElement);
@@ -38,11 +41,12 @@ export function attachLight(section, scene, view, onRest) {
     explain(section, scene);
     if (find(section, ".light").hidden) return;
     const painted = await makeBall(globe, scene, view.values.environment);
-    if (!painted) return; // no ball; the knobs do the same
+    if (!painted) return; // the knobs replace the ball
     ball = painted;
     ball.draw(view.values);
     globe.dataset.painted = "";
   };
+  // Draw the ball only while it is in sight.
   let seen = false;
   new IntersectionObserver((changes) => {
     seen = changes.at(-1)?.isIntersecting ?? seen;
@@ -55,16 +59,19 @@ export function attachLight(section, scene, view, onRest) {
   return show;
 }
 
+/** Attributes of a ball that rotates the light. */
 const TURNED = {
   tabindex: "0",
   role: "application",
   "aria-roledescription": "mirror ball",
   "aria-label": "Light, seen in a mirror ball. Arrow keys turn it.",
 };
+
+/** Attributes of a ball that only shows the light. */
 const FIXED = { role: "img", "aria-label": "The light, seen in a mirror ball" };
 
 /**
- * Say what there is to turn, and hide what turns nothing.
+ * Say if the light can be rotated, and hide controls that would rotate nothing.
  * @param {HTMLElement} section
  * @param {Scene} scene
  */
@@ -83,10 +90,11 @@ function explain(section, { turns, rotating, lights }) {
 }
 
 /**
+ * Make the ball with a picture of the light.
  * @param {HTMLCanvasElement} globe
  * @param {Scene} scene
- * @param {string} environment that the scene is shown in; "" for its own light
- * @returns {Promise<MirrorBall|null>} null where there is no picture of the light
+ * @param {string} environment that the scene is shown in; "" for the scene's light
+ * @returns {Promise<MirrorBall|null>} null if there is no picture of the light
  */
 async function makeBall(globe, scene, environment) {
   const ratio = Math.min(window.devicePixelRatio || 1, HIGHEST_RATIO);
@@ -99,7 +107,7 @@ async function makeBall(globe, scene, environment) {
   return new MirrorBall(contextOf(globe), globe.width, light);
 }
 
-/** @param {Blob} blob */
+/** Return the pixels of a picture. @param {Blob} blob */
 async function pixelsOf(blob) {
   const picture = await createImageBitmap(blob);
   const canvas = Object.assign(document.createElement("canvas"), {
@@ -111,14 +119,19 @@ async function pixelsOf(blob) {
   return paint.getImageData(0, 0, canvas.width, canvas.height);
 }
 
-/** @param {HTMLCanvasElement} canvas */
+/**
+ * Return the context of a canvas.
+ * @param {HTMLCanvasElement} canvas
+ * @throws {Error} if the browser has none
+ */
 function contextOf(canvas) {
   const context = canvas.getContext("2d");
-  if (!context) throw new Error("this browser paints no canvas");
+  if (!context) throw new Error("This browser cannot draw on a canvas.");
   return context;
 }
 
 /**
+ * Let a drag over the ball rotate the light.
  * @param {HTMLElement} globe
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -142,6 +155,7 @@ function attachDrag(globe, scene, view, onRest) {
 }
 
 /**
+ * Let arrows rotate the light.
  * @param {HTMLElement} globe
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -156,7 +170,7 @@ function attachArrows(globe, scene, view) {
   });
 }
 
-/** Paints the ball onto a square canvas. */
+/** Paints the ball on a square canvas. */
 export class MirrorBall {
   #paint;
   #picture;
@@ -180,12 +194,13 @@ export class MirrorBall {
   }
 
   /**
-   * Paint it as the view's camera sees it in the view's light.
+   * Paint the ball as the view's camera sees it in the view's light.
    * @param {LightAndCamera} values knobs of the view
    */
   draw(values) {
     const [w, x, y, z] = fromAngles(values);
     const { right, up, out } = cameraAxes(values.azimuth, values.elevation);
+    // Rotate the camera's axes into the frame of the light, instead of rotating the light.
     const axes = Float64Array.from(
       [right, up, out].flatMap((direction) => turnVector([w, -x, -y, -z], direction)),
     );
@@ -197,21 +212,22 @@ export class MirrorBall {
 }
 
 /**
- * The pixels on a ball that fills a square picture.
+ * Return the pixels of a ball that fills a square picture.
  * @param {number} size of the picture, pixels
- * @returns {{place: number, cover: number, ray: number[]}[]} where the pixel's bytes start, how
- *   much of it the ball
- *   covers, and the direction that it mirrors (right, up, towards the eye; a unit vector on the
- * ball) with its shade
+ * @returns {{place: number, cover: number, ray: number[]}[]} `place` of the pixel's first byte;
+ *   `cover`, the share of it that the ball covers; `ray`, the direction that it mirrors (right, up,
+ *   towards the eye; a unit vector on the ball) and its shade
  */
 export function ballPixels(size) {
   const pixels = [];
   for (let row = 0; row < size; row++) {
     for (let column = 0; column < size; column++) {
       const [right, up] = [(2 * column + 1) / size - 1, 1 - (2 * row + 1) / size];
+      // Distance from the ball's middle, in radii; `cover` fades over one pixel at the rim.
       const away = Math.hypot(right, up);
       const cover = Math.min(1, (1 - away) * (size / 2) + 0.5);
       const depth = Math.sqrt(Math.max(0, 1 - away * away));
+      // The eye's direction e = (0, 0, 1), reflected at the normal n: 2 (n · e) n - e.
       const ray = [
         2 * depth * right,
         2 * depth * up,
@@ -225,18 +241,20 @@ export function ballPixels(size) {
 }
 
 /**
- * Write what one pixel mirrors, between the four nearest of the light's pixels, as three bytes.
+ * Write the light that one pixel mirrors as three bytes, interpolated between the four nearest
+ * pixels of the light.
  * @param {Pixels} light
  * @param {Float64Array} axes of the camera, in the frame of the light
  * @param {Float32Array} rays of the ball
- * @param {number} ray where the pixel's begins
+ * @param {number} ray index of the pixel's direction in `rays`
  * @param {Uint8ClampedArray} into
- * @param {number} place where the pixel's bytes start
+ * @param {number} place of the pixel's first byte
  */
 function mirror({ data, width, height }, axes, rays, ray, into, place) {
   const x = axes[0] * rays[ray] + axes[3] * rays[ray + 1] + axes[6] * rays[ray + 2];
   const y = axes[1] * rays[ray] + axes[4] * rays[ray + 1] + axes[7] * rays[ray + 2];
   const z = axes[2] * rays[ray] + axes[5] * rays[ray + 1] + axes[8] * rays[ray + 2];
+  // Azimuth and polar angle of the direction are column and row of the light's picture.
   const column = (Math.atan2(y, x) / (2 * Math.PI) + 1) * width - 0.5;
   const row = Math.min(
     height - 1,

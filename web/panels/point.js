@@ -1,4 +1,4 @@
-/** The card of a point of the surface: what is known of it, beside the mark on it. */
+/** The card of a point of the surface: facts about the point, next to its mark. */
 
 import { find, textElement } from "../dom.js";
 import { errorInWords } from "../view/format.js";
@@ -8,15 +8,15 @@ import { placeInWords } from "../view/measures.js";
 /** @typedef {import("../net/schemas.js").SurfacePoint} SurfacePoint */
 /** @typedef {import("../view/marks.js").Marks} Marks */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
-/** @typedef {Record<string, string>} Rows names and values; what is "" is left out */
+/** @typedef {Record<string, string>} Rows names and values; empty values are left out */
 
 const DIGITS = 2; // decimals of a voxel's indices
 const OFF = 14; // pixels between a mark and its card
 const EDGE = 8; // pixels between a card and the edge of the stage
-const REST_MS = 600; // between two questions about the same point
+const REST_MS = 600; // pause between two requests for the same point
 const HIDDEN = "Behind the surface from here";
 
-/** Shows one point at a time, and keeps what it says up with the light. */
+/** Shows one point at a time, and keeps its facts up to date with the light. */
 export class PointCard {
   #card;
   #scene;
@@ -24,22 +24,21 @@ export class PointCard {
   #ask;
   /** @type {Vec3|null} */
   #point = null;
-  #asked = 0; // counts questions, so that a slow answer does not overtake a newer one
+  #asked = 0; // number of requests, so that a slow answer does not replace a newer one
   #timer = 0;
 
-  /** Is called when another point is shown, or none. @type {() => void} */
+  /** Called when another point is shown, or none. @type {() => void} */
   onChange = () => {};
 
-  /** Is called when a point is shown for the first time. @type {(point: SurfacePoint) => void} */
+  /** Called when a point is shown for the first time. @type {(point: SurfacePoint) => void} */
   onOpen = () => {};
 
   /**
    * @param {HTMLElement} card
    * @param {Scene} scene
    * @param {Marks} marks
-   * @param {(right: number, up: number) => Promise<SurfacePoint|null>} ask gives the surface at a
-   *   place of the picture,
-   *   in heights of the picture from its middle
+   * @param {(right: number, up: number) => Promise<SurfacePoint|null>} ask returns the surface at a
+   *   place of the picture, in heights of the picture from its middle
    */
   constructor(card, scene, marks, ask) {
     this.#card = card;
@@ -49,16 +48,16 @@ export class PointCard {
     find(card, ".close").addEventListener("click", () => this.close());
   }
 
-  /** The point that is shown; null where none is. @returns {Vec3|null} */
+  /** Return the point that is shown; null if there is none. @returns {Vec3|null} */
   get point() {
     return this.#point;
   }
 
   /**
-   * Show what is at a place of the picture; nothing, where no surface is.
-   * @param {number} right of the middle, in heights of the picture
-   * @param {number} up of the middle, in heights of the picture
-   * @returns {Promise<boolean>} false where no surface is
+   * Show the point at a place of the picture; close the card if there is no surface.
+   * @param {number} right distance to the right of the middle, heights of the picture
+   * @param {number} up distance above the middle, heights of the picture
+   * @returns {Promise<boolean>} false if there is no surface
    */
   async open(right, up) {
     const count = ++this.#asked;
@@ -76,7 +75,7 @@ export class PointCard {
     return true;
   }
 
-  /** Show none. */
+  /** Hide the card. */
   close() {
     this.#asked += 1;
     clearTimeout(this.#timer);
@@ -86,12 +85,12 @@ export class PointCard {
     this.onChange();
   }
 
-  /** The picture has become better: ask for its light again, soon. */
+  /** Request the point's light again soon, as the picture has become better. */
   refresh() {
     if (this.#point && !this.#timer) this.#timer = setTimeout(() => this.#again(), REST_MS);
   }
 
-  /** Put the card beside its mark; docked cards are placed by the style sheet. */
+  /** Put the card next to its mark; the style sheet places docked cards. */
   place() {
     if (!this.#point || !this.#card.parentElement) return;
     const { clientWidth, clientHeight } = this.#card.parentElement;
@@ -105,9 +104,11 @@ export class PointCard {
     find(this.#card, ".note").textContent = hidden ? HIDDEN : "";
   }
 
+  /** Request the point again, and show its light if the pixel still shows this point. */
   async #again() {
     this.#timer = 0;
-    const [point, count] = [this.#point, this.#asked];
+    const point = this.#point;
+    const count = this.#asked;
     if (!point || this.#marks.hides(point)) return;
     const place = this.#marks.place(point);
     const found = await this.#ask(place.right, place.up);
@@ -116,7 +117,8 @@ export class PointCard {
   }
 
   /**
-   * Whether a pixel shows a point: its middle is a little beside it.
+   * Return true if a pixel shows a point: the middle of the pixel may be up to two voxels away from
+   * it.
    * @param {Vec3} a
    * @param {Vec3} b
    */
@@ -124,7 +126,7 @@ export class PointCard {
     return Math.hypot(...a.map((x, i) => x - b[i])) < 2 * Math.max(...this.#scene.volume.spacing);
   }
 
-  /** @param {SurfacePoint} point */
+  /** Show the facts of a point. @param {SurfacePoint} point */
   #write(point) {
     const rows = Object.entries(pointRows(this.#scene, point)).filter(([, value]) => value);
     find(this.#card, "dl").replaceChildren(
@@ -136,7 +138,7 @@ export class PointCard {
 }
 
 /**
- * What is known of a point, for a person.
+ * Return the facts of a point in words.
  * @param {Pick<Scene, "volume">} scene
  * @param {SurfacePoint} point
  * @returns {Rows}
@@ -159,21 +161,23 @@ export function pointRows(
 }
 
 /**
+ * Write the error of a point.
  * @param {SurfacePoint["state"]} state
  * @param {number} error
  */
 function errorOf(state, error) {
   if (state === "provisional") return "not known yet";
-  if (error === 0) return ""; // of a shading that has none
+  if (error === 0) return ""; // the shading has no error
   return `${errorInWords(error)}${state === "final" ? "" : ", being refined"}`;
 }
 
-/** @param {string} number */
+/** Write a number with a true minus sign. @param {string} number */
 function minus(number) {
   return number.replace("-", "−");
 }
 
 /**
+ * Limit a number to a range.
  * @param {number} x
  * @param {number} low
  * @param {number} high

@@ -1,6 +1,6 @@
 /**
- * Isovalues worth a look, as chips: where the scene starts, those that it names, and those that a
- * person keeps.
+ * Remarkable isovalues as buttons: the scene's first one, those that the scene names, and those
+ * that the visitor keeps.
  */
 
 import { textElement } from "../dom.js";
@@ -13,7 +13,7 @@ import { sliderRange } from "../view/model.js";
 const FOUND = "A boundary between materials, found in the volume";
 
 /**
- * Fill the group with a button for each preset, and one that keeps the present isovalue, or forgets
+ * Fill the group with a button for each preset, and one that keeps the current isovalue, or forgets
  * it.
  * @param {HTMLElement} group
  * @param {Scene} scene
@@ -25,6 +25,7 @@ export function attachPresets(group, scene, view) {
   if (group.hidden) return;
   const show = (/** @type {number} */ isovalue) => showNumber(isovalue, niceStep(max - min));
   const presets = scenePresets(scene);
+  // Presets of the scene are fixed; kept isovalues belong to this browser.
   let kept = readKept(scene.id, { min, max });
   /** @type {HTMLButtonElement[]} */
   let chips = [];
@@ -43,6 +44,7 @@ export function attachPresets(group, scene, view) {
       ? `Forget isovalue ${show(isovalue)}`
       : `Keep isovalue ${show(isovalue)}`;
   };
+  // Replace the buttons whenever the kept isovalues change.
   const build = () => {
     const keptPresets = kept.map((isovalue) => ({ name: `★ ${show(isovalue)}`, isovalue }));
     chips = [...presets, ...keptPresets].map((preset) =>
@@ -62,7 +64,7 @@ export function attachPresets(group, scene, view) {
 }
 
 /**
- * The presets of a scene, and first where it starts, unless that is one of them.
+ * Return the presets of a scene, preceded by its first isovalue unless that is one of them.
  * @param {Pick<Scene, "defaults"|"presets">} scene
  * @returns {Preset[]}
  */
@@ -74,7 +76,7 @@ export function scenePresets({ defaults, presets }) {
 }
 
 /**
- * The isovalues with one more, in order, or without it where it is one of them.
+ * Add an isovalue to a list in order, or remove it if the list has it.
  * @param {number[]} kept
  * @param {number} isovalue
  * @returns {number[]}
@@ -85,9 +87,8 @@ export function toggled(kept, isovalue) {
 }
 
 /**
- * The isovalues in a text that was kept, those outside the range left out; none where it is no
- * list, as a page of
- * another version may have written it.
+ * Read kept isovalues, and leave out those outside the range. A text that is no list gives none: a
+ * page of another version may have written it.
  * @param {string|null} text
  * @param {{min: number, max: number}} range
  * @returns {number[]}
@@ -104,6 +105,7 @@ export function parseKept(text, { min, max }) {
 }
 
 /**
+ * Make the button of a preset.
  * @param {Preset} preset
  * @param {(isovalue: number) => string} show
  * @param {() => void} onPress
@@ -122,7 +124,7 @@ function chip({ name, isovalue, suggested }, show, onPress) {
 }
 
 /**
- * A browser may refuse to keep anything; what is kept then lasts as long as the page.
+ * Read the isovalues that this browser keeps; none if it refuses to keep anything.
  * @param {string} scene
  * @param {{min: number, max: number}} range
  */
@@ -135,6 +137,7 @@ function readKept(scene, range) {
 }
 
 /**
+ * Keep isovalues in this browser; if it refuses, they last as long as the page.
  * @param {string} scene
  * @param {number[]} kept
  */
@@ -146,7 +149,7 @@ function writeKept(scene, kept) {
   }
 }
 
-/** @param {string} scene */
+/** Return the name under which isovalues of a scene are kept. @param {string} scene */
 function key(scene) {
   return `isogi: isovalues of ${scene}`;
 }

@@ -1,6 +1,6 @@
 /**
- * Reading the picture: clicks show a point, or measure between points; the list of what was
- * measured; a surface's size.
+ * Readings from the picture: clicks show a point, or measure between points; the list of measures;
+ * and the size of the surface.
  */
 
 import { find, textElement } from "../dom.js";
@@ -20,14 +20,14 @@ import { MOST, knownInWords, measureInWords } from "../view/measures.js";
 const FULL = `A link holds ${MOST} measures: remove one first.`;
 const EMPTY = "There is no surface in the middle of the picture.";
 const MISSED = "There is no surface: click another place.";
-/** What is asked for, by the number of points that there are. */
+/** Hints of a measure, by the number of its points. */
 const ASKED = [
   "Click the first point.",
   "Click the second point.",
   "Click a third point for an angle, or stop.",
 ];
 
-/** What clicks on the picture do. */
+/** Handles clicks on the picture. */
 export class Reading {
   #card;
   #marks;
@@ -36,10 +36,10 @@ export class Reading {
   #say;
   #hint;
   /** @type {Vec3[]|null} */
-  #measured = null; // points of the measure that is being made; null while clicks show points
+  #measured = null; // points of the measure that is being made; null if clicks show points
 
   /**
-   * @param {HTMLElement} hint says what to click, and holds a button that stops
+   * @param {HTMLElement} hint says where to click, and holds a button that stops measuring
    * @param {PointCard} card
    * @param {Marks} marks
    * @param {ViewModel} view
@@ -67,13 +67,13 @@ export class Reading {
   }
 
   /**
-   * A click: shows the point there, or makes it one of the measure.
-   * @param {number} right of the middle, in heights of the picture
-   * @param {number} up of the middle, in heights of the picture
+   * Show the point at a place of the picture, or add it to the measure.
+   * @param {number} right distance to the right of the middle, heights of the picture
+   * @param {number} up distance above the middle, heights of the picture
    */
   async click(right, up) {
     if (!this.#measured) {
-      await this.#card.open(right, up); // a click beside the surface only closes the card
+      await this.#card.open(right, up); // closes the card if there is no surface
       return;
     }
     const point = await this.#pick(this.#view.values, right, up);
@@ -82,15 +82,15 @@ export class Reading {
   }
 
   /**
-   * The same as a click in the middle of the picture, for those who use keys: it says where nothing
-   * is there.
+   * Do the same as a click in the middle of the picture, for the keyboard; say so if there is no
+   * surface.
    */
   async middle() {
     if (this.#measured) await this.click(0, 0);
     else if (!(await this.#card.open(0, 0))) this.#say(EMPTY);
   }
 
-  /** Measure from the point that is shown, if one is; or stop measuring. */
+  /** Begin to measure, from the point that is shown if there is one; or stop measuring. */
   measure() {
     if (this.#measured) return this.stop();
     if (this.#view.values.measures.length >= MOST) return this.#say(FULL);
@@ -98,28 +98,31 @@ export class Reading {
     this.#card.close();
   }
 
-  /** Measure no further, or remove the card. What was measured stays. */
+  /** Stop measuring, and hide the card. Measures are kept. */
   stop() {
     this.#measured = null;
     this.#card.close();
   }
 
   /**
+   * Add a point to the measure.
    * @param {Vec3[]} measured points so far
    * @param {Vec3} point
    */
   #add(measured, point) {
     const points = [...measured, point];
-    // a distance becomes an angle
+    // A third point turns the last distance into an angle.
     const others = this.#view.values.measures.slice(0, measured.length > 1 ? -1 : undefined);
     this.#measured = points.length < ASKED.length ? points : null;
     if (points.length > 1) this.#view.set({ measures: [...others, points] });
     this.#show();
   }
 
+  /** Show hint, marks and measures. */
   #show() {
-    const [measures, started] = [this.#view.values.measures, this.#measured?.slice(0, 1) ?? []];
-    // it was removed
+    const { measures } = this.#view.values;
+    const started = this.#measured?.slice(0, 1) ?? [];
+    // The measure that was being made was removed from the list.
     if (this.#measured && this.#measured.length > 1 && !measures.length) this.#measured = null;
     this.#hint.hidden = !this.#measured;
     find(this.#hint, "span").textContent = this.#measured ? ASKED[this.#measured.length] : "";
@@ -131,14 +134,15 @@ export class Reading {
 }
 
 /**
- * Keep the list of measures up with the view.
- * @param {HTMLElement} panel holds a list; it is hidden while there is nothing in it
+ * Keep the list of measures up to date with the view.
+ * @param {HTMLElement} panel holds a list; it is hidden while the list is empty
  * @param {Pick<Scene, "volume">} scene
  * @param {ViewModel} view
  */
 export function attachMeasures(panel, { volume }, view) {
   const draw = () => {
     const { measures } = view.values;
+    // Write the whole list, as it is short.
     panel.hidden = !measures.length;
     find(panel, "ol").replaceChildren(
       ...measures.map((points, n) => {
@@ -160,24 +164,26 @@ export function attachMeasures(panel, { volume }, view) {
   draw();
 }
 
-const REST_MS = 400; // that a surface stays as it is before it is measured
-// before a server that does not answer, or is busy, is asked again
+const REST_MS = 400; // time without a change after which a surface is measured
+
+/** Pauses before a server that is away, or busy, is asked again. */
 const AGAIN_MS = [500, 1000, 2000, 4000];
 const WHOLE =
   "Of the whole surface, faces of a cut too. ± is what the size of the voxels leaves open.";
 const OPEN = "The solid reaches a side of the volume, and is taken to end there.";
 
 /**
- * Keep the size of the surface up with the view, while it is unfolded; none is shown of another
- * surface.
+ * Keep the size of the surface up to date with the view while the panel is unfolded; the size of
+ * another surface is never shown.
  * @param {HTMLDetailsElement} panel holds a `dl` and a `.note`
  * @param {Pick<Scene, "volume">} scene
  * @param {ViewModel} view
- * @param {(values: Knobs, signal: AbortSignal) => Promise<Size>} ask
+ * @param {(values: Knobs, signal: AbortSignal) => Promise<Size>} ask requests the size
  */
 export function attachSize(panel, { volume }, view, ask) {
   const [list, note] = [find(panel, "dl"), find(panel, ".note")];
-  let [timer, controller] = [0, new AbortController()];
+  let timer = 0;
+  let controller = new AbortController();
   const show = (/** @type {[string, string][]} */ rows, /** @type {string} */ words) => {
     list.replaceChildren(
       ...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]),
@@ -199,6 +205,7 @@ export function attachSize(panel, { volume }, view, ask) {
       if (signal.aborted) return;
     }
   };
+  // Cancel the request for the former surface, and measure once the view rests.
   const follow = () => {
     controller.abort();
     controller = new AbortController();
@@ -214,7 +221,7 @@ export function attachSize(panel, { volume }, view, ask) {
 }
 
 /**
- * How large a surface is, for a person.
+ * Return area and volume of a surface in words.
  * @param {Pick<Scene["volume"], "spacing">} volume
  * @param {Size} size
  * @returns {[string, string][]}
@@ -223,10 +230,10 @@ export function sizeRows(
   { spacing },
   { unit, area, area_error: areaError, volume, volume_error: volumeError },
 ) {
-  const own = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
+  const length = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
   if (area === 0) return [["Area", "no surface"]];
   return [
-    ["Area", knownInWords(area, areaError, `${own}²`)],
-    ["Volume", knownInWords(volume, volumeError, `${own}³`)],
+    ["Area", knownInWords(area, areaError, `${length}²`)],
+    ["Volume", knownInWords(volume, volumeError, `${length}³`)],
   ];
 }

@@ -1,6 +1,6 @@
 /**
- * The scene in words: its plan, what was left out, why and what that saves, its volume and its
- * lights.
+ * The scene in words: its plan, the parts that were left out with reason and saving, its volume and
+ * its lights.
  */
 
 import { find, textElement } from "../dom.js";
@@ -8,12 +8,12 @@ import { stopsInWords } from "./histogram.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /**
- * @typedef {Record<string, string|number|null>} Rows names and values of a list; what is null or ""
- *   is left out
+ * @typedef {Record<string, string|number|null>} Rows names and values of a list; null and "" are
+ *   left out
  */
 
 /**
- * Fill the two folded lists with what the server says about the scene.
+ * Fill the two folded lists with the scene's document.
  * @param {HTMLElement} root holds `#plan-facts`, `#plan-notes`, `#plan-left-out` and
  *   `#volume-facts`
  * @param {Scene} scene
@@ -30,7 +30,7 @@ export function showScene(root, scene) {
 }
 
 /**
- * The plan of a scene.
+ * Return the plan of a scene in words.
  * @param {Pick<Scene, "plan"|"target_error">} scene
  * @returns {Rows}
  */
@@ -51,7 +51,7 @@ export function planRows({ plan, target_error: target }) {
 }
 
 /**
- * The volume of a scene, its lights and its surface.
+ * Return volume, lights and surface of a scene in words.
  * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene,
  *   "colours"|"surfaces"|"stops"|"stops_note">>} scene
  * @returns {Rows}
@@ -93,12 +93,15 @@ export function volumeRows({
   };
 }
 
-/** @param {import("../net/schemas.js").Vec3} colour */
+/**
+ * Write a colour; three equal components as one number.
+ * @param {import("../net/schemas.js").Vec3} colour
+ */
 function sharesInWords(colour) {
   return [...new Set(colour)].map((share) => Number(share.toFixed(3))).join(", ");
 }
 
-/** @param {import("../documents.js").Surface} surface */
+/** Describe a pinned surface. @param {import("../documents.js").Surface} surface */
 function surfaceInWords({ isovalue, name, clear, transmission }) {
   const passing = clear ? `, ${percent(clear)} clear` : "";
   const through = transmission.some(Boolean) ? `, transmission ${sharesInWords(transmission)}` : "";
@@ -106,7 +109,7 @@ function surfaceInWords({ isovalue, name, clear, transmission }) {
 }
 
 /**
- * What one layer keeps for each texel, such as "SH order 5 in 3 channels, float16 floats".
+ * Describe the numbers of a layer per texel, such as "SH order 5 in 3 channels, float16 floats".
  * @param {import("../documents.js").Layer} layer
  * @returns {string}
  */
@@ -115,12 +118,13 @@ export function layerInWords({ order, channels, precision, coarse, nodes }) {
   const kept =
     coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
   const albedos = nodes.map((node) => Number(node.toFixed(2))).join(", ");
-  const each = albedos ? ` for albedo ${albedos}` : channels > 1 ? ` in ${channels} channels` : "";
+  let each = channels > 1 ? ` in ${channels} channels` : "";
+  if (albedos) each = ` for albedo ${albedos}`;
   return `${numbers}${each}, ${kept}`;
 }
 
 /**
- * An amount that was saved, such as "12 000 texels (measured)".
+ * Write an amount that was saved, such as "12 000 texels (measured)".
  * @param {import("../documents.js").Omission["saves"][number]} saving
  * @returns {string}
  */
@@ -129,27 +133,30 @@ export function savingInWords({ amount, unit, measured }) {
   return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
 }
 
-const FEW_LOBES = 4;
+const FEW_LOBES = 4; // lobes that are listed
 
-/** @param {import("../documents.js").Lobe[]} lobes */
+/** Describe the lobes of the light. @param {import("../documents.js").Lobe[]} lobes */
 function lobesInWords(lobes) {
   const further = lobes.length > FEW_LOBES ? [`and ${lobes.length - FEW_LOBES} more`] : [];
   return [...lobes.slice(0, FEW_LOBES).map(lobeInWords), ...further].join("; ");
 }
 
-/** @param {import("../documents.js").Lobe} lobe */
+/** Describe one lobe. @param {import("../documents.js").Lobe} lobe */
 function lobeInWords({ azimuth, elevation, angle }) {
   return `${Number(angle.toPrecision(2))}° across at azimuth ${azimuth.toFixed(0)}°, elevation ${elevation.toFixed(0)}°`;
 }
 
-/** @param {Rows} rows */
+/** Make the elements of a list. @param {Rows} rows */
 function list(rows) {
   return Object.entries(rows).flatMap(([name, value]) =>
     value === null || value === "" ? [] : [textElement("dt", name), textElement("dd", value)],
   );
 }
 
-/** @param {import("../documents.js").Omission} omission */
+/**
+ * Make the element of a part that was left out.
+ * @param {import("../documents.js").Omission} omission
+ */
 function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textElement("b", what), ` — ${why}`);
@@ -158,17 +165,17 @@ function omission({ what, why, saves }) {
   return node;
 }
 
-/** @param {number} share */
+/** Write a share in percent. @param {number} share */
 function percent(share) {
   return `${Number((100 * share).toPrecision(3))} %`;
 }
 
-/** @param {number} number */
+/** Write a number with groups of three digits. @param {number} number */
 function grouped(number) {
   return number.toLocaleString("en").replaceAll(",", "\u202f");
 }
 
-/** @param {string} word */
+/** Write a word with a capital. @param {string} word */
 function capital(word) {
   return word[0].toUpperCase() + word.slice(1);
 }

@@ -1,4 +1,4 @@
-/** The state of the picture in words and as a bar; and the panel for when something is wrong. */
+/** The state of the picture in words and as a bar; short notices; and the panel for trouble. */
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
@@ -11,11 +11,15 @@ import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from 
 /** @typedef {import("../net/trouble.js").Clock} Clock */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 
-const ALMOST = 0.99; // the most that a bar shows of what is not done
-const OLD_MS = 300; // after which a picture that the controls have left is dimmed
-const LATE_MS = 600; // after which a person is told that a picture is still to come
+const ALMOST = 0.99; // share that the bar shows at most before the picture is final
+const OLD_MS = 300; // time after which a picture that the controls have left is dimmed
+const LATE_MS = 600; // time after which the page says that a picture is still to come
 const LAST = ": the picture is the last one received";
-/** @type {Partial<Record<State, {badge: string, line: string}>>} */
+
+/**
+ * Words for states without facts of a picture.
+ * @type {Partial<Record<State, {badge: string, line: string}>>}
+ */
 const WORDS = {
   loading: { badge: "", line: "Loading the scene…" },
   trouble: { badge: "", line: "Not up to date: the picture is the last one received" },
@@ -24,10 +28,7 @@ const WORDS = {
   updating: { badge: "Updating", line: "Updating: the picture of this view is on its way" },
 };
 
-/**
- * Says of the picture on the stage what is true of it, and nothing while the controls ask for
- * another.
- */
+/** Describes the picture on the stage, as long as the controls ask for this picture. */
 export class Status {
   #root;
   #target;
@@ -35,12 +36,12 @@ export class Status {
   #clock;
   #old;
   #late;
-  #bar = { since: -1, done: 0 }; // what it showed of the present picture
+  #bar = { since: -1, done: 0 }; // share that the bar has shown of the current view
 
   /**
    * @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce`
-   * @param {number} target relative error at which a picture is good enough to go without a badge
-   * @param {(values: Knobs) => string} emptyOf what is said of a view that shows no surface
+   * @param {number} target relative error from which a picture has no badge
+   * @param {(values: Knobs) => string} emptyOf returns the words for a view that shows no surface
    * @param {Clock} [clock]
    */
   constructor(root, target, emptyOf, clock = CLOCK) {
@@ -50,39 +51,40 @@ export class Status {
     this.#clock = clock;
     const stage = find(root, "#stage");
     this.#old = markedFrom(stage, "data-old", clock);
-    // what moves there costs frames of the screen
+    // An animation costs frames of the screen: begin it only when a picture is late.
     this.#late = markedFrom(stage, "data-late", clock);
   }
 
-  /** Show how the picture stands to the controls. @param {Shown} shown */
+  /** Show the state of the picture. @param {Shown} shown */
   show(shown) {
     const { state, sharp, leftAt, waitsSince } = shown;
     const facts = shown.facts && { ...shown.facts, timeLeft: shown.left };
     const stage = find(this.#root, "#stage");
     const about = { target: this.#target, empty: this.#emptyOf(shown.values) };
+    // Words that follow from the state alone, or else from the facts of the picture.
     const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, about);
     const more = state === "away" && facts ? LAST : drawnInWords(shown, state);
     stage.dataset.state = state;
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
     this.#write("#status-line", line + more);
     this.#write("#badge", badge);
-    const news = facts && state !== "away";
-    this.#write("#announce", news ? announcement(facts, sharp, about) : "");
+    const isKnown = facts && state !== "away";
+    this.#write("#announce", isKnown ? announcement(facts, sharp, about) : "");
     this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);
   }
 
-  /** @param {string} selector @param {string} text */
+  /** Write a text if it has changed. @param {string} selector @param {string} text */
   #write(selector, text) {
     const node = find(this.#root, selector);
-    if (node.textContent !== text) node.textContent = text; // or screen readers say it again
+    if (node.textContent !== text) node.textContent = text; // screen readers would repeat it
   }
 
   /**
-   * Fill the bar; it never runs back while the controls rest.
+   * Fill the bar. It never runs back while the controls rest.
    * @param {Facts|null} facts
-   * @param {number} since when they came to this view, milliseconds
+   * @param {number} since time at which they came to this view, milliseconds
    */
   #fill(facts, since) {
     const done = facts ? doneOf(facts, (this.#clock.now() - since) / 1000) : 0;
@@ -97,7 +99,7 @@ export class Status {
 }
 
 /**
- * How much of the time to the final picture is over: all of it where nothing is left to wait for.
+ * Return the share of the time to the final picture that has passed; 1 if the picture is final.
  * @param {Pick<Facts, "provisional"|"timeLeft">} facts
  * @param {number} seconds since the view was asked for
  * @returns {number} from 0 to 1
@@ -108,24 +110,28 @@ export function doneOf({ provisional, timeLeft }, seconds) {
 }
 
 /**
- * What a bar shows: what is done, and of the rest how much has light.
+ * Return the parts of the bar: the share that is done, and of the rest the shares with and without
+ * light.
  * @param {Facts} facts
  * @param {number} done
  */
 function sharesOf(facts, done) {
+  // Of a picture without a surface, all has light.
   const lit = showsSurface(facts) ? 1 - facts.coverage.provisional : 1;
   return { final: done, converging: (1 - done) * lit, provisional: (1 - done) * (1 - lit) };
 }
 
 /**
- * Mark a node from a moment on that may be still to come.
+ * Return a function that sets an attribute at a time, which may lie in the future.
  * @param {HTMLElement} node
  * @param {string} name of an attribute
  * @param {Clock} clock
- * @returns {(moment: number) => void} Infinity takes the mark away
+ * @returns {(moment: number) => void} takes the time in milliseconds; Infinity removes the
+ *   attribute
  */
 function markedFrom(node, name, clock) {
-  let [due, timer] = [Infinity, 0];
+  let due = Infinity;
+  let timer = 0;
   return (moment) => {
     if (moment === due) return;
     const wait = moment - clock.now();
@@ -138,9 +144,9 @@ function markedFrom(node, name, clock) {
 }
 
 /**
- * What is said of the full picture of a view. One that was done, and becomes sharp, has no badge.
+ * Describe the full picture of a view. A picture that was final and becomes sharper has no badge.
  * @param {Facts} facts
- * @param {boolean} sharp whether it has all of the screen's pixels
+ * @param {boolean} sharp true if it has all of the screen's pixels
  * @param {{target: number, empty: string}} about see `frameInWords`
  * @returns {{badge: string, line: string}}
  */
@@ -152,8 +158,8 @@ export function wordsOf(facts, sharp, about) {
 }
 
 /**
- * What is said of a picture that the graphics card drew.
- * @param {number} error
+ * Describe a picture that the graphics card drew.
+ * @param {number} error predicted relative error
  * @returns {string}
  */
 export function predictedInWords(error) {
@@ -161,7 +167,7 @@ export function predictedInWords(error) {
 }
 
 /**
- * What is said of a picture that is not the server's.
+ * Describe a picture that is not the server's.
  * @param {Pick<Shown, "facts"|"predicted">} shown
  * @param {State} state
  * @returns {string}
@@ -173,8 +179,7 @@ function drawnInWords({ facts, predicted }, state) {
 }
 
 /**
- * What stands on a picture that is not within its target: it counts down to that; or on one that
- * shows nothing.
+ * Return the badge of a picture that has not reached its target, or shows no surface; otherwise "".
  * @param {Pick<Facts, "provisional"|"error"|"surface">} facts
  * @param {number} target relative error
  * @returns {string}
@@ -187,9 +192,10 @@ export function badge(facts, target) {
 }
 
 /**
- * What screen readers say: it changes once light is everywhere and at the end, not at every frame.
+ * Return the words for screen readers. They change when light is everywhere, and at the end, not
+ * with every frame.
  * @param {Facts} facts
- * @param {boolean} [sharp] whether the picture has all of the screen's pixels
+ * @param {boolean} [sharp] true if the picture has all of the screen's pixels
  * @param {{target: number, empty: string}} [about] see `frameInWords`
  * @returns {string}
  */
@@ -200,10 +206,10 @@ export function announcement(facts, sharp = false, about) {
     : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;
 }
 
-const GONE = 404; // status of a scene that is not there any more
-const READ_MS = 10_000; // a sentence is read long before
+const GONE = 404; // HTTP status of a scene that the server no longer has
+const READ_MS = 10_000; // time that a notice is shown
 
-/** A sentence over the picture, which goes by itself. */
+/** A sentence over the picture, which disappears by itself. */
 export class Notice {
   #node;
   #timer = 0;
@@ -214,7 +220,7 @@ export class Notice {
     this.say = this.say.bind(this);
   }
 
-  /** Say something; nothing takes back what was said. @param {string} words */
+  /** Show a sentence; "" hides the notice. @param {string} words */
   say(words) {
     clearTimeout(this.#timer);
     this.#node.textContent = words;
@@ -223,12 +229,12 @@ export class Notice {
 }
 
 /**
- * The panel that says what is wrong; "Try now" is offered where the page would ask again anyway.
+ * The panel that reports trouble. It offers "Try now" if the page would ask again anyway.
  */
 export class TroublePanel {
   #panel;
 
-  /** What "Try now" does. @type {() => void} */
+  /** Called by "Try now". @type {() => void} */
   onRetry = () => {};
 
   /** @param {HTMLElement} panel */
@@ -238,7 +244,7 @@ export class TroublePanel {
   }
 
   /**
-   * Show what is wrong: all over the picture, or in a strip, if the picture goes on without the
+   * Report trouble: over the whole picture, or in a strip if the page goes on drawing without the
    * server.
    * @param {Error & {title?: string, retry?: boolean, status?: number}} error
    * @param {boolean} [strip]
@@ -252,13 +258,13 @@ export class TroublePanel {
     this.#panel.hidden = false;
   }
 
-  /** All is well again. */
+  /** Hide the panel, as the trouble is over. */
   hide() {
     this.#panel.hidden = true;
   }
 
   /**
-   * Wait for some time, or until the person presses "Try now".
+   * Wait for some time, or until the visitor presses "Try now".
    * @param {number} milliseconds
    * @returns {Promise<void>}
    */
@@ -270,11 +276,12 @@ export class TroublePanel {
   }
 
   /**
+   * Write a text if it has changed.
    * @param {string} selector
    * @param {string} text
    */
   #write(selector, text) {
     const node = find(this.#panel, selector);
-    if (node.textContent !== text) node.textContent = text; // said once, not at every try
+    if (node.textContent !== text) node.textContent = text; // screen readers would repeat it
   }
 }

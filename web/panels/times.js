@@ -1,10 +1,11 @@
-/** What a frame took, stage by stage, and how many came a second while the view moved. */
+/** The time of each stage of a frame, and the rate of drafts while the view moves. */
 
 import { find, textElement } from "../dom.js";
 import { millisecondsInWords } from "../view/format.js";
 
-const SPAN_MS = 2000; // of which drafts are counted
-/** @type {Record<string, string>} */
+const SPAN_MS = 2000; // time over which drafts are counted
+
+/** Names of stages. @type {Record<string, string>} */
 const STAGES = {
   queue: "Waiting for a thread",
   demand: "Asking for light",
@@ -38,7 +39,7 @@ export class Times {
   /**
    * Show the times of a frame.
    * @param {import("../net/schemas.js").Facts} facts
-   * @param {boolean} draft whether the view is moving
+   * @param {boolean} draft true if the view is moving
    */
   show({ timing }, draft) {
     const now = performance.now();
@@ -50,6 +51,7 @@ export class Times {
     this.#list();
   }
 
+  /** Fill the list if it is unfolded. */
   #list() {
     if (!this.#root.open) return;
     const rows = timeRows(this.#timing, rateOf(this.#drafts));
@@ -60,9 +62,9 @@ export class Times {
 }
 
 /**
- * The rows of the list: each stage, their sum, and the rate of drafts.
+ * Return the rows of the list: each stage, their sum, and the rate of drafts.
  * @param {Record<string, number>} timing milliseconds of each stage
- * @param {number} rate drafts a second
+ * @param {number} rate drafts per second
  * @returns {[string, string|number][]}
  */
 export function timeRows(timing, rate) {
@@ -77,7 +79,7 @@ export function timeRows(timing, rate) {
 }
 
 /**
- * Frames a second, rounded; 0 of fewer than two.
+ * Return the rate of frames per second, rounded; 0 for fewer than two.
  * @param {number[]} times milliseconds, in order
  * @returns {number}
  */
@@ -86,7 +88,7 @@ export function rateOf(times) {
   return last > first ? Math.round((1000 * (times.length - 1)) / (last - first)) : 0;
 }
 
-/** @param {Record<string, number>} timing */
+/** Return the sum of all stages. @param {Record<string, number>} timing */
 function total(timing) {
   return Object.values(timing).reduce((sum, ms) => sum + ms, 0);
 }

@@ -1,6 +1,6 @@
 /**
- * Views that a person keeps in this browser, to go back to, and as a file of keyframes that `isogi
- * film` reads.
+ * Views that the visitor keeps in this browser, to go back to, and as a file of keyframes for
+ * `isogi film`.
  */
 
 import { find, textElement } from "../dom.js";
@@ -12,15 +12,15 @@ import { download } from "../net/save.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /**
- * @typedef {{address: string, view: FrameQuery}} KeptView the page's own query, and the parameters
- *   of its picture
+ * @typedef {{address: string, view: FrameQuery}} KeptView the query of the page's address, and the
+ *   parameters of its picture
  */
 
-// what a film is given once for all of its frames
+/** Parameters that a film has only once for all of its frames. */
 const OF_THE_FILM = ["width", "height", "overlay", "f"];
 
 /**
- * The parameters of a keyframe.
+ * Return the parameters of a keyframe.
  * @param {FrameQuery} query of a picture
  * @returns {FrameQuery}
  */
@@ -29,7 +29,7 @@ export function keyframe(query) {
 }
 
 /**
- * The file of keyframes that `isogi film --views-file` reads.
+ * Write the file of keyframes that `isogi film --views-file` reads.
  * @param {KeptView[]} kept
  * @returns {string}
  */
@@ -38,7 +38,7 @@ export function viewsFile(kept) {
 }
 
 /**
- * What tells a kept view from others.
+ * Describe a kept view.
  * @param {FrameQuery} view
  * @returns {string}
  */
@@ -48,8 +48,8 @@ export function keyframeInWords({ isovalue, azimuth, elevation }) {
 }
 
 /**
- * The views in a text that was kept; none where it is no list of such, as a page of another version
- * may have written.
+ * Read kept views. A text that is no list of views gives none: a page of another version may have
+ * written it.
  * @param {string|null} text
  * @returns {KeptView[]}
  */
@@ -65,7 +65,7 @@ export function parseViews(text) {
 }
 
 /**
- * Tie the list to the view.
+ * Tie the list of kept views to the view.
  * @param {HTMLElement} part holds `#views-list`, `#views-keep`, `#views-save` and `#views-line`
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -74,10 +74,12 @@ export function parseViews(text) {
 export function attachViews(part, scene, view, query) {
   const key = `isogi: views of ${scene.id}`;
   const file = `${nameOfFiles(scene)}-views.json`;
+  // Kept views belong to this browser, and to this scene.
   let kept = parseViews(stored(key));
   const save = find(part, "#views-save", HTMLButtonElement);
   const build = () => {
     find(part, "#views-list").replaceChildren(...kept.map((each, n) => row(each, n, show, forget)));
+    // A film needs two keyframes.
     save.disabled = kept.length < 2;
     find(part, "#views-line").hidden = save.disabled;
     find(part, "code").textContent =
@@ -101,8 +103,9 @@ export function attachViews(part, scene, view, query) {
 }
 
 /**
+ * Make the row of a kept view.
  * @param {KeptView} kept
- * @param {number} n its place, from 0
+ * @param {number} n number of the view, from 0
  * @param {(kept: KeptView) => void} show
  * @param {(kept: KeptView) => void} forget
  */
@@ -123,7 +126,7 @@ function row(kept, n, show, forget) {
 }
 
 /**
- * A browser may refuse to keep anything; what is kept then lasts as long as the page.
+ * Keep a text in this browser; if it refuses, the text lasts as long as the page.
  * @param {string} key
  */
 function stored(key) {
@@ -135,6 +138,7 @@ function stored(key) {
 }
 
 /**
+ * Keep a text in this browser; if it refuses, the text lasts as long as the page.
  * @param {string} key
  * @param {string} text
  */

@@ -1,4 +1,7 @@
-/** Where a published page begins: the camera that fits the stage, and the view that a link names. */
+/**
+ * The first view of a published page: the camera that fits the stage, and the view that a link
+ * names.
+ */
 
 import { readAddress, writeAddress } from "../net/address.js";
 
@@ -7,14 +10,14 @@ import { readAddress, writeAddress } from "../net/address.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
-const PAUSE_MS = 150; // browsers limit how often an address is written
-const LEFT_OUT = ["scene", "shading", "background"]; // of addresses: a page has one of each
-const PLACE = ["distance", "target"];
+const PAUSE_MS = 150; // pause before the address is written: browsers limit how often pages may
+const LEFT_OUT = ["scene", "shading", "background"]; // parameters with one value in the page
+const PLACE = ["distance", "target"]; // knobs that fit the camera to the stage
 
 /**
- * The camera that sees the surface whole in a stage: that of the widest fit that is no wider than
- * the stage; in a stage that is narrower than all, from further away.
- * @param {Fit[]} fits from narrow to wide, one at least
+ * Return the camera that sees the whole surface in a stage: that of the widest fit that the stage
+ * can hold, or in a stage that is narrower than all of them, the narrowest one from further away.
+ * @param {Fit[]} fits from narrow to wide, at least one
  * @param {number} aspect width over height of the stage
  * @returns {Pick<Fit, "distance"|"target">}
  */
@@ -24,7 +27,7 @@ export function fitFor(fits, aspect) {
 }
 
 /**
- * The fits of a page: of a camera that was placed, the one of a square picture.
+ * Return the fits of a page; a scene that places its camera has one fit, for a square.
  * @param {Published["scene"]} scene
  * @returns {Fit[]}
  */
@@ -34,7 +37,7 @@ export function fitsOf({ fits, start }) {
 }
 
 /**
- * Fit the first camera to the stage, and the view where it has that camera.
+ * Fit the first camera to the stage, and the view too if it has that camera.
  * @param {Published["scene"]} scene
  * @param {Fit[]} fits
  * @param {ViewModel} view
@@ -47,21 +50,25 @@ export function fitTo(scene, fits, view, { width, height }) {
   if (fitted) view.set(fit, true);
 }
 
-/** Whether a view has the first camera's distance and target. @param {ViewModel} view */
+/** Return true if a view has distance and target of the first camera. @param {ViewModel} view */
 function isFitted({ values, defaults }) {
   return PLACE.every(
     (name) => textOf(values, name) === textOf(defaults, name),
   );
 }
 
-/** @param {Knobs} values @param {string} name */
+/**
+ * Return a knob as a text of six digits, for comparison.
+ * @param {Knobs} values
+ * @param {string} name
+ */
 function textOf(values, name) {
   const value = /** @type {Record<string, unknown>} */ (/** @type {unknown} */ (values))[name];
   return JSON.stringify(value, (_, x) => (typeof x === "number" ? Number(x.toPrecision(6)) : x));
 }
 
 /**
- * The knobs that the page's address names.
+ * Read the knobs that the page's address names.
  * @param {string} hash the part of the address from `#` on
  * @returns {Partial<Knobs>}
  */
@@ -70,8 +77,8 @@ export function readLink(hash) {
 }
 
 /**
- * The part of an address that names a view, from `#` on. A camera that fits the stage is left out:
- * it fits that of the one who opens the link.
+ * Write the part of an address that names a view, from `#` on. A camera that fits the stage is left
+ * out, so that it fits the stage of the person who opens the link.
  * @param {Published["scene"]} scene
  * @param {ViewModel} view
  * @returns {string}
@@ -84,14 +91,14 @@ export function linkOf(scene, view) {
 }
 
 /**
- * Keep the address up with the view, and the view with an address that somebody writes.
+ * Keep the address up to date with the view, and the view with an address that the visitor enters.
  * @param {Published["scene"]} scene
  * @param {ViewModel} view
  */
 export function followLink(scene, view) {
   let timer = 0;
   view.subscribe((_, follows) => {
-    if (follows) return; // the stage has another size, and the view is the same
+    if (follows) return; // only the stage has changed its size
     clearTimeout(timer);
     timer = setTimeout(() => history.replaceState(null, "", linkOf(scene, view)), PAUSE_MS);
   });

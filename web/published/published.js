@@ -1,6 +1,6 @@
 /**
- * A published page: a scene that the visitor's graphics card draws from static files, with no
- * server behind it.
+ * A published page: a scene that the visitor's graphics card draws from static files, without a
+ * server that renders.
  */
 
 import { Card } from "../card/card.js";
@@ -21,9 +21,9 @@ import { fitFor, fitTo, fitsOf, followLink, linkOf, readLink } from "./place.js"
 const NO_CARD =
   "This page needs WebGL 2, which this browser or its graphics card does not have: try another browser.";
 const LOST =
-  "The browser has taken the graphics card from this page. It may give it back by itself; else load the page again.";
-const SHORT = { height: 496, width: 704 }; // below, controls begin folded: the stage is what counts
-const COPIED_MS = 1600;
+  "The browser has taken the graphics card from this page. It may give it back by itself; otherwise reload the page.";
+const SHORT = { height: 496, width: 704 }; // size of a page below which controls begin folded
+const COPIED_MS = 1600; // time that the button says “Copied”
 
 const [stage, canvas, status] = [
   find(document, "#stage"),
@@ -31,7 +31,7 @@ const [stage, canvas, status] = [
   find(document, "[role=status]"),
 ];
 
-/** Show the page, and draw whatever view it is put to. */
+/** Show the page, and draw the view from then on. */
 async function open() {
   const published = await readDocument();
   const { scene, light, card: facts } = published;
@@ -40,8 +40,8 @@ async function open() {
   find(document, "#poster", HTMLImageElement).alt = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
   foldControls();
-  // The volume comes first, by which the card draws, then light, of the first view before all: it is
-  // asked for before the last slab has come, so that the network is never idle.
+  // Read the volume first, as the card cannot draw without it, then the light of the first view.
+  // Light is requested before the last slab is here, so that the network is never idle.
   const slabs = readAhead(facts.volume.slabs.map(({ href }) => href));
   const files = readAhead(light.files, Promise.all(slabs.slice(0, Math.max(slabs.length - 1, 1))));
   const fits = fitsOf(scene);
@@ -58,13 +58,13 @@ async function open() {
   await bringLight(card, light, files, draw);
 }
 
-/** @param {Element} box */
+/** Return width over height of an element. @param {Element} box */
 function aspectOf(box) {
   const { width, height } = sizeOf(box);
   return Math.max(width, 1) / Math.max(height, 1);
 }
 
-/** Fold the controls where they would take the stage's place. */
+/** Fold the controls if the page is too small for stage and controls. */
 function foldControls() {
   const { width, height } = sizeOf(document.body);
   if (height < SHORT.height && width < SHORT.width)
@@ -72,18 +72,18 @@ function foldControls() {
 }
 
 /**
- * Show the picture that is in the page as large as the card will draw it.
- * @param {number} distance of the camera that it was drawn by, in a square
+ * Show the picture that is enclosed in the page at the size at which the card will draw it.
+ * @param {number} distance of the camera that it was drawn with, in a square
  * @param {ViewModel} view
  */
 function placePoster(distance, view) {
   const poster = find(document, "#poster");
-  const across = Math.min(aspectOf(stage), 1); // of the square that fits the stage, in its heights
+  const across = Math.min(aspectOf(stage), 1); // largest square in the stage, in its heights
   poster.style.setProperty("--share", String(distance / view.values.distance / across));
 }
 
 /**
- * Sliders, gestures, keys and buttons that change the view.
+ * Tie sliders, gestures, keys and buttons to the view.
  * @param {Published["scene"]} scene
  * @param {ViewModel} view
  */
@@ -101,7 +101,7 @@ function attachControls(scene, view) {
   const rulers = () => view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
   attachKeys(scene, view, {
     toggleHelp: () => find(document, "#help").togglePopover(),
-    // a page without a server has no marks
+    // Marks need a server: the key for them does nothing.
     keys: { f: toggleFull, r: rulers, o: () => {} },
   });
   find(document, "#reset").addEventListener("click", () => view.reset());
@@ -112,7 +112,7 @@ function attachControls(scene, view) {
 }
 
 /**
- * A button that copies the address of the view.
+ * Let a button copy the address of the view.
  * @param {HTMLElement} button
  * @param {Published["scene"]} scene
  * @param {ViewModel} view
@@ -134,18 +134,18 @@ function attachLink(button, scene, view) {
   });
 }
 
-/** Show the picture alone on the whole screen, or the page again. */
+/** Show the picture on the whole screen, or the page again. */
 function toggleFull() {
   if (document.fullscreenElement) document.exitFullscreen();
   else if (document.fullscreenEnabled) stage.requestFullscreen();
 }
 
 /**
- * Draw the view whenever it changes, and finer while it rests.
+ * Draw the view whenever it changes, and refine it while it rests.
  * @param {Card} card
  * @param {Published} published
  * @param {ViewModel} view
- * @returns {() => void} draws it once more: there is more light
+ * @returns {() => void} draws the view again, when there is more light
  */
 function keepDrawn(card, { scene, card: document }, view) {
   let waiting = true;
@@ -153,6 +153,7 @@ function keepDrawn(card, { scene, card: document }, view) {
   const draw = () => {
     asked = 0;
     if (card.lost) return;
+    // Draw a changed view first; refine it in the following frames of the screen.
     let finer = true;
     if (waiting) {
       waiting = !card.draw(cardView(scene, document, view.values), pixelsOf(stage));
@@ -177,7 +178,7 @@ function keepDrawn(card, { scene, card: document }, view) {
 }
 
 /**
- * Say that the card is lost, while it is, and offer to load the page again.
+ * Show a panel while the card is lost, and offer to load the page again.
  * @param {Card} card
  * @param {() => void} draw draws the view
  */
@@ -196,7 +197,7 @@ function sayLost(card, draw) {
 }
 
 /**
- * The pixels of the stage that are drawn.
+ * Return the number of pixels to draw in an element: those of the screen, at most 2 per CSS pixel.
  * @param {HTMLElement} element
  * @returns {{width: number, height: number}}
  */
@@ -208,11 +209,12 @@ function pixelsOf(element) {
 }
 
 /**
- * Take the light, file after file.
+ * Hand the light to the card, file by file.
  * @param {Card} card
  * @param {Published["light"]} light
  * @param {Promise<ArrayBuffer>[]} files
  * @param {() => void} draw
+ * @throws {Error} if a file cannot be read, or if the card has too little memory
  */
 async function bringLight(card, light, files, draw) {
   for (const [n, file] of files.entries()) {
@@ -227,7 +229,7 @@ async function bringLight(card, light, files, draw) {
 }
 
 /**
- * How good and how large the page is.
+ * Describe the error and the size of the page.
  * @param {import("./files.js").Light} light
  * @returns {string}
  */

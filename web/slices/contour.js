@@ -1,17 +1,18 @@
 /**
- * The contour of an isosurface on a slice: marching squares, linear along the edges between voxels.
+ * The contour of an isosurface on a slice by marching squares, linear along the edges between
+ * voxels.
  */
 
 /** @typedef {import("./values.js").Values} Values */
 /** @typedef {"top"|"right"|"foot"|"left"} Edge of the square between four voxels */
 /**
- * @typedef {[number, number, number, number]} Corners their values over the isovalue, row by row
+ * @typedef {[number, number, number, number]} Corners values less the isovalue, row by row
  */
 
 /**
- * The edges that the contour joins, by which corners are solid: 1 for the upper left one, 2 for the
- * upper right one, 4
- * and 8 for those below. Squares 6 and 9, where two corners across are solid, are apart.
+ * Pairs of edges that the contour joins, by the number of a square: the sum of 1, 2, 4 and 8 for a
+ * solid upper left, upper right, lower left and lower right corner. Squares 6 and 9, in which two
+ * opposite corners are solid, are ambiguous: see `twoLines`.
  * @type {[Edge, Edge][][]}
  */
 const JOINED = [];
@@ -24,11 +25,11 @@ JOINED[7] = JOINED[8] = [["right", "foot"]];
 const ALL_SOLID = 15;
 
 /**
- * The lines in which an isosurface crosses a slice.
+ * Return the lines in which an isosurface crosses a slice.
  * @param {Values} slice
- * @param {number} isovalue in the units of its values
- * @returns {number[]} x and y of both ends of each line, in voxels from the upper left corner; a
- *   voxel's middle is at a half
+ * @param {number} isovalue in the units of the values
+ * @returns {number[]} x and y of both ends of each line, in voxels from the upper left corner; the
+ *   middle of a voxel has the fraction 0.5
  */
 export function contourOf({ values, width, height }, isovalue) {
   /** @type {number[]} */
@@ -37,6 +38,7 @@ export function contourOf({ values, width, height }, isovalue) {
     for (let x = 0; x + 1 < width; x += 1) {
       const i = y * width + x;
       const [a, b, c, d] = [values[i], values[i + 1], values[i + width], values[i + width + 1]];
+      // Number the square by its solid corners, those above the isovalue.
       const solid =
         Number(a > isovalue) +
         2 * Number(b > isovalue) +
@@ -55,9 +57,9 @@ export function contourOf({ values, width, height }, isovalue) {
 }
 
 /**
- * Add the lines in a square; none beside a hole.
+ * Add the lines in a square; none next to a hole.
  * @param {number[]} lines
- * @param {number} x of the middle of its upper left voxel
+ * @param {number} x middle of its upper left voxel
  * @param {number} y
  * @param {number} solid number of the square in JOINED
  * @param {Corners} corners
@@ -72,7 +74,7 @@ function cross(lines, x, y, solid, corners) {
 }
 
 /**
- * Add where the contour meets an edge.
+ * Add the point at which the contour meets an edge, by linear interpolation between its corners.
  * @param {number[]} lines
  * @param {number} x
  * @param {number} y
@@ -87,8 +89,8 @@ function addEnd(lines, x, y, edge, [a, b, c, d]) {
 }
 
 /**
- * Both lines in a square of which two corners across are solid: as the hyperbola goes that is the
- * contour there.
+ * Return both lines in a square whose opposite corners are solid, as the bilinear contour runs: the
+ * sign of the value at the saddle decides.
  * @param {Corners} corners
  * @returns {[Edge, Edge][]}
  */

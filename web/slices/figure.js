@@ -1,11 +1,10 @@
 /**
- * One slice of the pane: its values in grey, the contour of the isosurface, the cross hair, and
- * what moves that.
+ * One slice of the pane: its values in grey, the contour of the isosurface, and the cross hair,
+ * with the gestures that move it.
  */
 
 import { find, sizeOf, svgElement, textElement } from "../dom.js";
-import { worldOf } from "../view/crosshair.js";
-import { coordinatesInWords, sidesAt } from "../view/measures.js";
+import { coordinatesInWords, sidesAt, worldOf } from "../view/measures.js";
 import { readSurfaces } from "../view/surfaces.js";
 import { contourOf } from "./contour.js";
 import { sliceAt, stepped, voxelAt } from "./geometry.js";
@@ -13,40 +12,40 @@ import { attachSliceGestures } from "./gestures.js";
 import { CutLines } from "./lines.js";
 import { pixelsOf, voxelsOf } from "./values.js";
 
-/** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/measures.js").CrossHair} CrossHair */
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("./geometry.js").Lie} Lie */
 /** @typedef {import("./geometry.js").Slice} Slice */
-/** @typedef {import("./values.js").Shelf} Shelf */
+/** @typedef {import("./values.js").SliceCache} SliceCache */
 /** @typedef {import("./values.js").Values} Values */
 
 /**
  * @typedef {object} FigureHooks
  * @property {() => Greys} greys the values that are black and white
- * @property {(greys: Greys|null) => void} setGreys null for the volume's own
- * @property {() => boolean} cutting whether planes may be moved
- * @property {(normal: Vec3) => void} cut along the slice with this normal
- * @property {() => void} onRest is called when the line of a plane is let go
+ * @property {(greys: Greys|null) => void} setGreys null for the volume's defaults
+ * @property {() => boolean} cutting returns true if planes may be moved
+ * @property {(normal: Vec3) => void} cut cuts along the slice with this normal
+ * @property {() => void} onRest is called when the line of a plane is released
  * @property {() => void} onValues is called when other values have come
  */
 
-const AGAIN_MS = 1500; // before a server that does not answer is asked again
-const ALONG = 0.999; // of a direction along an axis of the world
+const AGAIN_MS = 1500; // pause before a server that does not answer is asked again
+const ALONG = 0.999; // component of a unit vector from which it counts as along an axis
 const WORDS = "Arrow keys move the cross hair, page keys go through slices, with Shift by ten.";
-const [CONTOUR, BESIDE, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
-// lines of a contour that are drawn at once: many more, as noise has them, would take longer
+const [CONTOUR, PINNED, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
+/** Lines of a contour per path: canvases draw long paths, as noise has them, more slowly. */
 const TOGETHER = 100;
 const GAP = 7; // pixels of the cross hair around its voxel
 
 /**
- * Where a slice is, for a person: the kind, and the coordinate that all of it has, or its voxels
- * have.
+ * Describe the place of a slice: its kind, and the coordinate that all of it shares, or else its
+ * voxel index.
  * @param {Scene["volume"]} volume
  * @param {Slice} slice
- * @param {Vec3} voxel in it
+ * @param {Vec3} voxel a voxel in it
  * @returns {string}
  */
 export function captionOf(volume, { lie, at, normal }, voxel) {
@@ -61,18 +60,18 @@ export function captionOf(volume, { lie, at, normal }, voxel) {
   return [lie.kind, where].filter(Boolean).join(" · ");
 }
 
-/** Shows the slice through the cross hair, and moves that. */
+/** Shows the slice through the cross hair, and moves the cross hair. */
 export class SliceFigure {
   #volume;
   #pinned;
   #view;
-  #shelf;
+  #cache;
   #hooks;
   #cut;
   #plane;
   /** @type {{slice: Values, at: number, voxels: string}|null} */
   #shown = null;
-  #painted = ""; // what is on the canvas of values
+  #painted = ""; // slice and greys on the canvas of values
   /** @type {{of: Values|null, isovalues: string, contours: number[][]}} */
   #contours = { of: null, isovalues: "", contours: [] };
   #loading = false;
@@ -81,16 +80,16 @@ export class SliceFigure {
    * @param {Lie} lie
    * @param {Scene} scene
    * @param {ViewModel} view
-   * @param {Shelf} shelf
+   * @param {SliceCache} cache
    * @param {FigureHooks} hooks
    */
-  constructor(lie, { volume, surfaces = [] }, view, shelf, hooks) {
+  constructor(lie, { volume, surfaces = [] }, view, cache, hooks) {
     this.#pinned = surfaces;
     this.#volume = volume;
     this.#view = view;
-    this.#shelf = shelf;
+    this.#cache = cache;
     this.#hooks = hooks;
-    /** How it lies. */
+    /** Orientation of the slice. */
     this.lie = lie;
     /** The element on the page. */
     this.root = figureOf(lie);
@@ -102,6 +101,7 @@ export class SliceFigure {
       view,
       hooks.onRest,
     );
+    // Redraw when the size changes; let gestures move the cross hair.
     find(this.root, "button").addEventListener("click", () => hooks.cut(this.#slice().normal));
     new ResizeObserver(() => this.#drawLines()).observe(this.#plane);
     attachSliceGestures(this.root, this.#plane, {
@@ -112,7 +112,7 @@ export class SliceFigure {
     });
   }
 
-  /** The value at the cross hair; null until it has come. @returns {number|null} */
+  /** Return the value at the cross hair; null until it is here. @returns {number|null} */
   get value() {
     if (!this.#isCurrent() || !this.#shown) return null;
     const { values, width, height } = this.#shown.slice;
@@ -122,7 +122,7 @@ export class SliceFigure {
     return values[Math.floor((1 - up) * height) * width + Math.floor(right * width)];
   }
 
-  /** Bring it up with the view. */
+  /** Show the current view. */
   draw() {
     this.#load();
     const slice = this.#slice();
@@ -138,20 +138,22 @@ export class SliceFigure {
     this.#drawLines();
   }
 
+  /** Return the cross hair of the view. */
   get #crossHair() {
     return /** @type {CrossHair} */ (this.#view.values.slices);
   }
 
+  /** Return the slice through the cross hair. */
   #slice() {
     return sliceAt(this.#volume, this.lie, this.#crossHair.voxel);
   }
 
-  /** @param {Vec3} voxel */
+  /** Move the cross hair to a voxel. @param {Vec3} voxel */
   #move(voxel) {
     this.#view.set({ slices: { ...this.#crossHair, voxel } });
   }
 
-  /** Whether the values are of the slice that is wanted. */
+  /** Return true if the values belong to the slice through the cross hair. */
   #isCurrent() {
     const { slices } = this.#view.values;
     return (
@@ -161,7 +163,7 @@ export class SliceFigure {
     );
   }
 
-  /** Read slices, one after the other, until the newest one that is wanted is there. */
+  /** Read slices, one after the other, until the newest one that is wanted is here. */
   async #load() {
     if (this.#loading) return;
     this.#loading = true;
@@ -170,9 +172,10 @@ export class SliceFigure {
       slices && !this.#isCurrent();
       { slices } = this.#view.values
     ) {
+      // The cross hair may move on while a slice is read: compare again after each one.
       const at = slices.voxel[this.lie.across];
       const voxels = voxelsOf(this.#view.values);
-      const slice = await this.#shelf.find(this.lie, at, voxels);
+      const slice = await this.#cache.find(this.lie, at, voxels);
       if (slice) this.#shown = { slice, at, voxels };
       else
         await new Promise((done) => {
@@ -183,6 +186,7 @@ export class SliceFigure {
     this.#loading = false;
   }
 
+  /** Paint the values, unless they are on the canvas. */
   #paint() {
     if (!this.#shown) return;
     const { slice, at, voxels } = this.#shown;
@@ -198,6 +202,7 @@ export class SliceFigure {
       ?.putImageData(new ImageData(pixelsOf(slice, greys), width, height), 0, 0);
   }
 
+  /** Draw contours and cross hair in the screen's pixels. */
   #drawLines() {
     const canvas = find(this.root, ".lines", HTMLCanvasElement);
     const ratio = devicePixelRatio || 1;
@@ -208,20 +213,22 @@ export class SliceFigure {
     context.lineWidth = 1.5 * ratio;
     if (this.#shown)
       strokeContours(context, this.#shown.slice, this.#contoursOn(this.#shown.slice));
+    // Draw the cross hair over the contours.
     context.lineWidth = ratio;
     strokeCross(context, this.#slice(), GAP * ratio);
   }
 
   /**
-   * The contour of the isosurface on the slice that is shown, and those of the surfaces beside.
+   * Return the contours of the isosurface and of the pinned surfaces that are shown, computed again
+   * only if slice or isovalues have changed.
    * @param {Values} slice
    */
   #contoursOn(slice) {
     const { isovalue, surfaces } = this.#view.values;
-    const beside = readSurfaces(surfaces, this.#pinned);
+    const states = readSurfaces(surfaces, this.#pinned);
     const isovalues = [
       isovalue,
-      ...this.#pinned.filter((_, k) => beside[k].shown).map((each) => each.isovalue),
+      ...this.#pinned.filter((_, k) => states[k].shown).map((each) => each.isovalue),
     ];
     const now = isovalues.join(" ");
     if (this.#contours.of !== slice || this.#contours.isovalues !== now) {
@@ -236,7 +243,7 @@ export class SliceFigure {
 }
 
 /**
- * Draw contours, the last one first.
+ * Draw contours, the first one on top.
  * @param {CanvasRenderingContext2D} context
  * @param {Values} slice
  * @param {number[][]} contours
@@ -245,7 +252,7 @@ function strokeContours(context, slice, contours) {
   const [across, down] = [context.canvas.width / slice.width, context.canvas.height / slice.height];
   context.lineCap = "round";
   contours.toReversed().forEach((lines, k) => {
-    context.strokeStyle = k === contours.length - 1 ? CONTOUR : BESIDE;
+    context.strokeStyle = k === contours.length - 1 ? CONTOUR : PINNED;
     for (let first = 0; first < lines.length; first += 4 * TOGETHER) {
       strokeLines(
         context,
@@ -260,6 +267,7 @@ function strokeContours(context, slice, contours) {
 }
 
 /**
+ * Draw lines `first` to `end` of a contour as one path.
  * @param {CanvasRenderingContext2D} context
  * @param {number[]} lines
  * @param {number} first
@@ -276,10 +284,15 @@ function strokeLines(context, lines, first, end, across, down) {
   context.stroke();
 }
 
-/** @param {CanvasRenderingContext2D} context @param {Slice} slice @param {number} gap */
+/**
+ * Draw the cross hair with a gap around its voxel.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Slice} slice
+ * @param {number} gap
+ */
 function strokeCross(context, { point: [right, up] }, gap) {
   const { width, height } = context.canvas;
-  // a sharp line
+  // A line through the middles of pixels is sharp.
   const [x, y] = [right * width, (1 - up) * height].map((at) => Math.floor(at) + 0.5);
   context.strokeStyle = CROSS;
   context.lineCap = "butt";
@@ -297,7 +310,7 @@ function strokeCross(context, { point: [right, up] }, gap) {
   context.stroke();
 }
 
-/** @param {Lie} lie */
+/** Make the elements of a slice. @param {Lie} lie */
 function figureOf({ axis, name, sides }) {
   const [figure, plane, gone, caption] = ["figure", "div", "div", "figcaption"].map((tag) =>
     document.createElement(tag),
@@ -311,6 +324,7 @@ function figureOf({ axis, name, sides }) {
     title: "Cut along this slice, on your side of it",
     ariaLabel: `Cut here, ${name}`,
   });
+  // Put the parts together: canvases below, hatching and lines over them, letters at the edges.
   figure.dataset.axis = axis;
   gone.className = "gone";
   Object.assign(plane, {

@@ -1,10 +1,10 @@
 /**
- * Slices through a volume: which way they lie on the screen, where in the world, and where planes
- * cross them.
+ * Slices through a volume: their orientation on the screen, their place in the world, and the lines
+ * in which planes cross them.
  */
 
 import { OPPOSITE } from "../view/camera.js";
-import { worldOf } from "../view/crosshair.js";
+import { worldOf } from "../view/measures.js";
 import { planesOf } from "../view/planes.js";
 import { dot, vector } from "../view/rotation.js";
 
@@ -12,25 +12,28 @@ import { dot, vector } from "../view/rotation.js";
 /** @typedef {import("../view/planes.js").Plane} Plane */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {"x"|"y"|"z"} Axis of the voxels */
-/** @typedef {Pick<Scene["volume"], "size"|"spacing"|"affine"|"axes">} Grid of voxels */
+/** @typedef {"x"|"y"|"z"} Axis axis of the voxels */
+/** @typedef {Pick<Scene["volume"], "size"|"spacing"|"affine"|"axes">} Grid grid of voxels */
 /**
- * @typedef {[number, number]} Share of a slice's width, from its left, and of its height, from its
- *   foot
+ * @typedef {[number, number]} Share a place on a slice: shares of its width, from the left, and of
+ *   its height, from below
  */
-/** @typedef {{at: number, right: number, up: number, near: number}} Slope how far beyond a plane a slice's lower left corner
- *   is, and by how much more so its lower right and its upper left one; what is nearer than `near` is on it; world units */
 /**
- * @typedef {{axis: number, sign: 1|-1}} Way along a voxel axis, by its number: to its end, or to
- *   its beginning
+ * @typedef {{at: number, right: number, up: number, near: number}} Slope distance from a plane over
+ *   a slice, in world units: at its lower left corner, and the change to its lower right and upper
+ *   left corner; points nearer than `near` count as on the plane
+ */
+/**
+ * @typedef {{axis: number, sign: 1|-1}} Way a direction along a voxel axis, by its number: 1 to its
+ *   end, -1 to its beginning
  */
 
 /**
- * @typedef {object} Lie how slices across an axis lie on the screen
+ * @typedef {object} Lie orientation of slices across an axis on the screen
  * @property {Axis} axis
  * @property {string} kind "Axial", "Sagittal" or "Coronal" in a patient; "" elsewhere
- * @property {string} name what a person calls such a slice
- * @property {number} across the axis' number
+ * @property {string} name name of such a slice
+ * @property {number} across number of the axis
  * @property {Way} right
  * @property {Way} up
  * @property {[string, string, string, string]} sides of a patient at the left, right, upper and
@@ -42,16 +45,17 @@ import { dot, vector } from "../view/rotation.js";
  * @property {Lie} lie
  * @property {number} at voxel index
  * @property {[number, number]} extent its width and height, in the world
- * @property {Share} point the share of the point that it goes through
- * @property {Vec3} corner the lower left one, in the world
- * @property {Vec3} width from there to the lower right one
- * @property {Vec3} height from there to the upper left one
- * @property {Vec3} normal along its axis, of length 1
- * @property {Vec3[]} steps from a voxel to the next one, along each axis
+ * @property {Share} point place of the point that it goes through
+ * @property {Vec3} corner lower left corner in the world
+ * @property {Vec3} width vector to the lower right corner
+ * @property {Vec3} height vector to the upper left corner
+ * @property {Vec3} normal unit vector along its axis
+ * @property {Vec3[]} steps vectors between neighbouring voxels, along each axis
  */
 
-const NEAR = 0.125; // voxels: the face of a cut lies up to a ninth of one beyond its plane
-/** @type {Share[]} */
+const NEAR = 0.125; // voxels: the face of a cut lies up to a ninth of a voxel beyond its plane
+
+/** Corners of a slice. @type {Share[]} */
 const SQUARE = [
   [0, 0],
   [1, 0],
@@ -66,15 +70,17 @@ const PLANES = [
   ["RL", "Sagittal"],
   ["AP", "Coronal"],
 ];
-const UPRIGHT = "LRAPSI"; // sides of a patient: in a slice, the axis of later ones goes up
-// sides at the right and the upper edge, as radiologists look at a patient
+const UPRIGHT = "LRAPSI"; // sides of a patient: of a slice's two axes, the later one points up
+
+/** Sides of a patient at the right and at the upper edge of a slice, as radiologists look. */
 const [RIGHTWARD, UPWARD] = ["LP", "SA"];
 
 /**
- * How the three kinds of slices lie: as radiologists see a patient where the volume is of one, else
- * along the axes.
- * @param {string} axes where the voxels' axes point in a patient, such as "RAS"; "" elsewhere
- * @returns {Lie[]} axial, sagittal and coronal slices; elsewhere across z, x and y
+ * Return the orientations of the three kinds of slices: as radiologists see a patient if the volume
+ * has one, otherwise along the axes.
+ * @param {string} axes sides of a patient that the voxels' axes point to, such as "RAS"; "" without
+ *   a patient
+ * @returns {Lie[]} axial, sagittal and coronal slices, or slices across z, x and y
  */
 export function liesOf(axes) {
   const found = PLANES.map(([pair]) => [...axes].findIndex((letter) => pair.includes(letter)));
@@ -82,7 +88,13 @@ export function liesOf(axes) {
   return found.map((across, k) => lieOf(axes, across, PLANES[k][1]));
 }
 
-/** @param {string} axes @param {number} across @param {string} kind @returns {Lie} */
+/**
+ * Return the orientation of slices across an axis.
+ * @param {string} axes
+ * @param {number} across
+ * @param {string} kind
+ * @returns {Lie}
+ */
 function lieOf(axes, across, kind) {
   const rank = (/** @type {number} */ axis) => UPRIGHT.indexOf(axes[axis]) >> 1;
   const way = (/** @type {number} */ axis, /** @type {string} */ ends) => ({
@@ -98,7 +110,13 @@ function lieOf(axes, across, kind) {
   return { axis, kind, name, across, right, up, sides: sidesOf(axes, right, up) };
 }
 
-/** @param {string} axes @param {Way} right @param {Way} up @returns {Lie["sides"]} */
+/**
+ * Return the sides of a patient at the edges of a slice.
+ * @param {string} axes
+ * @param {Way} right
+ * @param {Way} up
+ * @returns {Lie["sides"]}
+ */
 function sidesOf(axes, right, up) {
   const side = (/** @type {Way} */ { axis, sign }, /** @type {number} */ way) => {
     const letter = axes[axis] ?? "";
@@ -108,7 +126,7 @@ function sidesOf(axes, right, up) {
 }
 
 /**
- * The slice through a point that lies in a certain way.
+ * Return the slice through a point with a given orientation.
  * @param {Grid} volume
  * @param {Lie} lie
  * @param {Vec3} voxel indices of the point, x first
@@ -122,7 +140,8 @@ export function sliceAt(volume, lie, voxel) {
     vector((i) => factor * steps[axis][i]);
   const at = Math.min(size[across] - 1, Math.max(0, voxel[across]));
   const share = (/** @type {Way} */ { axis, sign }) =>
-    0.5 + sign * ((voxel[axis] + 0.5) / size[axis] - 0.5); // a voxel is as wide as its pixel
+    0.5 + sign * ((voxel[axis] + 0.5) / size[axis] - 0.5); // a voxel fills its pixel
+  // The corner lies half a voxel outside of the outermost voxels' middles.
   const first = vector((i) => (i === across ? at : -0.5));
   for (const { axis, sign } of [right, up]) if (sign < 0) first[axis] = size[axis] - 0.5;
   return {
@@ -139,7 +158,7 @@ export function sliceAt(volume, lie, voxel) {
 }
 
 /**
- * The voxel at a place of a slice: the nearest one, also to a place beside it.
+ * Return the voxel at a place of a slice, or the nearest one if the place is outside.
  * @param {Pick<Grid, "size">} volume
  * @param {Slice} slice
  * @param {Share} place
@@ -155,7 +174,7 @@ export function voxelAt({ size }, { lie: { across, right, up }, at }, place) {
 }
 
 /**
- * A voxel a few steps away in a slice, and across it; none outside the volume.
+ * Return the voxel some steps away in a slice, and across it, within the volume.
  * @param {Pick<Grid, "size">} volume
  * @param {Lie} lie
  * @param {Vec3} voxel
@@ -171,7 +190,7 @@ export function stepped({ size }, lie, voxel, { right = 0, up = 0, across = 0 })
 }
 
 /**
- * How the distance from a plane changes over a slice.
+ * Return the distance from a plane over a slice: it is linear.
  * @param {Slice} slice
  * @param {Plane} plane
  * @returns {Slope}
@@ -187,12 +206,14 @@ export function slopeOf({ corner, width, height, steps }, { normal, limit }) {
 }
 
 /**
- * The part of a slice that planes leave.
+ * Return the part of a slice that planes leave, as the corners of a convex polygon in order; empty
+ * if nothing is left.
  * @param {Slice} slice
  * @param {string} text of the planes
- * @returns {Share[]} corners of a convex polygon, in turn; none where nothing is left
+ * @returns {Share[]} corners of a convex polygon, in order; none if nothing is left
  */
 export function partLeft(slice, text) {
+  // Clip the polygon by one plane after the other (Sutherland and Hodgman, 1974).
   return planesOf(text).reduce((polygon, plane) => {
     const { at, near, ...rest } = slopeOf(slice, plane);
     const slope = { at: at - near, near, ...rest };
@@ -204,22 +225,23 @@ export function partLeft(slice, text) {
 }
 
 /**
- * The line in which a plane crosses a slice.
+ * Return the two ends of the line in which a plane crosses a slice; none if they do not cross.
  * @param {Slope} slope of the plane
- * @returns {Share[]} its two ends; none where they do not cross
+ * @returns {Share[]} its two ends; none if they do not cross
  */
 export function lineAcross(slope) {
+  // A plane parallel to the slice has no line.
   if (Math.abs(slope.right) + Math.abs(slope.up) <= slope.near) return [];
   return SQUARE.flatMap((corner, i) => crossing(slope, corner, SQUARE[(i + 1) % SQUARE.length]));
 }
 
-/** @param {Slope} slope @param {Share} place */
+/** Return the distance of a place from the plane. @param {Slope} slope @param {Share} place */
 function beyond({ at, right, up }, [x, y]) {
   return at + right * x + up * y;
 }
 
 /**
- * Where an edge goes through a plane.
+ * Return the point at which an edge crosses a plane; none if both ends lie on one side.
  * @param {Slope} slope
  * @param {Share} a
  * @param {Share} b
@@ -233,7 +255,7 @@ function crossing(slope, a, b) {
 }
 
 /**
- * Whether a plane's line goes up rather than across.
+ * Return true if a plane's line is steeper than 45 degrees on the screen.
  * @param {Slice} slice
  * @param {Slope} slope
  * @returns {boolean}
@@ -243,7 +265,7 @@ export function isUpright({ extent: [wide, high] }, { right, up }) {
 }
 
 /**
- * A shape for `clip-path`: all of a slice but a polygon.
+ * Return a shape for `clip-path` that covers all of a slice except a polygon.
  * @param {Share[]} polygon
  * @returns {string}
  */

@@ -1,7 +1,4 @@
-/**
- * What planes take away of a slice: it is hatched there, and lines that are dragged move the
- * planes.
- */
+/** The parts of a slice that planes take away, hatched, and lines that move the planes. */
 
 import { resize, svgElement } from "../dom.js";
 import { attachGrip, tell } from "../view/handles.js";
@@ -15,7 +12,7 @@ import { around, isUpright, lineAcross, partLeft, slopeOf } from "./geometry.js"
 
 const DOT = 4; // pixels
 
-/** Draws what planes take away of one slice, and the lines that move them. */
+/** Draws the parts of one slice that planes take away, and the lines that move the planes. */
 export class CutLines {
   #gone;
   #lines;
@@ -26,11 +23,11 @@ export class CutLines {
   #grips = [];
 
   /**
-   * @param {HTMLElement} gone fills the slice, and is hatched
-   * @param {SVGElement} lines fills it, too
+   * @param {HTMLElement} gone hatched element that fills the slice
+   * @param {SVGElement} lines element that fills the slice, for lines
    * @param {Scene["volume"]} volume
    * @param {ViewModel} view
-   * @param {() => void} onRest is called when a line is let go
+   * @param {() => void} onRest is called when a line is released
    */
   constructor(gone, lines, volume, view, onRest) {
     this.#gone = gone;
@@ -41,9 +38,9 @@ export class CutLines {
   }
 
   /**
-   * Draw them on a slice.
-   * @param {() => Slice} slice as it is now
-   * @param {boolean} movable whether lines are there
+   * Draw hatching and lines on a slice.
+   * @param {() => Slice} slice returns the current slice
+   * @param {boolean} movable true if lines are drawn
    */
   draw(slice, movable) {
     const { planes } = this.#view.values;
@@ -58,10 +55,11 @@ export class CutLines {
 }
 
 /**
- * The line of a plane in a slice, which moves it: it follows the pointer, and arrows as they point.
- * @param {() => Slice} slice as it is now
+ * Make the line of a plane in a slice, which moves the plane: it follows the pointer, and arrows as
+ * they point.
+ * @param {() => Slice} slice returns the current slice
  * @param {() => Movable} plane
- * @param {HTMLElement} box that the slice fills
+ * @param {HTMLElement} box element that the slice fills
  * @param {ViewModel} view
  * @param {() => void} onRest
  */
@@ -83,13 +81,14 @@ function gripOf(slice, plane, box, view, onRest) {
 }
 
 /**
- * Put a line where its plane crosses a slice; it is hidden where it does not.
+ * Put a line where its plane crosses a slice, or hide it.
  * @param {SVGGElement} grip
  * @param {Slice} slice
  * @param {Movable} plane
  */
 function place(grip, slice, plane) {
   const slope = slopeOfMovable(slice, plane);
+  // The ends of the line in shares of the slice; styles count the height from above.
   const [a, b] = lineAcross(slope);
   tell(grip, plane);
   grip.toggleAttribute("hidden", !a);
@@ -105,7 +104,7 @@ function place(grip, slice, plane) {
   }
 }
 
-/** @param {Slice} slice @param {Movable} plane */
+/** Return the distance from a plane over a slice. @param {Slice} slice @param {Movable} plane */
 function slopeOfMovable(slice, { normal, value }) {
   return slopeOf(slice, { normal, limit: value });
 }

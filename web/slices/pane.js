@@ -1,32 +1,32 @@
 /**
- * The pane of slices beside the picture: three of them through one cross hair, and what is black
- * and white in them.
+ * The pane of slices next to the picture: three slices through one cross hair, and the values that
+ * are black and white in them.
  */
 
 import { find } from "../dom.js";
-import { worldOf } from "../view/crosshair.js";
 import { niceStep, showNumber } from "../view/format.js";
-import { placeInWords, sidesAt } from "../view/measures.js";
+import { placeInWords, sidesAt, worldOf } from "../view/measures.js";
 import { vector } from "../view/rotation.js";
 import { SliceFigure } from "./figure.js";
 import { liesOf } from "./geometry.js";
-import { Shelf, usualGreys } from "./values.js";
+import { SliceCache, usualGreys } from "./values.js";
 
-/** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/measures.js").CrossHair} CrossHair */
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
  * @typedef {object} PaneHooks
- * @property {import("./values.js").Read} read gives the values on a slice
- * @property {HTMLDetailsElement} cuts while it is open planes are moved in slices, too
- * @property {(point: Vec3, normal: Vec3) => void} cut along a plane through a point of the world
- * @property {() => void} onRest is called when the line of a plane is let go
+ * @property {import("./values.js").Read} read returns the values on a slice
+ * @property {HTMLDetailsElement} cuts while it is open, planes can be moved in slices
+ * @property {(point: Vec3, normal: Vec3) => void} cut cuts along a plane through a point of the
+ *   world
+ * @property {() => void} onRest is called when the line of a plane is released
  */
 
-/** Shows slices where the view has a cross hair. */
+/** Shows slices if the view has a cross hair. */
 export class SlicesPane {
   #root;
   #button;
@@ -34,8 +34,8 @@ export class SlicesPane {
   #view;
   #figures;
   /** @type {CrossHair|null} */
-  #last; // of a pane that was closed
-  #due = false; // whether it is drawn in the next frame
+  #last; // cross hair when the pane was closed
+  #due = false; // true if it is drawn in the next frame
 
   /**
    * @param {HTMLElement} root
@@ -50,7 +50,8 @@ export class SlicesPane {
     this.#scene = scene;
     this.#view = view;
     this.#last = view.values.slices;
-    const shelf = new Shelf(read);
+    // All three slices share one cache, one window of greys, and one cross hair.
+    const cache = new SliceCache(read);
     const { volume } = scene;
     const hooks = {
       greys: () => this.#greys,
@@ -62,14 +63,15 @@ export class SlicesPane {
       onValues: () => this.#follow(),
     };
     this.#figures = liesOf(volume.axes).map(
-      (lie) => new SliceFigure(lie, scene, view, shelf, hooks),
+      (lie) => new SliceFigure(lie, scene, view, cache, hooks),
     );
     root.prepend(...this.#figures.map((figure) => figure.root));
-    shareRoom(volume, this.#figures);
+    shareScale(volume, this.#figures);
     for (const input of this.#inputs) input.addEventListener("change", () => this.#typed());
     find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
     button.addEventListener("click", () => this.toggle());
     cuts.addEventListener("toggle", () => this.#follow());
+    // Draw again when anything changes that slices show.
     view.watch(
       ({ slices, isovalue, planes, time, smooth, surfaces }) => [
         ...[slices, isovalue, planes],
@@ -80,7 +82,7 @@ export class SlicesPane {
     this.#draw();
   }
 
-  /** Open it where it was last, else in the middle of the volume; or close it. */
+  /** Close the pane, or open it with its last cross hair, at first in the middle of the volume. */
   toggle() {
     const middle = vector((i) => (this.#scene.volume.size[i] - 1) / 2);
     this.#view.set({
@@ -89,22 +91,22 @@ export class SlicesPane {
   }
 
   /**
-   * Move the cross hair, where there is one; else it is where the pane will be opened.
-   * @param {Vec3} voxel indices, with fractions too
+   * Move the cross hair; if the pane is closed, it opens there.
+   * @param {Vec3} voxel indices, which may have fractions
    */
   follow(voxel) {
     this.#set({ voxel });
     if (!this.#view.values.slices) this.#last = { voxel, greys: this.#last?.greys ?? null };
   }
 
-  /** @param {Partial<CrossHair>} patch */
+  /** Change a part of the cross hair, if there is one. @param {Partial<CrossHair>} patch */
   #set(patch) {
     const { slices } = this.#view.values;
     if (slices) this.#view.set({ slices: { ...slices, ...patch } });
   }
 
   /**
-   * The values that are black and white; by default the volume's own, in round numbers.
+   * Return the values that are black and white; by default those of the volume, rounded.
    * @returns {Greys}
    */
   get #greys() {
@@ -113,20 +115,23 @@ export class SlicesPane {
     return this.#view.values.slices?.greys ?? rounded(usual, 10 * this.#step) ?? usual;
   }
 
-  /** What numbers of a window and a level are told to. */
+  /** Return the step that window and level are rounded to. */
   get #step() {
     const { edges } = this.#scene.histogram;
     return 10 * niceStep(edges[edges.length - 1] - edges[0]);
   }
 
+  /** Return the fields for window and level. */
   get #inputs() {
     return ["#slices-window", "#slices-level"].map((id) => find(this.#root, id, HTMLInputElement));
   }
 
+  /** Return the point of the world at the cross hair. */
   get #point() {
     return worldOf(this.#scene.volume, /** @type {CrossHair} */ (this.#view.values.slices).voxel);
   }
 
+  /** Apply the typed window and level, if they are valid. */
   #typed() {
     const [window, level] = this.#inputs.map(({ valueAsNumber }) => valueAsNumber);
     const sound = window > 0 && Number.isFinite(level);
@@ -138,12 +143,14 @@ export class SlicesPane {
     this.#write();
   }
 
+  /** Draw in the next frame of the screen. */
   #follow() {
     if (this.#due) return;
     this.#due = true;
     requestAnimationFrame(() => this.#draw());
   }
 
+  /** Draw all slices, if the view has a cross hair. */
   #draw() {
     this.#due = false;
     const { slices } = this.#view.values;
@@ -155,7 +162,7 @@ export class SlicesPane {
     this.#write();
   }
 
-  /** Say where the cross hair is, what is there, and what is black and white. */
+  /** Show the place of the cross hair, the value there, and window and level. */
   #write() {
     const { volume } = this.#scene;
     const { voxel, greys } = /** @type {CrossHair} */ (this.#view.values.slices);
@@ -175,7 +182,7 @@ export class SlicesPane {
 }
 
 /**
- * Greys with few digits; null where they would be one.
+ * Round greys; null if they would become equal.
  * @param {Greys} greys
  * @param {number} step
  * @returns {Greys|null}
@@ -185,7 +192,7 @@ function rounded(greys, step) {
   return black < white ? [black, white] : null;
 }
 
-/** @param {number|undefined} value undefined until it has come */
+/** Write the value at the cross hair. @param {number|undefined} value undefined until it is here */
 function valueInWords(value) {
   if (value === undefined) return "value …";
   return Number.isNaN(value)
@@ -194,12 +201,12 @@ function valueInWords(value) {
 }
 
 /**
- * Give slices one scale: the widest one fills the width of its place, or the highest one its
+ * Give all slices one scale: the widest one fills the width of its place, or the highest one its
  * height.
  * @param {Scene["volume"]} volume
  * @param {SliceFigure[]} figures
  */
-function shareRoom({ size, spacing }, figures) {
+function shareScale({ size, spacing }, figures) {
   const lengths = size.map((n, i) => n * spacing[i]);
   const extents = figures.map(({ lie }) => [lengths[lie.right.axis], lengths[lie.up.axis]]);
   const [widest, highest] = [0, 1].map((k) => Math.max(...extents.map((extent) => extent[k])));

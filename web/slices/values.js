@@ -1,68 +1,40 @@
 /**
- * The values on a slice: read from an `npy` file, turned as the screen shows them, painted grey,
- * and kept for a while.
+ * The values on a slice: read from an `npy` file, oriented as on the screen, painted grey, and kept
+ * for a while.
  */
 
-/** @typedef {import("../view/crosshair.js").Greys} Greys */
+import { readRows } from "../view/npy.js";
+
+/** @typedef {import("../view/measures.js").Greys} Greys */
 /** @typedef {import("./geometry.js").Axis} Axis */
 /** @typedef {import("./geometry.js").Lie} Lie */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
-/** @typedef {Uint8Array|Uint16Array|Int16Array|Float32Array|Float64Array} Numbers */
+/** @typedef {import("../view/npy.js").Rows} Values values of a slice; NaN in holes */
 /**
- * @typedef {{values: Numbers, width: number, height: number}} Values row by row, the upper one
- *   first; NaN in holes
- */
-/**
- * @typedef {(axis: Axis, at: number, voxels: string) => Promise<ArrayBuffer|null>} Read
- *   gives a slice's `npy` file
+ * @typedef {(axis: Axis, at: number, voxels: string) => Promise<ArrayBuffer|null>} Read returns the
+ *   `npy` file of a slice
  */
 
-/** @type {Record<string, new (buffer: ArrayBuffer) => Numbers>} */
-const KINDS = {
-  "|u1": Uint8Array,
-  "<u2": Uint16Array,
-  "<i2": Int16Array,
-  "<f4": Float32Array,
-  "<f8": Float64Array,
-};
-const LENGTH_AT = 8; // where an npy file has the length of its header, in bytes
-// of the voxels: so many may be blacker than black, and so many whiter than white
+/** Share of voxels that may lie below black, and share that may lie above white. */
 const RARE = 0.002;
-const KEPT_BYTES = 1 << 26; // of slices
-const OPAQUE = 0xff000000;
-const GREY = 0x010101;
+const KEPT_BYTES = 1 << 26; // bytes of slices that are kept
+const OPAQUE = 0xff000000; // alpha of a pixel as a little-endian word
+const GREY = 0x010101; // one level of grey in r, g and b
 
 /**
- * The values in an `npy` file of rows and columns.
- * @param {ArrayBuffer} file
- * @returns {Values}
- * @throws {TypeError} where it holds anything else
- */
-export function readValues(file) {
-  const start = LENGTH_AT + 2 + new DataView(file).getUint16(LENGTH_AT, true);
-  const header = new TextDecoder("latin1").decode(file.slice(LENGTH_AT + 2, start));
-  const [, kind, rows, columns] =
-    /'descr': '(.+?)', 'fortran_order': False, 'shape': \((\d+), (\d+)\)/.exec(header) ?? [];
-  if (!KINDS[kind]) throw new TypeError(`no values of a slice: ${header}`);
-  return {
-    values: new KINDS[kind](file.slice(start)),
-    width: Number(columns),
-    height: Number(rows),
-  };
-}
-
-/**
- * Values as they lie on the screen. The server has columns along the first of the two axes, and
- * rows down the second.
+ * Reorder values as they lie on the screen. The server sends columns along the first of the two
+ * axes, and rows down the second.
  * @param {Values} sent
  * @param {Pick<Lie, "right"|"up">} lie
  * @returns {Values}
  */
 export function turned({ values, width, height }, { right, up }) {
   if (right.sign > 0 && up.sign > 0 && right.axis < up.axis) return { values, width, height };
+  // Transpose if the slice's right axis is the second one; then read backwards along axes that
+  // point the other way.
   const across = right.axis > up.axis;
   const [wide, high] = across ? [height, width] : [width, height];
-  // from one value to the next along the right and the upper axis
+  // Steps from one value to the next along the right and the upper axis.
   const steps = across ? [-width, 1] : [1, -width];
   const origin = (height - 1) * width;
   const result = new /** @type {any} */ (values.constructor)(values.length);
@@ -77,15 +49,17 @@ export function turned({ values, width, height }, { right, up }) {
 }
 
 /**
- * The values that are black and white at first: the ends of a histogram, without the few voxels
- * that lie far out.
+ * Return the values that are black and white at first: the ends of a histogram without the few
+ * voxels that lie far out.
  * @param {{counts: number[], edges: number[]}} histogram
  * @returns {Greys}
  */
 export function usualGreys({ counts, edges }) {
   const few = RARE * counts.reduce((sum, count) => sum + count, 0);
+  // Count bins from an end of the histogram until they hold more than the few voxels.
   const beyond = (/** @type {number[]} */ row) => {
-    let [bins, voxels] = [0, row[0]];
+    let bins = 0;
+    let voxels = row[0];
     while (voxels <= few && bins < row.length - 1) voxels += row[++bins];
     return bins;
   };
@@ -93,25 +67,29 @@ export function usualGreys({ counts, edges }) {
 }
 
 /**
- * Pixels of values, RGBA: black at the first of the greys and below, and in holes; white at the
- * second and above.
+ * Paint values grey: black at the first of the greys and below, and in holes; white at the second
+ * and above.
  * @param {Values} slice
  * @param {Greys} greys
- * @returns {Uint8ClampedArray<ArrayBuffer>}
+ * @returns {Uint8ClampedArray<ArrayBuffer>} RGBA
  */
 export function pixelsOf({ values }, [black, white]) {
   const pixels = new Uint32Array(values.length);
   const scale = 255 / (white - black);
   for (let i = 0; i < values.length; i += 1) {
+    // NaN fails both comparisons, so that holes are black.
     const grey = (values[i] - black) * scale + 0.5;
-    pixels[i] = OPAQUE + GREY * (grey >= 255 ? 255 : grey > 0 ? Math.floor(grey) : 0);
+    let level = 0;
+    if (grey >= 255) level = 255;
+    else if (grey > 0) level = Math.floor(grey);
+    pixels[i] = OPAQUE + GREY * level;
   }
   return new Uint8ClampedArray(pixels.buffer);
 }
 
 /**
- * Which of a scene's voxels a view shows, as parameters: the step of a series in time, and how far
- * they are smoothed.
+ * Return the parameters that select the voxels of a view: the step of a time series, and the
+ * smoothing.
  * @param {{time?: number, smooth?: number}} values knobs of the view
  * @returns {string}
  */
@@ -120,14 +98,11 @@ export function voxelsOf({ time, smooth }) {
   return new URLSearchParams(given.map(([name, value]) => [name, String(value)])).toString();
 }
 
-/**
- * Slices that were read, until others need their room: going back and forth asks the server for
- * none twice.
- */
-export class Shelf {
+/** Keeps the slices that were read last, so that going back and forth requests none twice. */
+export class SliceCache {
   #read;
   /** @type {Map<string, Values>} */
-  #kept = new Map(); // those read last are the last ones
+  #kept = new Map(); // in the order of their last use
   #bytes = 0;
 
   /** @param {Read} read */
@@ -136,10 +111,10 @@ export class Shelf {
   }
 
   /**
-   * A slice as it lies on the screen; null where the server does not answer.
+   * Return a slice as it lies on the screen; null if the server does not answer.
    * @param {Lie} lie
    * @param {number} at voxel index
-   * @param {string} voxels which of the scene's voxels, see `voxelsOf`
+   * @param {string} voxels parameters that select the voxels, see `voxelsOf`
    * @returns {Promise<Values|null>}
    */
   async find(lie, at, voxels) {
@@ -147,10 +122,14 @@ export class Shelf {
     const kept = this.#kept.get(name);
     if (kept) return this.#keep(name, kept);
     const file = await this.#read(lie.axis, at, voxels);
-    return file && this.#keep(name, turned(readValues(file), lie));
+    return file && this.#keep(name, turned(readRows(file), lie));
   }
 
-  /** @param {string} name @param {Values} slice */
+  /**
+   * Keep a slice as the newest, and drop the oldest ones beyond the limit.
+   * @param {string} name
+   * @param {Values} slice
+   */
   #keep(name, slice) {
     if (!this.#kept.delete(name)) this.#bytes += slice.values.byteLength;
     this.#kept.set(name, slice);

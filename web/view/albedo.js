@@ -1,6 +1,5 @@
 /**
- * How much light the surface reflects (albedo, a number) and of which colour (tint), where views
- * may ask for any.
+ * The surface's albedo (a number) and its tint (a colour), for scenes that let views choose any.
  */
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -9,18 +8,19 @@
 export const WHITE = "#ffffff";
 
 /**
- * Albedo and tint where a scene starts; none where its albedo is fixed.
+ * Return albedo and tint at the start of a scene; neither if its albedo is fixed.
  * @param {Pick<Scene, "albedo"|"albedos">} scene
  * @returns {{albedo?: number, tint?: string}}
  */
 export function startAlbedo({ albedo, albedos }) {
   if (!albedos) return {};
+  // The tint is the albedo scaled to a largest component of 1.
   const most = Math.max(...albedo);
   return { albedo: most, tint: most > 0 ? hexOf(albedo.map((share) => share / most)) : WHITE };
 }
 
 /**
- * Whether a text is a colour as a colour field has it.
+ * Return true if a text is a colour as a colour field writes it.
  * @param {unknown} text
  * @returns {text is string}
  */
@@ -29,7 +29,7 @@ export function isTint(text) {
 }
 
 /**
- * The albedo parameter of a frame request; none where the view has the scene's own.
+ * Return the albedo parameter of a frame request; none if the view has the scene's albedo.
  * @param {Pick<Scene, "albedo"|"albedos">} scene
  * @param {{albedo?: number, tint?: string}} values knobs of the view
  * @returns {{albedo?: number|string}}
@@ -46,7 +46,7 @@ export function albedoQuery(scene, { albedo, tint = WHITE }) {
 }
 
 /**
- * Linear shares of a colour in sRGB (IEC 61966-2-1).
+ * Return the linear components of a colour in sRGB (IEC 61966-2-1), 0 to 1.
  * @param {string} hex
  * @returns {number[]}
  */
@@ -58,7 +58,7 @@ export function linear(hex) {
 }
 
 /**
- * The inverse of `linear`.
+ * Return the colour of linear components: the inverse of `linear`.
  * @param {number[]} shares
  * @returns {string}
  */

@@ -1,6 +1,6 @@
 /**
- * Where the camera is: around a target, which is the volume's centre or where the picture was moved
- * to.
+ * The camera: it orbits a target, which is the volume's centre or the point that the picture was
+ * moved to.
  */
 
 import { cameraAxes, dot, vector } from "./rotation.js";
@@ -12,21 +12,21 @@ import { cameraAxes, dot, vector } from "./rotation.js";
  *   projection?: string}} Orbit knobs of the camera
  */
 /**
- * @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray from the eye through the target; `up` in the
- *   picture
+ * @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray a ray from the eye through the target; `up` is
+ *   the upward direction of the picture
  */
 
-const MARGIN = 0.5; // radii by which a target may be outside the volume's box
-const FURTHEST = 1e12; // coordinates that the server takes
-const CLOSE = 0.05; // degrees
-const AFAR = 1e3; // radii from which parallel rays begin: before all of a volume
+const MARGIN = 0.5; // distance of a target from the volume's box at most, in radii
+const FURTHEST = 1e12; // largest coordinate that the server accepts
+const CLOSE = 0.05; // degrees between directions that count as equal
+const AFAR = 1e3; // radii from the target at which parallel rays begin: outside of any volume
 const DEGREE = Math.PI / 180;
 
-/** How rays may leave the camera: from the eye, or side by side. */
+/** Projections of the camera: rays from the eye, or parallel rays. */
 export const PROJECTIONS = ["perspective", "orthographic"];
 
 /**
- * Azimuth and elevation of the views along the axes; from above and from below, x goes to the
+ * Azimuth and elevation of the views along the axes; seen from above and below, x points to the
  * right.
  * @type {Record<string, {azimuth: number, elevation: number}>}
  */
@@ -40,7 +40,7 @@ export const AXIS_VIEWS = {
 };
 
 /**
- * Whether two cameras look the same way, or nearly so.
+ * Return true if two cameras look in the same direction, to within CLOSE.
  * @param {{azimuth: number, elevation: number}} a
  * @param {{azimuth: number, elevation: number}} b
  * @returns {boolean}
@@ -51,10 +51,10 @@ export function looksAlong(a, b) {
 }
 
 /**
- * The box between the volume's outermost voxels: where it begins and ends, its middle, the radius
- * of the sphere around it.
+ * Return the box between the volume's outermost voxels: its corners and centre, and the radius of
+ * the sphere around it.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
- * @returns {{low: Vec3, high: Vec3, centre: Vec3, radius: number}} world units
+ * @returns {{low: Vec3, high: Vec3, centre: Vec3, radius: number}} in world units
  */
 export function boxOf({ volume }) {
   const [low, high] = volume.bounds;
@@ -68,10 +68,10 @@ export function boxOf({ volume }) {
 }
 
 /**
- * A target that keeps the volume in reach, with digits that an address can hold.
+ * Limit a target to the surroundings of the volume, with few enough digits for an address.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
- * @param {unknown} target a point; null, or what is no point, for the volume's centre
- * @returns {Vec3|null}
+ * @param {unknown} target a point; anything else stands for the volume's centre
+ * @returns {Vec3|null} null for the volume's centre
  */
 export function limitTarget(scene, target) {
   if (!Array.isArray(target) || target.length !== 3 || !target.every(Number.isFinite)) return null;
@@ -84,32 +84,33 @@ export function limitTarget(scene, target) {
 }
 
 /**
- * Move the picture: what is in the target's depth moves by exactly so much.
+ * Move the picture: points at the target's depth move exactly by the given lengths.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
- * @param {number} right in heights of the picture
- * @param {number} down in heights of the picture
+ * @param {number} right heights of the picture
+ * @param {number} down heights of the picture
  * @returns {{target: Vec3}}
  */
 export function pan(scene, values, right, down) {
   const { centre, radius } = boxOf(scene);
   const axes = cameraAxes(values.azimuth, values.elevation);
+  // Height of the picture at the target's depth, in world units.
   const height = 2 * values.distance * radius * Math.tan((values.fov * DEGREE) / 2);
   const from = values.target ?? centre;
   return { target: vector((i) => from[i] + height * (down * axes.up[i] - right * axes.right[i])) };
 }
 
-/** Whether a camera's rays are parallel. @param {Pick<Orbit, "projection">} values */
+/** Return true if a camera's rays are parallel. @param {Pick<Orbit, "projection">} values */
 function isParallel({ projection }) {
   return projection === "orthographic";
 }
 
 /**
- * The ray through a place of the picture.
+ * Return the ray through a place of the picture.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
- * @param {number} right of the middle, in heights of the picture
- * @param {number} up of the middle, in heights of the picture
+ * @param {number} right heights of the picture, from its middle
+ * @param {number} up heights of the picture, from its middle
  * @returns {Ray}
  */
 export function rayThrough(scene, values, right, up) {
@@ -119,16 +120,18 @@ export function rayThrough(scene, values, right, up) {
   const height = 2 * away * Math.tan((values.fov * DEGREE) / 2);
   const middle = values.target ?? centre;
   const target = vector((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i]));
+  // Parallel rays start side by side, far outside of the volume; others in the eye, `away` from the
+  // target.
   const [from, far] = isParallel(values) ? [target, AFAR * radius] : [middle, away];
   return { eye: vector((i) => from[i] + far * axes.out[i]), target, up: axes.up };
 }
 
 /**
- * The direction from a point of the world to the eye.
+ * Return the direction from a point of the world to the eye.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
  * @param {Vec3} point
- * @returns {Vec3} not of length 1
+ * @returns {Vec3} its length is not 1
  */
 export function towardsEye(scene, values, point) {
   const { right, up } = placeOf(scene, values, point);
@@ -137,13 +140,13 @@ export function towardsEye(scene, values, point) {
 }
 
 /**
- * Where a point of the world is in the picture.
+ * Project a point of the world into the picture.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
  * @param {Vec3} point
- * @returns {{right: number, up: number, depth: number}} of the middle, in heights of the picture;
- *   and along the view, in
- *   world units: behind the eye it is not positive, and the place has no meaning
+ * @returns {{right: number, up: number, depth: number}} `right` and `up` from the picture's middle,
+ *   in heights of the picture; `depth` along the view, in world units. A depth of 0 or less lies
+ *   behind the eye, and the place then has no meaning.
  */
 export function placeOf(scene, values, point) {
   const { centre, radius } = boxOf(scene);
@@ -151,12 +154,14 @@ export function placeOf(scene, values, point) {
   const middle = values.target ?? centre;
   const from = vector((i) => point[i] - middle[i]);
   const away = values.distance * radius;
+  // A parallel camera has its eye far away, and a picture whose height does not depend on the
+  // depth.
   const depth = (isParallel(values) ? AFAR * radius : away) - dot(from, axes.out);
   const height = 2 * (isParallel(values) ? away : depth) * Math.tan((values.fov * DEGREE) / 2);
   return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };
 }
 
-/** The other side of a patient, by the letter of a side. */
+/** The opposite side of a patient, by the letter of a side. */
 export const OPPOSITE = /** @type {Record<string, string>} */ ({
   R: "L",
   L: "R",
@@ -167,7 +172,7 @@ export const OPPOSITE = /** @type {Record<string, string>} */ ({
 });
 
 /**
- * The sides of a patient that the picture's edges show; "" where the volume is of none.
+ * Return the sides of a patient that the picture's edges show; "" if the volume has no patient.
  * @param {{volume: Pick<Scene["volume"], "letters">}} scene
  * @param {Pick<Orbit, "azimuth"|"elevation">} values knobs of the view
  * @returns {{left: string, right: string, top: string, bottom: string}}
@@ -175,6 +180,7 @@ export const OPPOSITE = /** @type {Record<string, string>} */ ({
 export function sidesOf({ volume }, values) {
   const { right, up } = cameraAxes(values.azimuth, values.elevation);
   const letter = (/** @type {Vec3} */ direction, /** @type {number} */ sign) => {
+    // Take the axis that is nearest to the direction.
     const sizes = direction.map(Math.abs);
     const axis = sizes.indexOf(Math.max(...sizes));
     const name = volume.letters[axis] ?? "";

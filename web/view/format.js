@@ -1,4 +1,4 @@
-/** Numbers, shares, errors, times, shadings and the state of a frame, as a person reads them. */
+/** Numbers, shares, errors, times, shadings and the state of a frame, in words for people. */
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
 /**
@@ -6,7 +6,7 @@
  *   "provisional"|"surface"|"error"|"controls"|"interval"|"p99"|"timeLeft">} StateFacts
  */
 
-/** @type {Record<string, string>} */
+/** Names of shadings, by their ids. @type {Record<string, string>} */
 const SHADING_NAMES = {
   gi: "Global illumination",
   vicinity: "Vicinity shading",
@@ -19,7 +19,7 @@ const SHADING_NAMES = {
 };
 
 /**
- * What people call a shading.
+ * Return the name of a shading.
  * @param {string} id
  * @returns {string}
  */
@@ -28,10 +28,9 @@ export function shadingName(id) {
 }
 
 /**
- * A step that reads well, 1, 2 or 5 times a power of ten, and cuts a span into no more than so many
- * parts.
+ * Return a step of 1, 2 or 5 times a power of ten that divides a span into at most `parts` steps.
  * @param {number} span
- * @param {number} [parts] by default as many positions as a slider has
+ * @param {number} [parts] by default the number of positions of a slider
  * @returns {number}
  */
 export function niceStep(span, parts = 500) {
@@ -43,7 +42,7 @@ export function niceStep(span, parts = 500) {
 }
 
 /**
- * A number with the digits that `step` can tell apart, and no more; any magnitude.
+ * Write a number of any magnitude with the digits that `step` can tell apart, and no more.
  * @param {number} value
  * @param {number} step
  * @returns {string}
@@ -55,8 +54,8 @@ export function showNumber(value, step) {
 }
 
 /**
- * A share of the whole, rounded down, so that 100 % means all of it.
- * @param {number} share within 0..1
+ * Write a share in percent, rounded down, so that 100 % means all of it.
+ * @param {number} share 0 to 1
  * @returns {string}
  */
 export function shareInWords(share) {
@@ -64,7 +63,7 @@ export function shareInWords(share) {
 }
 
 /**
- * A relative error with two digits, such as "3.4 %".
+ * Write a relative error with two digits, such as "3.4 %".
  * @param {number} error
  * @returns {string}
  */
@@ -73,7 +72,7 @@ export function errorInWords(error) {
 }
 
 /**
- * The time of a stage, such as "3.4 ms" or "120 ms".
+ * Write the time of a stage, such as "3.4 ms" or "120 ms".
  * @param {number} ms milliseconds
  * @returns {string}
  */
@@ -82,23 +81,29 @@ export function millisecondsInWords(ms) {
 }
 
 /**
- * A time in the unit that a person would use: "0.4 s", "41 s", "3 min", "2 h".
+ * Write a time in the unit that a person would use: "0.4 s", "41 s", "3 min", "2 h".
  * @param {number} seconds
  * @returns {string}
  */
 export function timeInWords(seconds) {
-  const [size, unit] = seconds >= 7200 ? [3600, "h"] : seconds >= 120 ? [60, "min"] : [1, "s"];
-  return `${Number((seconds / size).toFixed(seconds < 1 ? 1 : 0))} ${unit}`;
+  if (seconds >= 7200) return `${Math.round(seconds / 3600)} h`;
+  if (seconds >= 120) return `${Math.round(seconds / 60)} min`;
+  return `${Number(seconds.toFixed(seconds < 1 ? 1 : 0))} s`;
 }
 
 /**
- * What is left, in seconds, and whether the work takes longer than was said before.
+ * Estimate of the time left, in seconds: a range, the likely value, and true in `overdue` if the
+ * work takes longer than was estimated before.
  * @typedef {{low: number, likely: number, high: number, overdue?: boolean}} Left
  */
 
 /**
- * What a time left says some seconds later, if nothing else is known: less by these. Once they are
- * over, the work takes longer than expected, and twice as long; and so on.
+ * Return an estimate of the time left some seconds later, if nothing else is known: reduced by
+ * these seconds.
+ *
+ * Once the likely time has passed, the work is overdue: expect that it takes as long again, then
+ * twice as long, and so on.
+ *
  * @template {Left|null} T
  * @param {T} left
  * @param {number} seconds
@@ -106,20 +111,22 @@ export function timeInWords(seconds) {
  */
 export function leftAfter(left, seconds) {
   if (!left) return left;
-  let [passed, span] = [seconds, Math.max(left.likely, 1)];
+  let passed = seconds;
+  let span = Math.max(left.likely, 1);
   let overdue = left.overdue ?? false;
   for (; passed >= span; span *= 2) {
     passed -= span;
     overdue = true;
   }
-  const within = passed === seconds; // of what was said
+  const within = passed === seconds; // true if the estimate has not passed
   const likely = within ? Math.min(span - passed, left.likely) : span - passed;
+  // Scale the range with the likely time.
   const share = left.likely > 0 ? likely / left.likely : 1;
   return { low: share * left.low, likely, high: share * left.high, overdue };
 }
 
 /**
- * How long it still takes, such as "about 20 s left".
+ * Write the time left, such as "about 20 s left".
  * @param {Pick<Left, "likely"|"overdue">} left
  * @returns {string}
  */
@@ -129,7 +136,7 @@ export function leftInWords({ likely, overdue }) {
 }
 
 /**
- * The same with its range: "about 20 s left (12 s to 41 s)".
+ * Write the time left with its range: "about 20 s left (12 s to 41 s)".
  * @param {Left} left
  * @returns {string}
  */
@@ -139,33 +146,34 @@ export function rangeInWords(left) {
 }
 
 /**
- * The state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done, 0.8 %
- * error".
+ * Describe the state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done,
+ * 0.8 % error".
  * @param {StateFacts} facts
- * @param {{target?: number, empty?: string}} [about] the relative error at which it is done, and
- *   what is said of a frame that shows no surface
+ * @param {{target?: number, empty?: string}} [about] `target` is the relative error at which the
+ *   frame is done, `empty` the words for a frame without a surface
  * @returns {string}
  */
 export function frameInWords(facts, { target = 0, empty = "No surface in view" } = {}) {
   const { provisional, error, controls, timeLeft } = facts;
   if (!showsSurface(facts)) return empty;
   const known = error > 0 && error < PREVIEW;
+  // An error that was not measured by control pixels is an estimate: “about”.
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
   const reason = known ? reasonInWords(facts, target) : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
-  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, reason, left]
-    .filter(Boolean)
-    .join(", ");
+  let state = "Done";
+  if (provisional) state = known ? "Refining" : "Preview";
+  return [state, wrong, reason, left].filter(Boolean).join(", ");
 }
 
-/** Relative error from which on a picture is called a preview. */
+/** Relative error from which a picture is called a preview. */
 export const PREVIEW = 0.9;
 
-// error that 99 % of the pixels of a picture that is done stay below, over its target
+/** Error that 99 % of the pixels of a final picture stay below, over its target. */
 const TAIL = 5;
 
 /**
- * Why a picture is not done though its error is below the target; "" where that is not so.
+ * Return the reason why a picture is not done although its error is below the target; otherwise "".
  * @param {StateFacts} facts
  * @param {number} target relative error
  * @returns {string}
@@ -180,7 +188,7 @@ export function reasonInWords({ provisional, error, controls, interval, p99 }, t
 }
 
 /**
- * Whether a frame shows any surface.
+ * Return true if a frame shows a surface, or does not tell.
  * @param {Pick<Facts, "surface">} facts
  * @returns {boolean}
  */
@@ -189,7 +197,7 @@ export function showsSurface({ surface }) {
 }
 
 /**
- * What is said of a view whose picture shows no surface: why, and what to do.
+ * Explain why a view's picture shows no surface, and what to do about it.
  * @param {Pick<import("../net/schemas.js").Scene, "volume">} scene
  * @param {Pick<import("./model.js").Knobs, "isovalue"|"planes">} values knobs of the view
  * @returns {string}
@@ -205,7 +213,7 @@ export function emptyInWords({ volume }, { isovalue, planes }) {
   return `No surface at ${at} in view: reset the view, or choose another isovalue`;
 }
 
-/** @param {number} seconds */
+/** Write a time of one second or more. @param {number} seconds */
 function atLeastOne(seconds) {
   return timeInWords(Math.max(1, seconds));
 }

@@ -10,21 +10,21 @@ import { dragLight } from "./rotation.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {{x: number, y: number}} Place pixels */
 /**
- * @typedef {Place & {spread: number}} Hold the middle between all fingers, and how far the first
- *   two are apart
+ * @typedef {Place & {spread: number}} Hold the middle between all fingers, and the distance of the
+ *   first two, pixels
  */
 
-const DEGREES_ACROSS = 220; // a drag over the shorter side of the stage turns by this much
-const WHEEL_RATE = 0.0012;
-const PINCH_WHEEL_RATE = 0.008; // a pinch on a touchpad comes as small wheel steps with ctrl
-const LINE_PIXELS = 16;
+const DEGREES_ACROSS = 220; // rotation by a drag over the shorter side of the stage
+const WHEEL_RATE = 0.0012; // zoom per pixel of the wheel, as a logarithm
+const PINCH_WHEEL_RATE = 0.008; // the same for pinches on touchpads: small wheel steps with ctrl
+const LINE_PIXELS = 16; // pixels of a step of the wheel that is given in lines
 const BY_LINE = 1; // `WheelEvent.DOM_DELTA_LINE`
 const [MIDDLE, RIGHT] = [1, 2];
-const [SLIP, FINGER_SLIP] = [4, 10]; // pixels that a click, and a tap, may move by
+const [SLIP, FINGER_SLIP] = [4, 10]; // pixels by which a click, and a tap, may move
 
 /**
- * Turn the object as if held: dragged right its front moves right, dragged down it tips towards the
- * viewer.
+ * Turn the object as if it were held: dragged to the right its front moves right, dragged down it
+ * tips towards the viewer.
  * @param {{azimuth: number, elevation: number}} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees
@@ -35,9 +35,8 @@ export function dragObject(values, right, down) {
 }
 
 /**
- * Listen to the pointer: drag turns the object, right or shift drag the light, middle, ctrl or alt
- * drag moves the
- * picture, two fingers move and zoom it, and the wheel zooms.
+ * Listen to the pointer: drag turns the object; right or shift drag the light; middle, ctrl or alt
+ * drag moves the picture; two fingers move and zoom it; the wheel zooms.
  * @param {HTMLElement} stage
  * @param {Scene} scene
  * @param {ViewModel} view
@@ -46,7 +45,7 @@ export function dragObject(values, right, down) {
 export function attachGestures(stage, scene, view, { onRest }) {
   /** @type {Map<number, Place>} */
   const fingers = new Map();
-  // where the fingers were, and the view was, when the last one came
+  // Places of the fingers, and the view, at the time when the last finger came.
   let grip = { ...hold([]), values: view.values };
 
   stage.addEventListener("pointerdown", (event) => {
@@ -62,6 +61,7 @@ export function attachGestures(stage, scene, view, { onRest }) {
     const before = hold([...fingers.values()]);
     fingers.set(event.pointerId, place(event));
     const after = hold([...fingers.values()]);
+    // Two fingers count from their first places, a single one from its last place.
     if (fingers.size > 1) view.set(pinched(sizeOf(stage).height, scene, grip, after));
     else view.set(dragged(stage, scene, view.values, after.x - before.x, after.y - before.y));
   });
@@ -75,7 +75,7 @@ export function attachGestures(stage, scene, view, { onRest }) {
   stage.addEventListener("pointerup", release);
   stage.addEventListener("pointercancel", release);
   stage.addEventListener("contextmenu", (event) => event.preventDefault());
-  // or it scrolls
+  // The middle button would scroll.
   stage.addEventListener("mousedown", (event) => event.button === MIDDLE && event.preventDefault());
   stage.addEventListener(
     "wheel",
@@ -88,17 +88,15 @@ export function attachGestures(stage, scene, view, { onRest }) {
 }
 
 /**
- * Listen to clicks and double clicks on the stage, or taps: a click is where the pointer has not
- * moved meanwhile.
+ * Listen to clicks, double clicks and taps on the stage; a press that moves is no click.
  * @param {HTMLElement} stage
  * @param {{click: (right: number, up: number) => void, double: (right: number, up: number) =>
- *   void}} hooks called with
- *   the place in the picture, in heights of the picture from its middle; a double click is a click
- * first
+ *   void}} hooks called with the place in the picture, in heights of the picture from its middle;
+ *   each double click is preceded by a click
  */
 export function attachClicks(stage, { click, double }) {
   /** @type {Place|null} */
-  let pressed = null; // null after a drag, and where a click is no plain one
+  let pressed = null; // null after a drag, and for clicks with a modifier or another button
   stage.addEventListener("pointerdown", (event) => {
     const modified =
       event.button !== 0 || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey;
@@ -119,25 +117,28 @@ export function attachClicks(stage, { click, double }) {
 }
 
 /**
- * A place on the stage, in heights of the picture from its middle: to the right, and up.
+ * Return a place on the stage, in heights of the picture from its middle: to the right, and up.
  * @param {HTMLElement} stage
  * @param {MouseEvent} event
  * @returns {[number, number]}
  */
 function placeIn(stage, { clientX, clientY }) {
   const { left, top, width, height } = stage.getBoundingClientRect();
-  // a whole pixel is meant
+  // Integer coordinates name a pixel: take its middle.
   const [x, y] = [clientX, clientY].map((at) => (Number.isInteger(at) ? at + 0.5 : at));
   return [(x - left - width / 2) / height, (top + height / 2 - y) / height];
 }
 
 /**
- * The distance after two fingers have moved, and the target: what is between the fingers stays
- * there. Fingers come one
- * at a time, so a pinch counts from where they were first, and not from the last of their events.
+ * Return distance and target after two fingers have moved: the point between the fingers stays
+ * between them.
+ *
+ * Events of fingers come one at a time; a pinch therefore counts from the first places, not from
+ * the last event.
+ *
  * @param {number} height of the stage, pixels
  * @param {Pick<Scene, "volume">} scene
- * @param {Hold & {values: Knobs}} grip where the fingers and the view were first
+ * @param {Hold & {values: Knobs}} grip places of the fingers and view at the start
  * @param {Hold} now
  * @returns {{distance: number, target: Vec3}}
  */
@@ -150,7 +151,7 @@ export function pinched(height, scene, { values, x, y, spread }, now) {
 }
 
 /**
- * What fingers do together.
+ * Return the middle of some fingers, and the distance of the first two.
  * @param {Place[]} places of the fingers, in the order in which they came
  * @returns {Hold}
  */
@@ -164,7 +165,7 @@ export function hold(places) {
 }
 
 /**
- * The factor by which a step of the wheel changes the distance.
+ * Return the factor by which a step of the wheel changes the distance.
  * @param {{deltaY: number, deltaMode: number, ctrlKey: boolean}} step
  * @returns {number}
  */
@@ -173,12 +174,13 @@ export function wheelZoom({ deltaY, deltaMode, ctrlKey }) {
   return Math.exp(pixels * (ctrlKey ? PINCH_WHEEL_RATE : WHEEL_RATE));
 }
 
-/** Whether an event belongs to a panel that lies over the picture. @param {Event} event */
+/** Return true if an event belongs to a panel that lies over the picture. @param {Event} event */
 function onPanel({ target }) {
   return target instanceof Element && target.closest(".over") !== null;
 }
 
 /**
+ * Return the thing that a drag moves: "picture", "light" or "object".
  * @param {PointerEvent} event
  * @param {Scene} scene
  */
@@ -188,6 +190,7 @@ function dragTarget(event, { turns }) {
 }
 
 /**
+ * Return the change of the view by a drag.
  * @param {HTMLElement} stage
  * @param {Scene} scene
  * @param {Knobs} values
@@ -203,7 +206,7 @@ function dragged(stage, scene, values, right, down) {
   return (what === "light" ? dragLight : dragObject)(values, right * degrees, down * degrees);
 }
 
-/** @param {PointerEvent} event @returns {Place} */
+/** Return the place of a pointer. @param {PointerEvent} event @returns {Place} */
 function place({ clientX, clientY }) {
   return { x: clientX, y: clientY };
 }

@@ -17,21 +17,23 @@ import { cameraAxes, dot, vector } from "./rotation.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {object} Grip what moves a plane
- * @property {() => Movable} plane as it is now
- * @property {(right: number, down: number) => number} draggedBy by how much a drag of so many
- *   pixels moves it
- * @property {() => number} [sign] -1 where arrows to the right and up move it down; 1 where it is
- *   left out
- * @property {() => void} onRest is called when it is let go
+ * @typedef {object} Grip the way in which an element moves a plane
+ * @property {() => Movable} plane returns the current plane
+ * @property {(right: number, down: number) => number} draggedBy returns the change of the plane's
+ *   value by a drag, given in pixels
+ * @property {() => number} [sign] returns -1 if arrows to the right and up lower the value; 1 by
+ *   default
+ * @property {() => void} onRest is called when the element is released
  */
 
-const EDGE = 18; // pixels that a handle keeps from the edges of the stage
-// of its length in the picture: a normal that looks shorter is dragged up and down
+const EDGE = 18; // distance of handles from the edges of the stage, pixels
+
+/** Length of a unit normal in the picture, below which it is dragged up and down instead. */
 const FLAT = 0.2;
 const PAGE = 10; // steps of a page key
-const PARTS = 200; // steps of an arrow key, at most, through a range
-/** @type {Record<string, number>} */
+const PARTS = 200; // steps of an arrow key through a range, at most
+
+/** Steps of each key. @type {Record<string, number>} */
 const STEPS = {
   ArrowRight: 1,
   ArrowUp: 1,
@@ -42,30 +44,32 @@ const STEPS = {
 };
 
 /**
- * By how much a plane moves when its handle is dragged.
+ * Return the distance by which a plane moves when its handle is dragged.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Knobs} values knobs of the view
  * @param {Pick<Movable, "at"|"normal">} plane
- * @param {{right: number, down: number}} way in heights of the picture
- * @returns {number} in world units along its normal
+ * @param {{right: number, down: number}} way heights of the picture
+ * @returns {number} world units along its normal
  */
 export function draggedBy(scene, values, { at, normal }, { right, down }) {
   const { radius } = boxOf(scene);
   const { out } = cameraAxes(values.azimuth, values.elevation);
   const step = 1e-3 * radius;
+  // Project a small step along the normal: (x, y) is the motion of the handle per world unit.
   const [here, there] = [at, vector((i) => at[i] + step * normal[i])].map((point) =>
     placeOf(scene, values, point),
   );
   const [x, y] = [(there.right - here.right) / step, (there.up - here.up) / step];
-  // heights a unit across the view
+  // Motion per world unit of a direction in the picture's plane.
   const scale = 1 / (2 * values.distance * radius * Math.tan((values.fov * Math.PI) / 360));
+  // Project the drag onto the motion of the handle, so that the handle follows the pointer.
   if (Math.hypot(x, y) > FLAT * scale) return (right * x - down * y) / (x * x + y * y);
-  return (down / scale) * (dot(normal, out) < 0 ? -1 : 1); // down is towards the viewer
+  // The normal points at the viewer or away: dragging down moves the plane towards the viewer.
+  return (down / scale) * (dot(normal, out) < 0 ? -1 : 1);
 }
 
 /**
- * Draws what is left as a box, and on each side of it, and on each oblique plane, a handle that
- * moves it.
+ * Draws the remaining matter as a box, and a handle on each of its sides and on each oblique plane.
  */
 export class Handles {
   #root;
@@ -80,12 +84,12 @@ export class Handles {
    * @param {HTMLElement} root fills the stage; holds an SVG element for lines
    * @param {Scene} scene
    * @param {ViewModel} view
-   * @param {{wanted: () => boolean, onRest: () => void}} hooks whether they are shown; what is
-   *   called when one is let go
+   * @param {{wanted: () => boolean, onRest: () => void}} hooks `wanted` returns true if handles are
+   *   shown; `onRest` is called when one is released
    */
   constructor(root, scene, view, hooks) {
     this.#root = root;
-    this.#stage = root.parentElement ?? root; // they cover it, and are hidden at times
+    this.#stage = root.parentElement ?? root; // its size is known while the handles are hidden
     this.#scene = scene;
     this.#view = view;
     this.#hooks = hooks;
@@ -94,7 +98,7 @@ export class Handles {
     this.draw();
   }
 
-  /** Show them where they are now, if they are wanted. */
+  /** Show the handles at their current places, if they are wanted. */
   draw() {
     this.#root.hidden = !this.#hooks.wanted();
     if (this.#root.hidden) return;
@@ -111,12 +115,14 @@ export class Handles {
     this.#drawLines(planes.map(({ outline }) => [...outline, ...outline.slice(0, 1)]));
   }
 
+  /** Return the planes that may be moved. */
   #planes() {
     return movablePlanes(this.#scene.volume, this.#view.values.planes);
   }
 
   /**
-   * Put a handle at a point, or as near as the stage has a place.
+   * Put a handle at a point, or as near to it as the stage allows. Nearer handles lie over farther
+   * ones.
    * @param {HTMLElement} button
    * @param {Vec3} point
    */
@@ -132,7 +138,8 @@ export class Handles {
   }
 
   /**
-   * The box of what is left, and outlines; none of those that reach behind the eye.
+   * Draw the box of the remaining matter, and outlines; lines that reach behind the eye are left
+   * out.
    * @param {Vec3[][]} outlines
    */
   #drawLines(outlines) {
@@ -155,7 +162,7 @@ export class Handles {
     find(this.#root, "svg", SVGElement).replaceChildren(...lines);
   }
 
-  /** @param {number} k number of its plane */
+  /** Make the handle of a plane. @param {number} k number of the plane */
   #handle(k) {
     const button = Object.assign(document.createElement("button"), {
       type: "button",
@@ -178,7 +185,7 @@ export class Handles {
 }
 
 /**
- * Make an element a slider of a plane, that is dragged and moved by keys.
+ * Make an element the slider of a plane, which is dragged and moved by keys.
  * @param {GlobalEventHandlers & Element} element
  * @param {ViewModel} view
  * @param {Grip} grip
@@ -187,14 +194,14 @@ export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1
   const move = (/** @type {number} */ value) => view.set({ planes: moved(plane(), value) });
   const stage = () => /** @type {HTMLElement|null} */ (element.closest("#stage"));
   /** @type {{x: number, y: number, value: number}|null} */
-  let held = null; // where the pointer was, and the value, which is not rounded
+  let held = null; // place of the pointer, and the value before it is rounded
   let dragged = false;
   element.setAttribute("role", "slider");
   element.addEventListener("keydown", (event) => {
     const to = steppedTo(plane(), event, sign());
     if (to === null) return;
     event.preventDefault();
-    event.stopPropagation(); // elsewhere arrows turn the object
+    event.stopPropagation(); // on the stage arrows turn the object
     move(to);
   });
   element.addEventListener("pointerdown", ({ pointerId, clientX: x, clientY: y }) => {
@@ -210,7 +217,7 @@ export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1
   });
   const release = () => {
     if (held) onRest();
-    // there arrows turn the object again
+    // Give the keys back to the stage, on which arrows turn the object.
     if (held && dragged) stage()?.focus({ preventScroll: true });
     held = null;
   };
@@ -219,7 +226,7 @@ export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1
 }
 
 /**
- * Where a key moves a plane to; null where it is none that does.
+ * Return the value to which a key moves a plane; null for other keys.
  * @param {Movable} plane
  * @param {KeyboardEvent} event
  * @param {number} sign see `Grip`
@@ -232,7 +239,7 @@ function steppedTo({ value, range: [low, high], open }, { key, ctrlKey, altKey, 
 }
 
 /**
- * Tell what an element moves, and where that is.
+ * Describe to assistive technology what an element moves, and its value.
  * @param {Element} element
  * @param {Movable} plane
  */
@@ -245,7 +252,7 @@ export function tell(element, { name, value, range: [low, high] }) {
   element.ariaValueText = `${name} ${at}, within ${from} to ${to}`;
 }
 
-/** @param {number} at @param {number} size */
+/** Limit a place to the stage. @param {number} at @param {number} size */
 function within(at, size) {
   return Math.min(Math.max(at, EDGE), size - EDGE);
 }

@@ -1,4 +1,4 @@
-/** Keys, as changes of the view. The help in index.html lists the same ones. */
+/** Keys, as changes of the view. The help in index.html lists the same keys. */
 
 import { AXIS_VIEWS, pan } from "./camera.js";
 import { niceStep, showNumber } from "./format.js";
@@ -9,14 +9,14 @@ import { dragLight } from "./rotation.js";
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
-const OBJECT_STEP = 5;
-const LIGHT_STEP = 10;
-const ZOOM_STEP = 1.12;
+const OBJECT_STEP = 5; // degrees
+const LIGHT_STEP = 10; // degrees
+const ZOOM_STEP = 1.12; // factor of the distance
 const PAN_STEP = 0.05; // heights of the picture
-const ISOVALUE_STEPS = 100; // with shift
+const ISOVALUE_STEPS = 100; // steps through the slider's range, by { and }
 
 /**
- * Right and down that each arrow points.
+ * The direction of each arrow: right and down.
  * @type {Record<string, [number, number]>}
  */
 export const ARROWS = {
@@ -27,22 +27,23 @@ export const ARROWS = {
 };
 
 /**
- * Up or down that keys of the isovalue slider go to the next stop.
+ * The direction in which keys of the isovalue slider go to the next stop: 1 is up.
  * @type {Record<string, 1|-1>}
  */
 export const PAGES = { PageUp: 1, PageDown: -1 };
 
-/** @type {Record<string, [number, number]>} */
+/** The direction in which letters move the picture. @type {Record<string, [number, number]>} */
 const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
 
 /**
- * Listen to keys, except while another control needs them.
+ * Listen to keys, unless another control needs them.
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {{toggleHelp: () => void, keys: Record<string, () => void>}} options `keys` are others, by
- *   their small letters
+ * @param {{toggleHelp: () => void, keys: Record<string, () => void>}} options `keys` are further
+ *   actions, by lower-case letters
  */
 export function attachKeys(scene, view, { toggleHelp, keys }) {
+  // Letters act with and without the shift key, except those that differ by it.
   const capitals = Object.entries(keys).map(([key, action]) => [key.toUpperCase(), action]);
   /** @type {Record<string, () => void>} */
   const actions = {
@@ -69,7 +70,7 @@ export function attachKeys(scene, view, { toggleHelp, keys }) {
 }
 
 /**
- * What each key does, the arrows left out, which depend on where the focus is.
+ * Return the action of each key, except for arrows, which depend on the focus.
  * @param {Scene} scene
  * @param {Pick<ViewModel, "values"|"set"|"reset">} view
  * @param {() => void} toggleHelp
@@ -77,6 +78,7 @@ export function attachKeys(scene, view, { toggleHelp, keys }) {
  */
 export function keyActions(scene, view, toggleHelp) {
   const { min, max } = sliderRange(scene, "isovalue");
+  // Steps of the isovalue are a hundredth of the slider, or go from stop to stop.
   const step = (max - min) / ISOVALUE_STEPS;
   /** @param {number} by */
   const shiftIsovalue = (by) =>
@@ -103,6 +105,7 @@ export function keyActions(scene, view, toggleHelp) {
       Object.entries(AXIS_VIEWS).map(([axis, angles]) => [axisKey(axis), () => view.set(angles)]),
     ),
   };
+  // Keys of the same meaning on other keyboards, and capital letters.
   actions["="] = actions["+"];
   actions["−"] = actions._ = actions["-"];
   for (const key of ["o", ...Object.keys(MOVES)]) actions[key.toUpperCase()] = actions[key];
@@ -110,7 +113,7 @@ export function keyActions(scene, view, toggleHelp) {
 }
 
 /**
- * The next stop of the isovalue slider; the isovalue itself where there is none beyond it.
+ * Return the next stop of the isovalue slider; the isovalue itself if there is none beyond it.
  * @param {number[]} stops ascending
  * @param {number} isovalue
  * @param {1|-1} way up or down
@@ -123,6 +126,8 @@ export function nextStop(stops, isovalue, way) {
 }
 
 /**
+ * Return the action of an arrow; null if the focus is not on the stage, or if the light cannot be
+ * rotated.
  * @param {ViewModel} view
  * @param {KeyboardEvent} event
  * @param {Element} target
@@ -139,7 +144,7 @@ function arrow(view, event, target, lightTurns) {
 }
 
 /**
- * Key x looks from plus x, and X, with shift, from minus x.
+ * Return the key of an axis view: x looks from plus x, and X, with shift, from minus x.
  * @param {string} name of the axis view
  */
 function axisKey([sign, axis]) {
@@ -147,6 +152,7 @@ function axisKey([sign, axis]) {
 }
 
 /**
+ * Return the item after `one`, in a circle.
  * @template T
  * @param {T[]} all
  * @param {T} one
@@ -155,7 +161,7 @@ function next(all, one) {
   return all[(all.indexOf(one) + 1) % all.length];
 }
 
-/** @param {Element} target */
+/** Return true if an element takes keys as text. @param {Element} target */
 function takesText(target) {
   return target.matches("select, textarea, input:not([type=range], [type=checkbox])");
 }

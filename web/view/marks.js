@@ -1,12 +1,11 @@
 /**
- * Marks over the picture that stay on points of the world while the camera moves, hidden behind the
- * surface.
+ * Marks over the picture that stick to points of the world while the camera moves, and are hidden
+ * behind the surface.
  */
 
 import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
-import { worldOf } from "./crosshair.js";
-import { arcOf, measureInWords } from "./measures.js";
+import { arcOf, measureInWords, worldOf } from "./measures.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./measures.js").Measure} Measure */
@@ -14,19 +13,22 @@ import { arcOf, measureInWords } from "./measures.js";
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /**
- * @typedef {{x: number, y: number, inside: boolean}} Spot pixels from the stage's top left, and
- *   whether it is on it
+ * @typedef {{x: number, y: number, inside: boolean}} Spot pixels from the stage's upper left
+ *   corner; `inside` is true on the stage
  */
-/** @typedef {(values: Knobs, right: number, up: number) => Promise<Vec3|null>} FindSurface gives the surface's point at a place
- *   of the picture, in heights of the picture from its middle; null where there is none */
+/**
+ * @typedef {(values: Knobs, right: number, up: number) => Promise<Vec3|null>} FindSurface returns
+ *   the surface's point at a place of the picture, in heights of the picture from its middle; null
+ *   if there is none
+ */
 
-const NEARER = 0.5; // voxels by which a surface must be before a point to hide it
+const NEARER = 0.5; // distance in voxels by which a surface must lie in front of a point to hide it
 const RADIUS = 5; // pixels
 const [CROSS, GAP] = [11, 4]; // pixels from the middle of a cross hair to the ends of its lines
-const LABEL_UP = 8; // pixels from a line to the words about it
-const BEYOND = 24; // pixels from an arc to the words about it
+const LABEL_UP = 8; // pixels from a line to its words
+const BEYOND = 24; // pixels from an arc to its words
 
-/** Draws marks on points and lines between them, and knows which of them the surface hides. */
+/** Draws marks on points and lines between them, and hides marks that lie behind the surface. */
 export class Marks {
   #root;
   #scene;
@@ -41,7 +43,7 @@ export class Marks {
   #looking = false;
   #turned = false;
 
-  /** Is called whenever marks are drawn. @type {() => void} */
+  /** Called whenever marks are drawn. @type {() => void} */
   onDraw = () => {};
 
   /**
@@ -62,15 +64,16 @@ export class Marks {
   /**
    * Mark these points, and no others.
    * @param {Vec3[]} points
-   * @param {Measure[]} measures lines between some of them
+   * @param {Measure[]} measures lines between some of the points
    */
   show(points, measures) {
-    [this.#points, this.#measures] = [points, measures];
+    this.#points = points;
+    this.#measures = measures;
     this.#changed();
   }
 
   /**
-   * Whether the surface is before a point, as far as is known.
+   * Return true if the surface lies in front of a point, as far as is known.
    * @param {Vec3} point
    * @returns {boolean}
    */
@@ -78,17 +81,22 @@ export class Marks {
     return this.#hidden.has(String(point));
   }
 
-  /** Where a point is in the picture, as the view is now; see `placeOf`. @param {Vec3} point */
+  /** Project a point into the current view; see `placeOf`. @param {Vec3} point */
   place(point) {
     return placeOf(this.#scene, this.#view.values, point);
   }
 
-  /** Where a point is on the stage, as the view is now. @param {Vec3} point @returns {Spot} */
+  /**
+   * Return the place of a point on the stage in the current view.
+   * @param {Vec3} point
+   * @returns {Spot}
+   */
   spot(point) {
     const { width, height } = sizeOf(this.#root);
     return spotOf(this.place(point), width, height);
   }
 
+  /** Draw the marks, and find out which of them are hidden. */
   #changed() {
     this.#draw();
     this.#turned = true;
@@ -96,14 +104,15 @@ export class Marks {
   }
 
   /**
-   * Ask for the surface before the points, one after the other, until all are known in the newest
-   * view.
+   * Request the surface in front of the points, one after the other, until all are known in the
+   * newest view.
    */
   async #look() {
     this.#looking = true;
     while (this.#turned) {
       this.#turned = false;
       const values = this.#view.values;
+      // Points that are shared by measures are requested once.
       for (const point of new Map(this.#points.map((each) => [String(each), each])).values()) {
         const hidden = await this.#behind(values, point);
         this.#hidden[hidden ? "add" : "delete"](String(point));
@@ -115,21 +124,22 @@ export class Marks {
   }
 
   /**
-   * Whether the surface is before a point.
+   * Return true if the surface lies in front of a point.
    * @param {Knobs} values
    * @param {Vec3} point
    */
   async #behind(values, point) {
     const { right, up, depth } = placeOf(this.#scene, values, point);
     if (depth <= 0 || !this.spot(point).inside) return false;
-    const met = await this.#pick(values, right, up);
+    const hit = await this.#pick(values, right, up);
     return (
-      met !== null &&
-      placeOf(this.#scene, values, met).depth <
+      hit !== null &&
+      placeOf(this.#scene, values, hit).depth <
         depth - NEARER * Math.max(...this.#scene.volume.spacing)
     );
   }
 
+  /** Draw rings on visible points, measures and the cross hair. */
   #draw() {
     const shown = this.#points
       .filter((point) => !this.hides(point))
@@ -144,7 +154,7 @@ export class Marks {
   }
 
   /**
-   * The cross hair of the slices, also behind the surface: most of what they cross is inside.
+   * Draw the cross hair of the slices, even behind the surface, as slices mostly show the inside.
    * @returns {SVGElement[]}
    */
   #cross() {
@@ -158,8 +168,8 @@ export class Marks {
   }
 
   /**
-   * The lines of a measure and its words; dashed where an end is hidden, none where one is behind
-   * the eye.
+   * Draw the lines of a measure and its words: dashed if an end is hidden, not at all if one lies
+   * behind the eye.
    * @param {Measure} points
    */
   #lines(points) {
@@ -173,7 +183,7 @@ export class Marks {
 }
 
 /**
- * Where a place of the picture is on a stage.
+ * Return the position of a place of the picture on a stage.
  * @param {{right: number, up: number, depth: number}} place in heights of the picture from its
  *   middle
  * @param {number} width of the stage, pixels
@@ -185,13 +195,13 @@ export function spotOf({ right, up, depth }, width, height) {
   return { x, y, inside: depth > 0 && x >= 0 && x <= width && y >= 0 && y <= height };
 }
 
-/** @param {Spot} spot */
+/** Draw a ring. @param {Spot} spot */
 function ring({ x, y }) {
   return svgElement("circle", { class: "mark", cx: x.toFixed(2), cy: y.toFixed(2), r: RADIUS });
 }
 
 /**
- * A line over the picture, with a darker one under it.
+ * Draw a line over the picture, with a darker one below it.
  * @param {Spot[]} spots
  * @param {string} kind
  * @returns {SVGElement[]}
@@ -204,7 +214,7 @@ function pathOf(spots, kind) {
 }
 
 /**
- * Words above the middle of a line, or beyond the arc of an angle.
+ * Write words above the middle of a line, or beyond the arc of an angle.
  * @param {Spot[]} line
  * @param {Spot[]} arc
  * @param {string} words

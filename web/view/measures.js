@@ -1,23 +1,31 @@
-/** Measures between points of the world: a distance of two, the angle at the second of three. */
+/**
+ * Points of the world that a view names: measures between points (the distance of two, or the angle
+ * at the second of three), and the cross hair of the slices next to the picture.
+ */
 
 import { OPPOSITE } from "./camera.js";
-import { vector } from "./rotation.js";
+import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../documents.js").Volume} Volume */
 /** @typedef {Vec3[]} Measure two points, or three */
+/** @typedef {[number, number]} Greys the values that are black and white, ascending */
+/**
+ * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; null in `greys`
+ *   stands for the volume's defaults
+ */
 
-const DIGITS = 6; // of a coordinate: what an address can hold, and a voxel of any volume needs
+const DIGITS = 6; // digits of a coordinate: short in an address, and finer than a voxel
 const COORDINATE_DIGITS = 2; // decimals of a voxel that coordinates tell apart
-const FURTHEST = 1e12;
-const ARC_SHARE = 0.3; // of the shorter side of an angle
-const ARC_STEPS = 16;
+const FURTHEST = 1e12; // largest coordinate
+const ARC_SHARE = 0.3; // radius of an arc, as a share of the shorter side of its angle
+const ARC_STEPS = 16; // segments of an arc
 
-/** How many measures a view may have. */
+/** Number of measures that a view may have. */
 export const MOST = 20;
 
 /**
- * Measures with digits that an address can hold; what is none is left out.
+ * Round measures to the digits of an address; anything else than a measure is left out.
  * @param {unknown} wanted
  * @returns {Measure[]}
  */
@@ -30,7 +38,7 @@ export function limitMeasures(wanted) {
 }
 
 /**
- * A measure as the address has it, `x,y,z;x,y,z`.
+ * Write a measure for the address: `x,y,z;x,y,z`.
  * @param {Measure} points
  * @returns {string}
  */
@@ -39,7 +47,7 @@ export function writeMeasure(points) {
 }
 
 /**
- * A measure that an address has; null where it is none.
+ * Read a measure from the address; null if the text is none.
  * @param {string} text
  * @returns {Measure|null}
  */
@@ -51,21 +59,21 @@ export function readMeasure(text) {
 }
 
 /**
- * How far two points are from each other.
+ * Return the distance of two points.
  * @param {Vec3} a
  * @param {Vec3} b
- * @returns {number} in the unit of the world
+ * @returns {number} in the world's unit
  */
 export function distanceOf(a, b) {
   return Math.hypot(...a.map((x, i) => b[i] - x));
 }
 
 /**
- * The angle at `b` between the ways to `a` and to `c`.
+ * Return the angle at `b` between the directions to `a` and to `c`.
  * @param {Vec3} a
  * @param {Vec3} b
  * @param {Vec3} c
- * @returns {number} degrees, 0 to 180; NaN where one of the ways has no length
+ * @returns {number} degrees, 0 to 180; NaN if one of the points coincides with `b`
  */
 export function angleOf(a, b, c) {
   const [u, v] = [from(b, a), from(b, c)];
@@ -75,25 +83,27 @@ export function angleOf(a, b, c) {
     u[2] * v[0] - u[0] * v[2],
     u[0] * v[1] - u[1] * v[0],
   );
+  // The arc tangent is accurate for small angles, unlike the arc cosine.
   return (Math.atan2(cross, u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * 180) / Math.PI;
 }
 
 /**
- * A length with its unit, for a person: voxels or units, where the volume has none.
+ * Write a length with its unit; voxels or units if the volume has none.
  * @param {Pick<Volume, "unit"|"spacing">} volume
  * @param {number} length
  * @returns {string}
  */
 export function lengthInWords({ unit, spacing }, length) {
-  const own = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
-  return `${length} ${unit || own}`;
+  const name = spacing.every((step) => step === 1) ? "voxel" : "unit";
+  return `${length} ${unit || (length === 1 ? name : `${name}s`)}`;
 }
 
 /**
- * The coordinates of a place in the world, with digits that tell a hundredth of a voxel.
+ * Write the coordinates of a point of the world, to a hundredth of a voxel.
  * @param {Pick<Volume, "spacing">} volume
  * @param {Vec3} place
- * @param {string} sides of a patient on which the coordinates lie, such as "LAS"; "" elsewhere
+ * @param {string} sides letters of a patient's sides that replace the signs, such as "LAS"; "" if
+ *   there is no patient
  * @returns {string[]}
  */
 export function coordinatesInWords({ spacing }, place, sides) {
@@ -106,10 +116,10 @@ export function coordinatesInWords({ spacing }, place, sides) {
 }
 
 /**
- * A place in the world with its unit, for a person, such as "L 12 · A 3.5 · S 40 mm".
+ * Write a point of the world with its unit, such as "L 12 · A 3.5 · S 40 mm".
  * @param {Pick<Volume, "spacing"|"unit">} volume
  * @param {Vec3} place
- * @param {string} sides of a patient on which the coordinates lie; "" elsewhere
+ * @param {string} sides letters of a patient's sides; "" if there is no patient
  * @returns {string}
  */
 export function placeInWords(volume, place, sides) {
@@ -117,8 +127,8 @@ export function placeInWords(volume, place, sides) {
 }
 
 /**
- * The sides of a patient on which a place of the world lies, such as "LAS"; "" where the volume is
- * of none.
+ * Return the sides of a patient on which a point of the world lies, such as "LAS"; "" if the volume
+ * has no patient.
  * @param {Pick<Volume, "letters">} volume
  * @param {Vec3} place
  * @returns {string}
@@ -128,7 +138,7 @@ export function sidesAt({ letters }, place) {
 }
 
 /**
- * A quantity as exactly as it is known, such as "1614 ± 15 mm³".
+ * Write a quantity with the digits that its error leaves, such as "1614 ± 15 mm³".
  * @param {number} value
  * @param {number} error
  * @param {string} unit
@@ -141,7 +151,7 @@ export function knownInWords(value, error, unit) {
 }
 
 /**
- * What a measure comes to, such as "23.4 mm" or "41.2°".
+ * Write the result of a measure, such as "23.4 mm" or "41.2°".
  * @param {Pick<Volume, "unit"|"spacing">} volume
  * @param {Measure} points
  * @returns {string}
@@ -153,7 +163,8 @@ export function measureInWords(volume, [a, b, c]) {
 }
 
 /**
- * The arc of an angle: points of the world from the one side to the other; none of a distance.
+ * Return the arc of an angle as points of the world from one side to the other; none for a
+ * distance.
  * @param {Measure} points
  * @returns {Vec3[]}
  */
@@ -168,29 +179,73 @@ export function arcOf([a, b, c]) {
   });
 }
 
-/** @param {unknown} points @returns {points is Measure} */
+/**
+ * Write a cross hair for the address: `x,y,z` or `x,y,z,black,white`.
+ * @param {CrossHair} crossHair
+ * @returns {string}
+ */
+export function writeCrossHair({ voxel, greys }) {
+  return [...voxel, ...(greys ?? [])].join(",");
+}
+
+/**
+ * Read a cross hair from the address; null if the text is none.
+ * @param {string} text
+ * @returns {CrossHair|null}
+ */
+export function readCrossHair(text) {
+  const numbers = text.split(",").map((number) => (number.trim() ? Number(number) : NaN));
+  const [x, y, z, black, white] = numbers;
+  if (![3, 5].includes(numbers.length) || !numbers.every(Number.isFinite)) return null;
+  if (numbers.length === 3) return { voxel: [x, y, z], greys: null };
+  return black < white ? { voxel: [x, y, z], greys: [black, white] } : null;
+}
+
+/**
+ * Move a cross hair to the nearest voxel of the volume; null remains null.
+ * @param {{size: Vec3}} volume
+ * @param {CrossHair|null} wanted
+ * @returns {CrossHair|null}
+ */
+export function limitCrossHair({ size }, wanted) {
+  if (!wanted) return null;
+  const voxel = vector((i) => Math.min(size[i] - 1, Math.max(0, Math.round(wanted.voxel[i]))));
+  return { voxel, greys: wanted.greys };
+}
+
+/**
+ * Return the point of the world at voxel indices, which may have fractions.
+ * @param {{affine: number[][]}} volume
+ * @param {Vec3} voxel
+ * @returns {Vec3}
+ */
+export function worldOf({ affine }, voxel) {
+  return vector((i) => dot(/** @type {Vec3} */ (affine[i].slice(0, 3)), voxel) + affine[i][3]);
+}
+
+/** Return true if some value is a measure. @param {unknown} points @returns {points is Measure} */
 function isMeasure(points) {
   const row = (/** @type {unknown} */ point) =>
     Array.isArray(point) && point.length === 3 && point.every(isNear);
   return Array.isArray(points) && [2, 3].includes(points.length) && points.every(row);
 }
 
-/** @param {unknown} x */
+/** Return true if some value is a coordinate. @param {unknown} x */
 function isNear(x) {
   return typeof x === "number" && Math.abs(x) <= FURTHEST;
 }
 
-/** @param {Vec3} point */
+/** Round a point's coordinates. @param {Vec3} point */
 function rounded(point) {
   return vector((i) => Number(point[i].toPrecision(DIGITS)));
 }
 
-/** @param {Vec3} a @param {Vec3} b */
+/** Return the vector from `a` to `b`. @param {Vec3} a @param {Vec3} b */
 function from(a, b) {
   return vector((i) => b[i] - a[i]);
 }
 
-/** @param {Vec3} v */
+/** Scale a vector to length 1; the zero vector is kept. @param {Vec3} v */
 function unit(v) {
   const length = Math.hypot(...v) || 1;
   return vector((i) => v[i] / length);

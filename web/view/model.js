@@ -1,10 +1,12 @@
-/** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
+/**
+ * The view that the page shows: one plain object of knobs, limited to the values that the scene
+ * allows.
+ */
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
-import { limitCrossHair } from "./crosshair.js";
 import { niceStep, showNumber } from "./format.js";
-import { limitMeasures } from "./measures.js";
+import { limitCrossHair, limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
 import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
@@ -13,11 +15,11 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {Partial<Record<NumberKnob, number>> & Choices} Knobs all that a person may choose of a
- *   view; what a scene has not is left out
+ * @typedef {Partial<Record<NumberKnob, number>> & Choices} Knobs everything that a visitor may
+ *   choose of a view; knobs that the scene does not have are left out
  *
  * @typedef {object} Choices
- * @property {number} isovalue in the volume's own units
+ * @property {number} isovalue in the units of the file
  * @property {number} azimuth degrees
  * @property {number} elevation degrees
  * @property {number} distance of the eye from the target, in radii of the volume
@@ -26,33 +28,32 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {number} pitch of the light, degrees
  * @property {number} roll of the light, degrees
  * @property {number} exposure
- * @property {number} [albedo] only where the scene lets views choose it
- * @property {string} [tint] `#rrggbb`, beside the albedo
- * @property {string} [shine] what the surface shines as, only where the scene has a shine
- * @property {Vec3|null} target what the camera turns about, world units; null for the volume's
+ * @property {number} [albedo] only if the scene lets views choose it
+ * @property {string} [tint] `#rrggbb`, colour that the albedo scales
+ * @property {string} [shine] kind of shine, only if the scene has one
+ * @property {Vec3|null} target point that the camera orbits, world units; null for the volume's
  *   centre
  * @property {string} projection one of PROJECTIONS
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
- * @property {string} rulers one of RULERS: whether a scale bar and the axes are shown
- * @property {import("./measures.js").Measure[]} measures what was measured between points of the
- *   world
- * @property {import("./crosshair.js").CrossHair|null} slices where the slices beside the picture
- *   cross; null for no slices
- * @property {string} environment the id of one of the scene's environments; "" for its own light
- * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
- * @property {boolean} opened whether light comes in there
- * @property {string} surfaces what those beside let pass, as `surfaces.js` reads it; "" for the
- *   scene's own
- * @property {string} hide which labels are hidden, as `surfaces.js` reads it; "" for the scene's
- *   own
- * @property {string} material what the surface is made of, as `surfaces.js` reads it; "" for the
- *   scene's own
+ * @property {string} rulers one of RULERS: "on" if a scale bar and the axes are shown
+ * @property {import("./measures.js").Measure[]} measures distances and angles in the world
+ * @property {import("./measures.js").CrossHair|null} slices point in which the slices next to the
+ *   picture cross; null for no slices
+ * @property {string} environment the id of one of the scene's environments; "" for the scene's
+ *   light
+ * @property {string} planes planes that take matter away, as `planes.js` reads them; "" for none
+ * @property {boolean} opened true if light comes in through planes along axes
+ * @property {string} surfaces state of the pinned surfaces, as `surfaces.js` reads it; "" for the
+ *   scene's defaults
+ * @property {string} hide hidden labels, as `surfaces.js` reads them; "" for the scene's defaults
+ * @property {string} material material of the surface, as `surfaces.js` reads it; "" for the
+ *   scene's material
  */
 
-/** What each knob that is a number is shown in, in the order in which the address bar has them. */
+/** Unit of each knob that is a number, in the order in which the address bar has the knobs. */
 export const UNITS = {
   isovalue: "isovalue",
   azimuth: "degrees",
@@ -76,18 +77,22 @@ export const UNITS = {
 /** Knobs that are numbers, in that order. */
 export const NUMBERS = /** @type {NumberKnob[]} */ (Object.keys(UNITS));
 
-/** Marks that may lie over the picture. */
+/** Marks that may be drawn over the picture. */
 export const OVERLAYS = ["none", "provisional", "error"];
 
-/** What may be behind the surface: as the page, or always one. */
+/** Backgrounds of the picture: that of the page, or always the same. */
 export const BACKGROUNDS = ["page", "dark", "light"];
 
-/** Steps of smoothing in a voxel: each is another volume, with light of its own. */
+/** Steps of smoothing per voxel: few, as each step is another volume with separate light. */
 export const SMOOTH_STEPS = 4;
 
-const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
-const LOGARITHMIC = new Set(["distance", "exposure"]);
-/** @type {Partial<Record<NumberKnob, [number, number]>>} */
+const FULL_TURN = new Set(["azimuth", "yaw", "roll"]); // angles that wrap around
+const LOGARITHMIC = new Set(["distance", "exposure"]); // knobs with a logarithmic slider
+
+/**
+ * Ranges of knobs if the scene gives none.
+ * @type {Partial<Record<NumberKnob, [number, number]>>}
+ */
 const FALLBACK = {
   azimuth: [-180, 180],
   elevation: [-90, 90],
@@ -100,7 +105,7 @@ const FALLBACK = {
 };
 
 /**
- * What the slider of a knob spans. The server may allow more than is handy on a slider.
+ * Return the range of a knob's slider. The server may allow more than is handy on a slider.
  * @param {Scene} scene
  * @param {NumberKnob} name
  * @returns {{min: number, max: number, log: boolean}}
@@ -112,7 +117,7 @@ export function sliderRange(scene, name) {
   return { min: Math.max(min, low), max: Math.min(max, high), log: LOGARITHMIC.has(name) };
 }
 
-/** Holds the view, limits every change to what the scene allows, and calls its listeners. */
+/** Holds the view, limits every change to the values that the scene allows, and calls listeners. */
 export class ViewModel {
   #scene;
   /** @type {Knobs} */
@@ -122,18 +127,18 @@ export class ViewModel {
 
   /**
    * @param {Scene} scene
-   * @param {Partial<Knobs>} start knobs to start from; what is missing or has no meaning takes the
-   *   scene's default
+   * @param {Partial<Knobs>} start first knobs; missing and invalid ones take the scene's defaults
    */
   constructor(scene, start = {}) {
     this.#scene = scene;
     this.#values = this.#limited(start, this.defaults);
   }
 
-  /** Where the scene starts: all knobs. @returns {Knobs} */
+  /** Return all knobs at the start of the scene. @returns {Knobs} */
   get defaults() {
     const { start } = this.#scene;
     const defaults = { ...this.#scene.defaults, ...start };
+    // Numbers of the scene's defaults and of its first camera; everything else is off or empty.
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [
       name,
       defaults[name],
@@ -163,16 +168,16 @@ export class ViewModel {
     };
   }
 
-  /** The knobs as they are now (a copy). @returns {Knobs} */
+  /** Return a copy of the current knobs. @returns {Knobs} */
   get values() {
     return { ...this.#values };
   }
 
   /**
-   * Change some knobs; listeners are called only when something did change.
+   * Change some knobs. Listeners are called only if something has changed.
    * @param {Partial<Knobs>} patch
-   * @param {boolean} [follows] whether another change brings this one about: it makes no view of
-   *   its own
+   * @param {boolean} [follows] true if another change causes this one, so that it is no new view in
+   *   the history
    */
   set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
@@ -183,7 +188,7 @@ export class ViewModel {
     this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
-  /** Go back to where the scene starts; what was measured stays, and so do slices. */
+  /** Go back to the start of the scene; measures and slices are kept. */
   reset() {
     const { measures, slices } = this.#values;
     this.set({ ...this.defaults, measures, slices });
@@ -199,7 +204,7 @@ export class ViewModel {
 
   /**
    * Call `listener(values)` after every change of a part of the view.
-   * @param {(values: Knobs) => unknown} part
+   * @param {(values: Knobs) => unknown} part returns the part, which is compared as JSON
    * @param {(values: Knobs) => void} listener
    */
   watch(part, listener) {
@@ -213,11 +218,13 @@ export class ViewModel {
   }
 
   /**
-   * @param {Partial<Knobs>} wanted
-   * @param {Knobs} fallback
+   * Return the knobs after a change, limited to the values that the scene allows.
+   * @param {Partial<Knobs>} wanted the change
+   * @param {Knobs} fallback knobs that replace missing and invalid ones
    * @returns {Knobs}
    */
   #limited(wanted, fallback) {
+    // Names and texts: those that the scene does not offer keep their former value.
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
     limited.target = limitTarget(
       this.#scene,
@@ -226,9 +233,9 @@ export class ViewModel {
     limited.planes =
       wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
     limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
-    const beside =
+    const fits =
       wanted.surfaces === "" || areSurfaces(wanted.surfaces, this.#scene.surfaces?.length ?? 0);
-    limited.surfaces = beside ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
+    limited.surfaces = fits ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
     const hidden = wanted.hide === "" || areHidden(wanted.hide, this.#scene.colours?.labels ?? []);
     limited.hide = hidden ? /** @type {string} */ (wanted.hide) : fallback.hide;
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
@@ -242,11 +249,14 @@ export class ViewModel {
       limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint)
       limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
+
+    // Numbers: round them to their sliders, and limit them to the scene's ranges.
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = /** @type {number} */ (
         Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]
       );
-      // not rounded: the server's picture without this knob
+      // A value that equals the default on the slider becomes the default, unrounded: the server
+      // then draws the same picture as without this knob.
       const usual = /** @type {number} */ (this.defaults[name]);
       const isDefault = inShort(this.#scene, name, value) === inShort(this.#scene, name, usual);
       limited[name] = isDefault
@@ -257,7 +267,8 @@ export class ViewModel {
   }
 
   /**
-   * Shading, overlay and what to compare with; a shading is not compared with itself.
+   * Return the knobs that are one of several names. A shading is not compared with itself: it is
+   * compared with the one before instead.
    * @param {Partial<Knobs>} wanted
    * @param {Knobs} fallback
    */
@@ -269,6 +280,7 @@ export class ViewModel {
     const chosen = (name, offered) =>
       offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
+    // Keep the former name if the scene does not offer the new one.
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;
@@ -287,6 +299,7 @@ export class ViewModel {
 }
 
 /**
+ * Return the range that the scene allows for a knob.
  * @param {Scene} scene
  * @param {NumberKnob} name
  * @returns {{min: number, max: number}}
@@ -299,6 +312,7 @@ function allowed(scene, name) {
 }
 
 /**
+ * Return a range that is handy on a slider, if one is known.
  * @param {Scene} scene
  * @param {NumberKnob} name
  * @returns {[number, number]|undefined}
@@ -309,7 +323,7 @@ function handy(scene, name) {
 }
 
 /**
- * A knob's value with as few digits as its slider can tell apart, and one more.
+ * Round a knob's value to the digits that its slider can tell apart, and one more.
  * @param {Scene} scene
  * @param {NumberKnob} name
  * @param {number} value
@@ -323,7 +337,8 @@ export function inShort(scene, name, value) {
 }
 
 /**
- * Fine enough for any hand, and short enough that the address bar holds the view exactly.
+ * Round a knob's value: finely enough for any hand, and so short that the address bar holds the
+ * view exactly.
  * @param {number} value
  * @param {NumberKnob} name
  */
@@ -335,6 +350,7 @@ function rounded(value, name) {
 }
 
 /**
+ * Return the range of an angle that wraps around: 360 degrees at most.
  * @param {number} min
  * @param {number} max
  */
@@ -344,6 +360,7 @@ function turn(min, max) {
 }
 
 /**
+ * Limit a knob's value to a range; angles that wrap around are moved by full turns.
  * @param {number} value
  * @param {NumberKnob} name
  * @param {{min: number, max: number}} range

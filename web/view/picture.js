@@ -1,25 +1,27 @@
-/** The picture on the stage: its size in pixels, and swapping frames without a flicker. */
+/** The picture on the stage: its size in pixels, and the exchange of frames without a flicker. */
 
 import { sizeOf } from "../dom.js";
 
-const LONGEST_SIDE = 1024;
-// of a picture whose light is still to come: finer costs much and shows little
+const LONGEST_SIDE = 1024; // pixels of a side while light is still converging
+
+/** Pixels per CSS pixel while light is still converging: more would cost much and show little. */
 const HIGHEST_RATIO = 1.5;
-const SHORTEST_SIDE = 64;
-const MOST_PIXELS = 1 << 24; // that a server takes
+const SHORTEST_SIDE = 64; // pixels
+const MOST_PIXELS = 1 << 24; // pixels that a server accepts
 
 /**
- * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where
- * it is `sharp`, else
- * no more than 1024 a side.
+ * Return the size of the picture that fills a box on a screen, times `scale`: all of the screen's
+ * pixels if it is `sharp`, otherwise at most 1024 per side.
  * @param {number} width of the box, CSS pixels
  * @param {number} height of the box, CSS pixels
- * @param {number} ratio pixels of the screen in a CSS pixel
+ * @param {number} ratio pixels of the screen per CSS pixel
  * @param {number} scale 1 for the full picture, less for drafts
  * @param {boolean} [sharp]
  * @returns {{width: number, height: number}}
  */
 export function pictureSize(width, height, ratio, scale, sharp = false) {
+  // While light converges, few pixels are enough; for a sharp picture, the server's limit counts,
+  // with a margin for rounding up.
   const few = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1));
   const all = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(width * height, 1)) * 0.999);
   const fit = (sharp ? all : few) * scale;
@@ -29,17 +31,17 @@ export function pictureSize(width, height, ratio, scale, sharp = false) {
 }
 
 /**
- * Shows one frame after the other in the stage's image, and drafts on a canvas over it, where they
- * are sooner.
+ * Shows one frame after the other in the stage's image, and drafts on a canvas over it, which shows
+ * them sooner.
  */
 export class Picture {
   #stage;
   #image;
   #canvas;
-  /** Whether all of the screen's pixels are asked for: once a picture has its light. */
+  /** True if all of the screen's pixels are requested: once a picture has its light. */
   sharp = false;
-  #refused = false;
-  #shown = 0; // counts frames, so that a slow one does not overtake a newer one
+  #refused = false; // true if the server does not accept so many pixels
+  #shown = 0; // number of frames, so that a slow one does not replace a newer one
 
   /**
    * @param {HTMLElement} stage box that the picture fills
@@ -53,7 +55,7 @@ export class Picture {
   }
 
   /**
-   * Pixels to ask for: those of the box on this screen.
+   * Return the size to request: that of the box on this screen.
    * @param {number} scale 1 for the full picture, less for drafts
    * @param {boolean} [sharp]
    * @returns {{width: number, height: number}}
@@ -63,7 +65,10 @@ export class Picture {
     return pictureSize(width, height, window.devicePixelRatio || 1, scale, sharp);
   }
 
-  /** Ask for all of the screen's pixels from now on. @returns {boolean} whether that is more */
+  /**
+   * Request all of the screen's pixels from now on.
+   * @returns {boolean} true if that is more than before
+   */
   sharpen() {
     if (this.#refused) return false;
     const before = this.size(1).width;
@@ -71,17 +76,17 @@ export class Picture {
     return this.size(1).width > before;
   }
 
-  /** The server does not take so many pixels: ask for no more than before, from now on. */
+  /** Request no more pixels than before from now on, as the server does not accept so many. */
   blunt() {
     this.sharp = false;
     this.#refused = true;
   }
 
   /**
-   * Show a frame once it is decoded; one that a newer frame has overtaken is dropped.
+   * Show a frame once it is decoded, unless a newer frame was shown meanwhile.
    * @param {Blob} blob encoded picture
-   * @param {string} alt what it shows, in words
-   * @returns {Promise<boolean>} whether it is shown now
+   * @param {string} alt description of the picture
+   * @returns {Promise<boolean>} true if it is shown now
    */
   async show(blob, alt) {
     const count = ++this.#shown;
@@ -99,12 +104,11 @@ export class Picture {
   }
 
   /**
-   * Show a draft over the image, until that has its next frame; dropped as `show` does. The first
-   * frame of all is the
-   * image's own.
+   * Show a draft over the image until the next frame, unless a newer frame was shown meanwhile. The
+   * first frame is shown in the image.
    * @param {Blob} blob encoded picture
-   * @param {string} alt what it shows, in words
-   * @returns {Promise<boolean>} whether it is shown now
+   * @param {string} alt description of the picture
+   * @returns {Promise<boolean>} true if it is shown now
    */
   async sketch(blob, alt) {
     const context = this.hidden ? null : this.#canvas?.getContext("bitmaprenderer");
@@ -121,16 +125,17 @@ export class Picture {
     return true;
   }
 
+  /** Hide the draft. */
   #uncover() {
     if (this.#canvas) this.#canvas.hidden = true;
   }
 
-  /** Whether nothing is shown. @returns {boolean} */
+  /** Return true if nothing is shown. @returns {boolean} */
   get hidden() {
     return Boolean(this.#image.hidden);
   }
 
-  /** Show nothing, also not what is being decoded. */
+  /** Show nothing; a frame that is being decoded is dropped. */
   hide() {
     this.#shown += 1;
     this.#image.hidden = true;
@@ -138,7 +143,7 @@ export class Picture {
   }
 
   /**
-   * Call `listener` when the box has changed its size.
+   * Call `listener` when the size to request has changed.
    * @param {() => void} listener
    */
   onResize(listener) {
@@ -152,7 +157,7 @@ export class Picture {
   }
 }
 
-/** Whether the browser can show the picture. @param {string} address */
+/** Return true if the browser can decode the picture. @param {string} address */
 async function decode(address) {
   const image = new Image();
   image.src = address;

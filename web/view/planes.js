@@ -1,5 +1,5 @@
 /**
- * Planes that take away what lies there, as frame requests spell them: `x>40;z<10`, and what they
+ * Planes that take matter away, as frame requests spell them (`x>40;z<10`), and the parts that they
  * leave along each axis.
  */
 
@@ -9,7 +9,7 @@ import { dot, vector } from "./rotation.js";
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /**
- * @typedef {[number, number]} Kept what is left along an axis, from one world coordinate to another
+ * @typedef {[number, number]} Kept the part that is left along an axis: two world coordinates
  */
 /** @typedef {[Vec3, Vec3]} Bounds the least and the greatest coordinates of the world */
 /**
@@ -17,37 +17,40 @@ import { dot, vector } from "./rotation.js";
  *   `normal` has length 1
  */
 /**
- * @typedef {{kept: Kept[], others: string[]}} Planes what is left along the world's axes, and the
- *   planes along none
+ * @typedef {{kept: Kept[], others: string[]}} Planes the parts that are left along the world's
+ *   axes, and the terms of oblique planes
  */
 
 /**
  * @typedef {object} Movable a plane that is moved along its normal
  * @property {string} name
- * @property {Vec3} normal in whose direction the value grows
- * @property {Vec3} at where its handle is
- * @property {Vec3[]} outline of an oblique plane within what is left; none of a side of the box
+ * @property {Vec3} normal direction in which the value grows
+ * @property {Vec3} at place of its handle
+ * @property {Vec3[]} outline polygon of an oblique plane within the remaining box; empty for a side
+ *   of the box
  * @property {number} value
- * @property {Kept} range of values
- * @property {number} open the value with which it takes nothing away
- * @property {(value: number) => string} move the text of all planes, with this one at another value
+ * @property {Kept} range range of values
+ * @property {number} open the value at which it takes nothing away
+ * @property {(value: number) => string} move returns the text of all planes with this one at
+ *   another value
  */
 
-/** The world's axes, by which planes may be named. */
+/** Names of the world's axes. */
 export const AXES = ["x", "y", "z"];
 
 const NUMBER = "[+-]?(?:\\d+\\.?\\d*|\\.\\d+)(?:[eE][+-]?\\d+)?";
 const TERM = new RegExp(`^([xyz]|${NUMBER},${NUMBER},${NUMBER})([<>])(${NUMBER})$`);
-const MOST = 12;
-// of a component: half a thousandth of a voxel across a volume of a thousand
-const NORMAL_DIGITS = 6;
-const ALONG = 1e-6; // by how much a normal may be off an axis, as the server has it
+const MOST = 12; // planes of a view
 
-/** Most planes that are along no axis: the others are six sides of a box. */
+/** Decimals of a normal: across 1000 voxels the error is half a thousandth of a voxel. */
+const NORMAL_DIGITS = 6;
+const ALONG = 1e-6; // deviation of a normal from an axis that counts as none, as on the server
+
+/** Number of oblique planes at most: the others are the six sides of a box. */
 export const MOST_OBLIQUE = 6;
 
 /**
- * Whether a text spells planes.
+ * Return true if a text spells planes.
  * @param {unknown} text
  * @returns {text is string}
  */
@@ -58,7 +61,7 @@ export function arePlanes(text) {
 }
 
 /**
- * The plane that a term spells.
+ * Return the plane that a term spells.
  * @param {string} term
  * @returns {Plane}
  */
@@ -73,13 +76,13 @@ export function planeOf(term) {
   };
 }
 
-/** The planes that a text spells. @param {string} text @returns {Plane[]} */
+/** Return the planes that a text spells. @param {string} text @returns {Plane[]} */
 export function planesOf(text) {
   return termsOf(text).map(planeOf);
 }
 
 /**
- * The term of a plane, with digits that an address can hold.
+ * Write a plane as a term, with few enough digits for an address.
  * @param {Plane} plane
  * @returns {string}
  */
@@ -88,14 +91,17 @@ export function termOf({ normal, limit }) {
   return `${short.join(",")}>${Number((limit * Math.hypot(...short)).toPrecision(6))}`;
 }
 
-/** The number of the axis that a plane is across; -1 where there is none. @param {Plane} plane */
+/**
+ * Return the number of the axis that is normal to a plane; -1 for an oblique plane.
+ * @param {Plane} plane
+ */
 function axisOf({ normal }) {
   return normal.findIndex((x) => Math.abs(x) >= 1 - ALONG);
 }
 
 /**
- * What planes leave along the world's axes within `bounds`, and the planes that are along none of
- * them.
+ * Return the parts that planes leave along the world's axes within `bounds`, and the oblique
+ * planes.
  * @param {string} text
  * @param {Bounds} bounds
  * @returns {Planes}
@@ -109,6 +115,7 @@ export function readPlanes(text, [low, high]) {
     const plane = planeOf(term);
     const range = kept[axisOf(plane)];
     const limit = plane.limit * Math.sign(plane.normal[axisOf(plane)]);
+    // Each plane along an axis moves one end of the range, never past the other end.
     if (!range) others.push(term);
     else if (plane.normal[axisOf(plane)] < 0)
       range[0] = Math.min(Math.max(range[0], limit), range[1]);
@@ -118,7 +125,7 @@ export function readPlanes(text, [low, high]) {
 }
 
 /**
- * The planes across the world's axes, which light can come in by, and all others, each as a text.
+ * Separate the planes along the world's axes, which can let light in, from oblique planes.
  * @param {string} text
  * @returns {{along: string, oblique: string}}
  */
@@ -132,9 +139,9 @@ export function partPlanes(text) {
 }
 
 /**
- * The plane that faces a direction, through the middle of what is left.
+ * Return the plane that faces a direction and goes through the middle of the remaining box.
  * @param {Planes} planes
- * @param {Vec3} towards where it looks, of length 1
+ * @param {Vec3} towards unit vector
  * @returns {Plane}
  */
 export function facingPlane({ kept }, towards) {
@@ -145,7 +152,7 @@ export function facingPlane({ kept }, towards) {
 }
 
 /**
- * The direction along a world axis that is nearest to another.
+ * Return the direction along a world axis that is nearest to a given one.
  * @param {Vec3} towards
  * @returns {Vec3} of length 1
  */
@@ -156,22 +163,27 @@ export function nearestAxis(towards) {
 }
 
 /**
- * The text of planes with one through a point: along an axis it is a side of the box, else an
- * oblique plane, which
- * replaces one that faces the same way; where there are too many, the oldest goes.
+ * Add a plane through a point to a text of planes.
+ *
+ * A plane along an axis moves a side of the box. An oblique plane replaces one that faces the same
+ * direction; if there are too many, the oldest is dropped.
+ *
  * @param {string} text
  * @param {Bounds} bounds
  * @param {Vec3} point
- * @param {Vec3} normal towards what is taken away, of length 1
+ * @param {Vec3} normal unit vector towards the matter that is taken away
  * @returns {string}
  */
 export function cutAt(text, bounds, point, normal) {
   const plane = { normal, limit: dot(normal, point) };
+  // A plane along an axis is a side of the box, which has a slider: sides come in pairs, from and
+  // to.
   const axis = axisOf(plane);
   if (axis >= 0)
     return movablePlanes({ bounds }, text)[2 * axis + Number(normal[axis] > 0)].move(
       Number(point[axis].toPrecision(6)),
     );
+  // An oblique plane is a term; terms with the same normal, as rounded, face the same direction.
   const term = termOf(plane);
   const { kept, others } = readPlanes(text, bounds);
   const facing = (/** @type {string} */ each) => each.split(">")[0] === term.split(">")[0];
@@ -182,7 +194,7 @@ export function cutAt(text, bounds, point, normal) {
 }
 
 /**
- * The least and the greatest limits with which a plane of this normal goes through a box.
+ * Return the least and the greatest limit at which a plane with this normal meets a box.
  * @param {Vec3} normal
  * @param {Kept[]} box along each axis
  * @returns {Kept}
@@ -196,7 +208,7 @@ export function limitsWithin(normal, box) {
 }
 
 /**
- * The text of planes; "" where all is left.
+ * Write planes as a text; "" if nothing is taken away.
  * @param {Planes} planes
  * @param {Bounds} bounds
  * @returns {string}
@@ -210,7 +222,7 @@ export function writePlanes({ kept, others }, [low, high]) {
 }
 
 /**
- * The planes that a view may move: six sides of a box, and those along no axis.
+ * Return the planes that a view may move: the six sides of a box, and oblique planes.
  * @param {Pick<Scene["volume"], "bounds">} volume
  * @param {string} text of the planes
  * @returns {Movable[]}
@@ -219,6 +231,7 @@ export function movablePlanes({ bounds }, text) {
   const planes = readPlanes(text, bounds);
   const { kept, others } = planes;
   const middle = vector((i) => (kept[i][0] + kept[i][1]) / 2);
+  // The sides of the box: a side moves along its axis, never past the opposite side.
   const sides = AXES.flatMap((name, axis) =>
     ["from", "to"].map((end, side) => ({
       name: `${name} ${end}`,
@@ -238,6 +251,8 @@ export function movablePlanes({ bounds }, text) {
       },
     })),
   );
+  // Oblique planes: the handle lies in the middle of the outline, or at the foot of the box's
+  // centre if the plane misses the box.
   const oblique = others.map((term, k) => {
     const { normal, limit } = planeOf(term);
     const outline = outlineOf(normal, limit, kept);
@@ -263,7 +278,7 @@ export function movablePlanes({ bounds }, text) {
 }
 
 /**
- * The text of all planes with one of them moved, to a round value within its range.
+ * Return the text of all planes after one is moved to a value, rounded and limited to its range.
  * @param {Movable} plane
  * @param {number} value
  * @returns {string}
@@ -276,9 +291,9 @@ export function moved({ range: [low, high], move }, value) {
 }
 
 /**
- * Where a plane cuts a box: the corners of a polygon, in turn; none where it cuts nothing.
- * @param {Vec3} normal of length 1
- * @param {number} limit normal · p on the plane
+ * Return the polygon in which a plane cuts a box, as corners in order; none if they do not meet.
+ * @param {Vec3} normal unit vector
+ * @param {number} limit normal · p for points of the plane
  * @param {Kept[]} box along each axis
  * @returns {Vec3[]}
  */
@@ -287,6 +302,7 @@ export function outlineOf(normal, limit, box) {
     const [from, to] = [dot(normal, a) - limit, dot(normal, b) - limit];
     return from < 0 === to < 0 ? [] : [vector((i) => a[i] + (from / (from - to)) * (b[i] - a[i]))];
   });
+  // Sort the points of the edges by their angle around the middle, in two axes of the plane.
   const middle = vector((i) => points.reduce((sum, point) => sum + point[i], 0) / points.length);
   const least = normal.map(Math.abs).indexOf(Math.min(...normal.map(Math.abs)));
   const u = cross(
@@ -299,7 +315,7 @@ export function outlineOf(normal, limit, box) {
   return points.sort((a, b) => angle(a) - angle(b));
 }
 
-/** The twelve edges of a box. @param {Kept[]} box @returns {[Vec3, Vec3][]} */
+/** Return the twelve edges of a box. @param {Kept[]} box @returns {[Vec3, Vec3][]} */
 export function edgesOf(box) {
   const corner = (/** @type {number} */ bits) => vector((i) => box[i][(bits >> i) & 1]);
   return [0, 1, 2].flatMap((axis) =>
@@ -309,12 +325,12 @@ export function edgesOf(box) {
   );
 }
 
-/** The volume's box, along each axis. @param {[Vec3, Vec3]} bounds @returns {Kept[]} */
+/** Return the volume's box along each axis. @param {[Vec3, Vec3]} bounds @returns {Kept[]} */
 function whole([low, high]) {
   return low.map((from, i) => [from, high[i]]);
 }
 
-/** @param {string} text */
+/** Split a text into terms. @param {string} text */
 function termsOf(text) {
   return text
     .split(";")
@@ -322,7 +338,7 @@ function termsOf(text) {
     .filter(Boolean);
 }
 
-/** @param {Vec3} a @param {Vec3} b */
+/** Return the cross product of two vectors. @param {Vec3} a @param {Vec3} b */
 function cross(a, b) {
   return vector((i) => a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3]);
 }

@@ -1,6 +1,5 @@
 /**
- * Rotations in the server's conventions: right-handed, z up; yaw about z, then pitch about y, then
- * roll about x.
+ * Rotations in the server's conventions: right-handed, z up, R = Rz(yaw) · Ry(pitch) · Rx(roll).
  */
 
 const DEGREE = Math.PI / 180;
@@ -14,7 +13,8 @@ const DEGREE = Math.PI / 180;
  */
 
 /**
- * Axes of a camera that orbits the target: `right` and `up` on the picture, `out` towards the eye.
+ * Return the axes of a camera that orbits the target: `right` and `up` in the picture, `out`
+ * towards the eye.
  * @param {number} azimuth degrees; 0 looks from +x, 90 from +y
  * @param {number} elevation degrees
  * @returns {{right: Vec3, up: Vec3, out: Vec3}}
@@ -26,7 +26,7 @@ export function cameraAxes(azimuth, elevation) {
 }
 
 /**
- * Rotation about a unit axis.
+ * Return the rotation about a unit axis.
  * @param {Vec3} axis
  * @param {number} angle degrees
  * @returns {Quaternion}
@@ -37,7 +37,7 @@ export function aboutAxis([x, y, z], angle) {
 }
 
 /**
- * The rotation that does `b` first, then `a`.
+ * Return the rotation that applies `b` first, then `a`.
  * @param {Quaternion} a
  * @param {Quaternion} b
  * @returns {Quaternion}
@@ -52,7 +52,7 @@ export function compose([aw, ax, ay, az], [bw, bx, by, bz]) {
 }
 
 /**
- * Quaternion of yaw, pitch and roll.
+ * Return the quaternion of yaw, pitch and roll.
  * @param {Angles} angles
  * @returns {Quaternion}
  */
@@ -64,7 +64,8 @@ export function fromAngles({ yaw, pitch, roll }) {
 }
 
 /**
- * Yaw, pitch and roll of a unit quaternion; at pitch ±90°, where only their sum matters, roll is 0.
+ * Return yaw, pitch and roll of a unit quaternion. At pitch ±90°, only a combination of yaw and
+ * roll is determined: roll is then 0.
  * @param {Quaternion} q
  * @returns {Angles} pitch within ±90
  */
@@ -86,7 +87,7 @@ export function toAngles([w, x, y, z]) {
 }
 
 /**
- * Turn a vector.
+ * Rotate a vector.
  * @param {Quaternion} q
  * @param {Vec3} v
  * @returns {Vec3}
@@ -97,7 +98,7 @@ export function turnVector(q, v) {
 }
 
 /**
- * Turn the light as a ball that is dragged across the picture, whichever way the camera looks.
+ * Rotate the light like a ball that is dragged across the picture, whatever the camera's direction.
  * @param {LightAndCamera} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees
@@ -110,8 +111,8 @@ export function rollLight(values, right, down) {
 }
 
 /**
- * Turn the light as if its front were dragged across the picture; sideways it goes round the
- * vertical, and stays level.
+ * Rotate the light as if its front were dragged across the picture. A drag sideways rotates about
+ * the vertical, so that the light's horizon remains level.
  * @param {LightAndCamera} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees
@@ -123,12 +124,16 @@ export function dragLight(values, right, down) {
   return toAngles(turned);
 }
 
-/** A vector by its components. @param {(i: number) => number} component @returns {Vec3} */
+/**
+ * Return the vector with the given components.
+ * @param {(i: number) => number} component
+ * @returns {Vec3}
+ */
 export function vector(component) {
   return [component(0), component(1), component(2)];
 }
 
-/** The scalar product of two vectors. @param {Vec3} a @param {Vec3} b @returns {number} */
+/** Return the scalar product of two vectors. @param {Vec3} a @param {Vec3} b @returns {number} */
 export function dot(a, b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }

@@ -1,6 +1,6 @@
 /**
  * A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that
- * follows the view; letters; a legend.
+ * follows the view; the letters of a patient's sides; and a legend of colours.
  */
 
 import { find, sizeOf, svgElement } from "../dom.js";
@@ -15,17 +15,17 @@ import { readHidden } from "./surfaces.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /**
  * @typedef {{readonly values: Knobs, subscribe: (listener: () => void) => void}} Seen the picture
- *   on the stage: its knobs, and what is called when it is another
+ *   on the stage: its knobs, and a subscription to changes
  */
 /** @typedef {[number, number]} Place right and up of the lower left corner, pixels */
 /** @typedef {{kind: string, points: Place[]}} Line */
 /**
  * @typedef {{at: Place, text: string, size: number, middle: boolean, end?: boolean}} Words
- *   `middle`: centred there, both ways; `end`: that is where they end
+ *   `middle`: centred at the place both ways; `end`: they end at the place
  */
 /**
- * @typedef {{from: Place, to: Place, colours: string[]}} Area a rectangle, its colours from left to
- *   right
+ * @typedef {{from: Place, to: Place, colours: string[]}} Area a rectangle, with its colours from
+ *   left to right
  */
 /** @typedef {{lines: Line[], words: Words[], areas?: Area[]}} Shapes */
 /**
@@ -38,23 +38,23 @@ import { readHidden } from "./surfaces.js";
  */
 
 const DEGREE = Math.PI / 180;
-// pixels from where the axes meet to their ends, and to their letters
-const [AXIS, LETTER] = [24, 33];
-/** @type {Place} */
+const [AXIS, LETTER] = [24, 33]; // pixels from the origin of the axes to their ends and letters
+
+/** Place of the origin of the axes. @type {Place} */
 const CROSS = [40, 40];
-const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
-const DEPTH = "at the point turned about"; // where a scale bar is right in perspective
-// of a scale bar: of the picture's width, and in any picture
+const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5]; // place of the scale bar and length of its ticks
+const DEPTH = "at the centre of rotation"; // depth at which a scale bar holds in perspective
+
+/** Length of a scale bar at most: share of the picture's width, and pixels. */
 const LONGEST = { share: 0.25, pixels: 150 };
 
-const [INSET, BAR_WIDE, BAR_HIGH, ROW] = [16, 180, 10, 18]; // of a legend, pixels
+const [INSET, BAR_WIDE, BAR_HIGH, ROW] = [16, 180, 10, 18]; // sizes of a legend, pixels
 
-/** What may be shown of these. */
+/** States of scale bar and axes. */
 export const RULERS = ["on", "off"];
 
 /**
- * The greatest length that reads well, 1, 2 or 5 times a power of ten, and is no longer than
- * another.
+ * Return the greatest length of 1, 2 or 5 times a power of ten that does not exceed a given one.
  * @param {number} most
  * @returns {number}
  */
@@ -66,25 +66,26 @@ export function roundLength(most) {
 }
 
 /**
- * A scale bar: what it stands for, in perspective at the target's depth, and how long it is.
+ * Return the length of a scale bar in world units and in pixels; in perspective it holds at the
+ * target's depth.
  * @param {Pick<Scene, "volume">} scene
  * @param {Pick<Knobs, "distance"|"fov">} values knobs of the view
  * @param {{width: number, height: number}} size of the picture, pixels
- * @returns {{length: number, pixels: number}} in world units
+ * @returns {{length: number, pixels: number}} `length` in world units
  */
 export function scaleBar(scene, { distance, fov }, { width, height }) {
+  // World units per pixel at the target's depth.
   const pixel = (2 * distance * boxOf(scene).radius * Math.tan((fov * DEGREE) / 2)) / height;
   const length = roundLength(pixel * Math.min(LONGEST.pixels, LONGEST.share * width));
   return { length, pixels: length / pixel };
 }
 
 /**
- * The world's axes as the camera sees them, those that point away first.
+ * Return the world's axes as the camera sees them, sorted from back to front.
  * @param {Pick<Scene, "volume">} scene
  * @param {Pick<Knobs, "azimuth"|"elevation">} values knobs of the view
- * @returns {{letter: string, right: number, up: number, out: number}[]} unit vectors; the letters
- *   of a patient's sides
- *   where the volume has them
+ * @returns {{letter: string, right: number, up: number, out: number}[]} unit vectors; their letters
+ *   are sides of a patient if the volume has one
  */
 export function tripod({ volume }, { azimuth, elevation }) {
   const { right, up, out } = cameraAxes(azimuth, elevation);
@@ -95,7 +96,7 @@ export function tripod({ volume }, { azimuth, elevation }) {
 }
 
 /**
- * Scale bar and axes for the lower left corner of a picture.
+ * Return scale bar and axes for the lower left corner of a picture.
  * @param {Pick<Scene, "volume">} scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size of the picture, pixels
@@ -105,6 +106,7 @@ export function rulerShapes(scene, values, size) {
   const { length, pixels } = scaleBar(scene, values, size);
   const [left, right] = [BAR_LEFT, BAR_LEFT + pixels];
   const axes = tripod(scene, values);
+  // In perspective, say at which depth the scale bar holds.
   /** @type {Words[]} */
   const where =
     values.projection === "orthographic"
@@ -142,8 +144,8 @@ export function rulerShapes(scene, values, size) {
 }
 
 /**
- * The legend of a view's colours: those of errors where they are shown, else those by data; null
- * where there are none.
+ * Return the legend of a view's colours: of errors if they are shown, otherwise of data; null if
+ * there are no colours.
  * @param {Pick<Scene, "colours"|"error_scale">} scene
  * @param {Pick<Knobs, "overlay"|"hide">} values knobs of the view
  * @returns {Legend|null}
@@ -169,7 +171,7 @@ export function legendOf({ colours, error_scale: errors }, { overlay, hide }) {
 }
 
 /**
- * A legend for the lower right corner of a picture.
+ * Return a legend for the lower right corner of a picture.
  * @param {Legend} legend
  * @param {{width: number, height: number}} size of the picture, pixels
  * @returns {Shapes}
@@ -195,6 +197,7 @@ export function legendShapes({ bar, labels }, { width, height }) {
       ],
     };
   }
+  // As many labels as the picture has room for; the last row counts the others.
   const most = Math.max(1, Math.floor((height - 2 * INSET) / ROW));
   const seen = labels.length > most ? labels.slice(0, most - 1) : labels;
   const rest = labels.length - seen.length;
@@ -218,7 +221,7 @@ export function legendShapes({ bar, labels }, { width, height }) {
 }
 
 /**
- * Numbers under a bar of errors, a power of ten apart.
+ * Return the numbers below a bar of errors: powers of ten.
  * @param {{low: number, high: number}} scale
  * @returns {string[]}
  */
@@ -229,7 +232,7 @@ export function decades({ low, high }) {
 }
 
 /**
- * The numbers under a bar of colours, from one end to the other.
+ * Return five numbers below a bar of colours, from one end to the other.
  * @param {number} low
  * @param {number} high
  * @returns {string[]}
@@ -240,9 +243,8 @@ export function legendNumbers(low, high) {
 }
 
 /**
- * Keep scale bar and axes up with the picture on the stage and with its size, and with whether they
- * are wanted.
- * @param {SVGElement} root in the lower left corner
+ * Redraw scale bar and axes when the picture on the stage, its size, or the wish for them changes.
+ * @param {SVGElement} root in the lower left corner of the stage
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Seen} shown
@@ -262,8 +264,8 @@ export function attachRulers(root, scene, view, shown) {
 }
 
 /**
- * Keep the letters of a patient's sides at the edges of the picture on the stage; none where the
- * volume is of no patient.
+ * Keep the letters of a patient's sides at the edges of the picture; none if the volume has no
+ * patient.
  * @param {HTMLElement} root holds an element for each side
  * @param {Scene} scene
  * @param {Seen} shown
@@ -278,7 +280,7 @@ export function attachSides(root, scene, shown) {
   draw();
 }
 
-/** @param {Line} line */
+/** Draw a line over a darker one. @param {Line} line */
 function lineOf({ kind, points }) {
   const row = points.map(([x, y]) => `${x.toFixed(2)},${(-y).toFixed(2)}`).join(" ");
   return ["under", "line"].map((each) =>
@@ -286,7 +288,7 @@ function lineOf({ kind, points }) {
   );
 }
 
-/** @param {Words} words */
+/** Draw words. @param {Words} words */
 function wordsOf({ at: [x, y], text, size, middle }) {
   const anchor = {
     "text-anchor": middle ? "middle" : "start",

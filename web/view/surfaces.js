@@ -1,34 +1,34 @@
 /**
- * What a frame's `surfaces` lets pass, `0.4,off`, which labels its `hide` hides, `3,4`, and its
- * `material`, `glass,index=1.3`.
+ * The texts of a frame's parameters `surfaces` (what pinned surfaces let pass, `0.4,off`), `hide`
+ * (labels, `3,4`) and `material` (`glass,index=1.3`).
  */
 
 import { WHITE, hexOf, linear } from "./albedo.js";
 
 /**
- * @typedef {{shown: boolean, clear: number}} Shown a surface: whether it is there, and the share of
- *   rays that passes
+ * @typedef {{shown: boolean, clear: number}} Shown a pinned surface: true if it is shown, and the
+ *   share of rays that passes it
  */
 
 /**
- * @typedef {Pick<import("../documents.js").Label, "value"|"shown">} Known a label of the scene, and
- *   whether that shows it
+ * @typedef {Pick<import("../documents.js").Label, "value"|"shown">} Known a label of the scene;
+ *   true if it is shown by default
  */
 
 /** @typedef {import("../documents.js").Material} Material */
 
-/** @typedef {{material: string, materials: Material[]}} Choice the scene's own material, and all */
+/** @typedef {{material: string, materials: Material[]}} Choice the scene's material, and all */
 
 /**
- * @typedef {{kind: string, numbers: Record<string, number[]>}} Made what a surface is made of, with
- *   all numbers of that
+ * @typedef {{kind: string, numbers: Record<string, number[]>}} Made a material with all of its
+ *   numbers
  */
 
-const HIDDEN = "off";
-const NONE = "none"; // of the labels is hidden
+const HIDDEN = "off"; // state of a hidden surface
+const NONE = "none"; // text that hides no label
 
 /**
- * Whether a text says for each of some surfaces what it lets pass.
+ * Return true if a text gives the state of `count` surfaces.
  * @param {unknown} text
  * @param {number} count of surfaces
  * @returns {text is string}
@@ -43,10 +43,10 @@ export function areSurfaces(text, count) {
 }
 
 /**
- * What a text says of the scene's surfaces; their own where it says nothing. A hidden one keeps its
- * own share.
+ * Read the state of pinned surfaces; the scene's defaults if the text is not valid. A hidden
+ * surface keeps the scene's share.
  * @param {string} text
- * @param {{clear: number}[]} surfaces the scene's
+ * @param {{clear: number}[]} surfaces surfaces of the scene
  * @returns {Shown[]}
  */
 export function readSurfaces(text, surfaces) {
@@ -58,9 +58,9 @@ export function readSurfaces(text, surfaces) {
 }
 
 /**
- * The text that says it; "" where all are as the scene has them.
+ * Write the state of pinned surfaces; "" if it equals the scene's defaults.
  * @param {Shown[]} shown
- * @param {{clear: number}[]} surfaces the scene's
+ * @param {{clear: number}[]} surfaces surfaces of the scene
  * @returns {string}
  */
 export function writeSurfaces(shown, surfaces) {
@@ -69,9 +69,9 @@ export function writeSurfaces(shown, surfaces) {
 }
 
 /**
- * Whether a text says which of some labels are hidden, and leaves one that is shown.
+ * Return true if a text lists labels of the scene, and leaves at least one that is shown.
  * @param {unknown} text
- * @param {Known[]} labels the scene's
+ * @param {Known[]} labels labels of the scene
  * @returns {text is string}
  */
 export function areHidden(text, labels) {
@@ -84,9 +84,10 @@ export function areHidden(text, labels) {
 }
 
 /**
- * The values of the labels that a text hides; those of the scene's own where it says nothing.
+ * Return the values of the labels that a text hides; those that the scene hides if the text is
+ * empty.
  * @param {string} text
- * @param {Known[]} labels the scene's
+ * @param {Known[]} labels labels of the scene
  * @returns {number[]}
  */
 export function readHidden(text, labels) {
@@ -94,9 +95,9 @@ export function readHidden(text, labels) {
 }
 
 /**
- * The text that hides some labels; "" where they are those that the scene hides.
- * @param {number[]} hidden their values
- * @param {Known[]} labels the scene's
+ * Write the labels that are hidden; "" if they equal the scene's defaults.
+ * @param {number[]} hidden values of labels
+ * @param {Known[]} labels labels of the scene
  * @returns {string}
  */
 export function writeHidden(hidden, labels) {
@@ -104,15 +105,16 @@ export function writeHidden(hidden, labels) {
   return [...hidden].sort((a, b) => a - b).join(",") || NONE;
 }
 
-/** @param {string} text */
+/** Read the values of a list. @param {string} text */
 function valuesIn(text) {
   return text === NONE ? [] : text.split(",").map((part) => (part.trim() ? Number(part) : NaN));
 }
 
 /**
- * Whether a text says a material that the scene may be of, and numbers of it.
+ * Return true if a text spells a material that the scene allows, with numbers that the material
+ * has.
  * @param {unknown} text
- * @param {Material[]} materials all of the scene's
+ * @param {Material[]} materials all materials of the scene
  * @returns {text is string}
  */
 export function isMaterial(text, materials) {
@@ -125,8 +127,8 @@ export function isMaterial(text, materials) {
 }
 
 /**
- * What a text says the surface is made of; the scene's own where it says nothing, as do numbers
- * that it leaves out.
+ * Read a material; the scene's material if the text is not valid. Numbers that the text leaves out
+ * take their defaults.
  * @param {string} text
  * @param {Choice} scene
  * @returns {Made}
@@ -137,25 +139,25 @@ export function readMaterial(text, { material, materials }) {
 }
 
 /**
- * The text that says it; "" where it is the scene's own.
+ * Write a material with the numbers that differ from their defaults; "" if it is the scene's
+ * material.
  * @param {Made} made
  * @param {Choice} scene
  * @returns {string}
  */
 export function writeMaterial({ kind, numbers }, { material, materials }) {
-  const own = usual(kind, materials);
+  const defaults = usual(kind, materials);
   const others = Object.entries(numbers).filter(
-    ([name, given]) => spelled(given) !== spelled(own[name] ?? []),
+    ([name, given]) => spelled(given) !== spelled(defaults[name] ?? []),
   );
   if (!others.length && kind === parsed(material).kind) return "";
   return [kind, ...others.map(([name, given]) => `${name}=${spelled(given)}`)].join(",");
 }
 
 /**
- * Knobs that say nothing of a surface of another material than the scene's: what it reflects, and,
- * where light is
- * scattered inside, how that turns.
- * @param {string} text
+ * Return the knobs that have no effect on a surface of another material than the scene's: albedo
+ * and tint, and the light's rotation if light is scattered inside.
+ * @param {string} text spells the material; "" for the scene's
  * @returns {string[]}
  */
 export function idleKnobs(text) {
@@ -166,7 +168,7 @@ export function idleKnobs(text) {
 }
 
 /**
- * The numbers of a material where nothing else is said.
+ * Return the defaults of a material's numbers.
  * @type {(kind: string, materials: Material[]) => Made["numbers"]}
  */
 function usual(kind, materials) {
@@ -174,12 +176,17 @@ function usual(kind, materials) {
   return Object.fromEntries(numbers.map(([name, given]) => [name, [given].flat()]));
 }
 
-/** Three equal numbers are one. @param {number[]} numbers */
+/** Write numbers; three equal ones become one. @param {number[]} numbers */
 function spelled(numbers) {
   return (new Set(numbers).size === 1 ? numbers.slice(0, 1) : numbers).join(",");
 }
 
-/** @param {string} text @returns {Made} */
+/**
+ * Split the text of a material into its kind and its numbers; a part without a name continues the
+ * number before.
+ * @param {string} text
+ * @returns {Made}
+ */
 function parsed(text) {
   const [kind, ...parts] = text.split(",");
   /** @type {Made["numbers"]} */
@@ -194,32 +201,34 @@ function parsed(text) {
   return { kind, numbers };
 }
 
-// so deep light is looked at that e^-DEEP is left of the colour that is absorbed most
+/** Optical depth, in the colour that is absorbed most, at which the tint of a material is seen. */
 const DEEP = 3;
 
 /**
- * The colour of white light that went deep into what absorbs it, as bright as can be; white where
- * all is absorbed alike.
- * @param {number[]} absorption one number, or one for each colour
+ * Return the colour of white light after it passed an absorbing material, as bright as possible;
+ * white if all colours are absorbed equally.
+ * @param {number[]} absorption one number, or one per colour
  * @returns {string}
  */
 export function tintOf(absorption) {
   const [most, least] = [Math.max(...absorption), Math.min(...absorption)];
   const [red, green = red, blue = red] = absorption;
+  // Attenuate white light by Beer and Lambert's law, scaled so that the clearest colour is 1.
   return most > least
     ? hexOf([red, green, blue].map((each) => Math.exp((DEEP * (least - each)) / most)))
     : WHITE;
 }
 
 /**
- * How much of each colour what has this tint absorbs, of what it absorbs most: the inverse of
- * `tintOf`.
+ * Return the absorption of each colour relative to the largest, for a material of this tint: the
+ * inverse of `tintOf`.
  * @param {string} tint
  * @returns {number[]}
  */
 export function absorbedShares(tint) {
   const shares = linear(tint);
   const most = Math.max(...shares);
+  // The optical depth of each colour relative to the brightest, DEEP at most.
   const depths = shares.map((share) => (most > 0 ? Math.min(Math.log(most / share), DEEP) : 0));
   const deepest = Math.max(...depths);
   return depths.map((depth) => 1 - (deepest - depth) / DEEP);

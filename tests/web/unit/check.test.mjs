@@ -140,7 +140,7 @@ test("a card that draws another picture leaves all to the server, which is said"
   card.pixels = flipped(disc((level, x) => (x % 20 < 9 ? 0 : level)));
   await turn();
   assert.equal(live.draws(knobs({})), false);
-  assert.match(said.at(-1), /^The graphics card draws \d+ % of the pixels unlike the server: the server draws\.$/);
+  assert.match(said.at(-1), /^The graphics card draws \d+ % of the pixels differently from the server: the server draws\.$/);
 });
 
 test("a card is not checked before it has the light of the picture", async () => {

@@ -241,7 +241,7 @@ test("a card that is slow leaves all to the server", async () => {
 test("a card that takes no more light leaves all to the server", async () => {
   await ready();
   await see(A);
-  card.lacking = () => { throw new Error("The graphics card takes no more texels."); };
+  card.lacking = () => { throw new Error("The graphics card has no room for more texels."); };
   live.rest(A, { coverage: { provisional: 0.5 } }, []);
   await settled();
   assert.deepEqual([live.draws(A), canvas.hidden, said.at(-1)], [false, true, "lost"]);

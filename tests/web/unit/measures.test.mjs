@@ -3,8 +3,7 @@ import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { sizeRows } from "../../../web/panels/reading.js";
 import { rayThrough } from "../../../web/view/camera.js";
-import { readCrossHair, writeCrossHair } from "../../../web/view/crosshair.js";
-import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, measureInWords, placeInWords, readMeasure, sidesAt, writeMeasure } from "../../../web/view/measures.js";
+import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, measureInWords, placeInWords, readCrossHair, readMeasure, sidesAt, writeCrossHair, writeMeasure } from "../../../web/view/measures.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { legendNumbers, legendOf, legendShapes, roundLength, rulerShapes, scaleBar, tripod } from "../../../web/view/rulers.js";
 import { SCENE, knobs } from "./fixtures.mjs";
@@ -161,7 +160,7 @@ test("axes have the letters of a patient, and the bar the unit", () => {
   const { words, lines } = rulerShapes(HEAD, knobs(), SIZE);
   const { length } = scaleBar(HEAD, knobs(), SIZE);
   assert.deepEqual(words.slice(0, 3).map(({ text }) => text).sort(), ["L", "P", "S"]);
-  assert.deepEqual(words.slice(3).map(({ text }) => text), [`${length} mm`, "at the point turned about"]);
+  assert.deepEqual(words.slice(3).map(({ text }) => text), [`${length} mm`, "at the centre of rotation"]);
   assert.equal(lines.length, 4);
 });
 

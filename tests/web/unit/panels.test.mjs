@@ -333,7 +333,7 @@ test("files that are too large, or too many, are refused before they are sent", 
   assert.equal(of((3 << 20) + 1), "a.nrrd is larger than the 3 MB that an upload may be.");
   assert.equal(of(2 << 20, 1 << 20), "");
   assert.equal(of(2 << 20, 2 << 20), "These 2 files are larger than the 3 MB that an upload may be, together.");
-  assert.equal(of(1, 1, 1), "These are 3 files, and 2 are the most that an upload may be.");
+  assert.equal(of(1, 1, 1), "These are 3 files; an upload may have 2 at most.");
 });
 
 test("what systems leave in folders is not sent", () => {

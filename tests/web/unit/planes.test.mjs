@@ -9,8 +9,9 @@ import { captionOf } from "../../../web/slices/figure.js";
 import { liesOf, lineAcross, partLeft, sliceAt, slopeOf, stepped, voxelAt } from "../../../web/slices/geometry.js";
 import { draggedGreys, wheelSteps } from "../../../web/slices/gestures.js";
 import { valuesOfGreys } from "../../../web/net/bytes.js";
-import { Shelf, pixelsOf, readValues, turned, usualGreys } from "../../../web/slices/values.js";
+import { SliceCache, pixelsOf, turned, usualGreys } from "../../../web/slices/values.js";
 import { draggedBy } from "../../../web/view/handles.js";
+import { readRows } from "../../../web/view/npy.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, planesOf, readPlanes, termOf, writePlanes } from "../../../web/view/planes.js";
 import { SCENE, knobs } from "./fixtures.mjs";
@@ -305,16 +306,16 @@ function npy(kind, numbers, rows) {
 test("values are read from every kind of file that the server sends", () => {
   const kinds = { "|u1": Uint8Array, "<u2": Uint16Array, "<i2": Int16Array, "<f4": Float32Array, "<f8": Float64Array };
   for (const [kind, Kind] of Object.entries(kinds)) {
-    const { values, width, height } = readValues(npy(kind, Kind.from([1, 2, 3, 4, 5, 6]), 2));
+    const { values, width, height } = readRows(npy(kind, Kind.from([1, 2, 3, 4, 5, 6]), 2));
     assert.deepEqual([[...values], width, height], [[1, 2, 3, 4, 5, 6], 3, 2], kind);
   }
-  assert.throws(() => readValues(npy("<c8", Float32Array.from([1, 2]), 1)), TypeError);
+  assert.throws(() => readRows(npy("<c8", Float32Array.from([1, 2]), 1)), TypeError);
 });
 
 test("values of a grey picture are read as those of a file", () => {
   for (const [width, height] of [[3, 2], [1, 7], [123, 45]]) {
     const data = Uint8ClampedArray.from({ length: 4 * width * height }, (_, i) => (i % 4 === 3 ? 255 : (i >> 2) % 256));
-    const found = readValues(valuesOfGreys({ data, width, height }, [10, 61]));
+    const found = readRows(valuesOfGreys({ data, width, height }, [10, 61]));
     assert.deepEqual([found.width, found.height, found.values.length], [width, height, width * height]);
     found.values.forEach((value, i) => assert.ok(Math.abs(value - (10 + 0.2 * (i % 256))) < 1e-5));
   }
@@ -356,18 +357,18 @@ test("at first a few voxels far out are whiter than white", () => {
 
 test("slices that were read are kept until others need the room", async () => {
   const asked = [], [lie] = liesOf("");
-  const shelf = new Shelf(async (axis, at) => {
+  const cache = new SliceCache(async (axis, at) => {
     asked.push(at);
     return at === 7 ? null : npy("<f8", new Float64Array(1 << 21), 1024); // 16 MiB
   });
-  for (const at of [1, 2, 3, 1, 4]) assert.equal((await shelf.find(lie, at)).height, 1024);
+  for (const at of [1, 2, 3, 1, 4]) assert.equal((await cache.find(lie, at)).height, 1024);
   assert.deepEqual(asked, [1, 2, 3, 4]);
-  await shelf.find(lie, 5);
-  await shelf.find(lie, 1);
+  await cache.find(lie, 5);
+  await cache.find(lie, 1);
   assert.deepEqual(asked, [1, 2, 3, 4, 5], "1 was read later than 2");
-  await shelf.find(lie, 2);
+  await cache.find(lie, 2);
   assert.deepEqual(asked, [1, 2, 3, 4, 5, 2]);
-  assert.equal(await shelf.find(lie, 7), null);
+  assert.equal(await cache.find(lie, 7), null);
 });
 
 /** A slice of a field that is known everywhere. */

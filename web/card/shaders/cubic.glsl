@@ -1,10 +1,13 @@
-// The field along a ray through a cell: a cubic, its turning points and its first crossing of 0.
-// Kernel: isogi_core/kernels/tracing/intersect.py. Split at the roots of the slope, bracket, refine.
-const int REFINEMENTS = 12;       // steps of Newton's method at most, which single floats need
-const float CLOSE = 1e-7;         // steps below which it ends
+// The field along a ray through a cell: a cubic in t, its turning points and its first crossing of
+// 0. Kernel: isogi_core/kernels/tracing/intersect.py. The interval is split at the roots of the
+// slope; the first part with a change of sign brackets the crossing, which is then refined.
+const int REFINEMENTS = 12; // Steps of Newton's method at most: single precision needs no more.
+const float CLOSE = 1e-7; // Newton's method ends with a step below this.
 
-// Coefficients (A, B, C, D) of f(t) = A t^3 + B t^2 + C t + D along a + t d in the unit cell; corners by x, then y, z.
+// Coefficients (A, B, C, D) of f(t) = A t^3 + B t^2 + C t + D along a + t d in the unit cell; c
+// holds the values at corners, x first.
 vec4 cubic_along(float c[8], vec3 a, vec3 d) {
+  // Expand the trilinear value into monomials of x, y, z, and insert a + t d.
   float x = c[1] - c[0], y = c[2] - c[0], z = c[4] - c[0];
   float xy = c[3] - c[2] - x, xz = c[5] - c[4] - x, yz = c[6] - c[4] - y;
   float xyz = c[7] - c[6] - c[5] + c[4] - (c[3] - c[2] - c[1] + c[0]);
@@ -18,11 +21,11 @@ vec4 cubic_along(float c[8], vec3 a, vec3 d) {
   return vec4(A, B, C, D);
 }
 
-// The cubic's value at t.
+// The value of the cubic at t.
 float horner(vec4 q, float t) { return ((q.x * t + q.y) * t + q.z) * t + q.w; }
 
-// Where the slope 3A t^2 + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where it does not.
-// The stable quadratic formula: no cancellation, and A = 0 or A = B = 0 fall through.
+// The roots of the slope 3A t^2 + 2B t + C, ascending and clamped to [0, 1]; (1, 1) if it has none.
+// The stable quadratic formula avoids cancellation, and covers A = 0 and A = B = 0 as well.
 vec2 turning_points(vec4 q) {
   float a = 3.0 * q.x, b = q.y, c = q.z, disc = b * b - a * c;
   if (!(disc > 0.0)) return vec2(1.0);
@@ -31,8 +34,8 @@ vec2 turning_points(vec4 q) {
   return vec2(min(r1, r2), max(r1, r2));
 }
 
-// The crossing in [lo, hi], where the cubic is monotone and leaves the side `solid`.
-// Newton's method from the chord's root, kept inside a shrinking bracket.
+// The crossing in [lo, hi], in which the cubic is monotone and leaves the side `solid`. Newton's
+// method starts at the root of the chord, and bisects if a step leaves the bracket.
 float refine(vec4 q, float lo, float hi, bool solid) {
   float first = horner(q, lo), last = horner(q, hi);
   float t = first != last ? lo + (hi - lo) * first / (first - last) : lo;
@@ -49,18 +52,20 @@ float refine(vec4 q, float lo, float hi, bool solid) {
   return t;
 }
 
-// Whether the cubic is above 0 at t = 1, by more than what rounding makes of 0.
+// True if the cubic is above 0 at t = 1 by more than rounding.
 bool ends_solid(vec4 q, float blur) { return q.x + q.y + q.z + q.w > blur; }
 
-// Whether a value lies on the other side than `solid` by more than `blur`.
+// True if f lies on the side opposite to `solid` by more than `blur`.
 bool beyond(float f, bool solid, float blur) { return (solid ? -f : f) > blur; }
 
-// Smallest t in [0, 1] at which the cubic leaves the side `solid`; -1 where it stays. Where it turns within `blur` of 0 it
-// only touches the surface, and stays on its side.
+// The smallest t in [0, 1] at which the cubic leaves the side `solid`; -1 if it never does. A cubic
+// that turns within `blur` of 0 only touches the surface, and keeps its side.
 float first_crossing(vec4 q, bool solid, float blur) {
   bool across = ends_solid(q, blur) != solid;
+  // The curve lies in the hull of its Bezier points: if all agree, there is no crossing.
   float b1 = q.w + q.z / 3.0, b2 = q.w + (2.0 * q.z + q.y) / 3.0;
   if (!across && (b1 > 0.0) == solid && (b2 > 0.0) == solid) return -1.0;
+  // Search the monotone parts between 0, the turning points and 1, in this order.
   vec2 r = turning_points(q);
   float after = r.x > 0.0 ? r.x : 0.0;
   if (r.x > 0.0 && beyond(horner(q, r.x), solid, blur)) return refine(q, 0.0, r.x, solid);

@@ -1,11 +1,13 @@
-// Edges of a picture: where neighbours differ. Kernel: isogi_core/kernels/shading/edges.py.
+// Edges of a picture: pixels that differ from a neighbour. Kernel: isogi_core/kernels/shading/edges.py.
 #include "film.glsl"
-uniform highp sampler2D first;    // linear light of the pixels' middles, and in alpha whether they show the surface
+// Linear light at the middles of pixels; alpha is 1 if the pixel shows the surface.
+uniform highp sampler2D first;
 uniform ivec2 drawn;              // pixels of the picture
 
-const float LEAST = 12.0 / 255.0;    // how much neighbours differ where a pixel counts as at an edge
+const float LEAST = 12.0 / 255.0; // Difference of neighbours, of 1, that makes an edge.
 
-// How much two pixels differ on a screen, of 1; 1 where one of them alone shows the surface.
+// The difference of two pixels as a screen shows them, 0 to 1; 1 if only one of them shows the
+// surface.
 float difference(vec4 one, vec4 other) {
   if (one.a != other.a) return 1.0;
   if (one.a == 0.0) return 0.0;
@@ -13,7 +15,7 @@ float difference(vec4 one, vec4 other) {
   return max(max(apart.r, apart.g), apart.b);
 }
 
-// Whether a pixel differs from one of the eight around it.
+// True if a pixel differs from one of its eight neighbours.
 bool is_edge(ivec2 pixel) {
   vec4 own = texelFetch(first, pixel, 0);
   for (int k = 0; k < 9; k++) {

@@ -1,6 +1,7 @@
-// Values, gradients and the smoothed normal. Kernel: isogi_core/kernels/tracing/field.py.
+// Values, gradients and normals of the trilinear field. Kernel:
+// isogi_core/kernels/tracing/field.py.
 
-// Index of the cell that holds p; the volume's last faces belong to it.
+// Index of the cell that holds p; points on the volume's last faces belong to the last cells.
 ivec3 clamp_cell(vec3 p) { return clamp(ivec3(floor(p)), ivec3(0), size - 2); }
 
 // The eight corner values of cell c.
@@ -30,7 +31,7 @@ vec3 gradient(vec3 p) {
   return vec3(mix(slope.x, slope.y, f.z), mix(lift.x, lift.y, f.z), across.y - across.x);
 }
 
-// The four cubic B-spline weights at fraction f, for voxels -1, 0, 1, 2.
+// The four weights of the cubic B-spline at fraction f, of voxels -1, 0, 1, 2.
 vec4 bspline(float f) {
   float g = 1.0 - f;
   return vec4(g * g * g, 4.0 + f * f * (3.0 * f - 6.0), 4.0 + g * g * (3.0 * g - 6.0), f * f * f) / 6.0;
@@ -42,8 +43,8 @@ vec4 bspline_slope(float f) {
   return vec4(-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f);
 }
 
-// Gradient of the field smoothed with the tricubic B-spline over 4x4x4 voxels; the border's voxels repeat beyond it.
-// Source: S1, section 4.1.1 and figure 5.
+// Gradient of the field smoothed with the tricubic B-spline over 4x4x4 voxels; voxels at the border
+// are repeated beyond it. Source: S1, section 4.1.1 and figure 5.
 vec3 smooth_gradient(vec3 p) {
   ivec3 c = clamp_cell(p), last = size - 1;
   vec3 f = p - vec3(c), sum = vec3(0.0);
@@ -62,14 +63,17 @@ vec3 smooth_gradient(vec3 p) {
   return sum;
 }
 
-// Unit outward normal of a gradient given per voxel step; (0, 0, 0) where it says nothing.
+// Unit outward normal from a gradient per voxel step; (0, 0, 0) if the gradient vanishes or is not
+// finite.
 vec3 to_world_normal(vec3 g) {
   vec3 n = -g / spacing;
+  // Divide by the largest component first: its square may overflow.
   float most = max(max(abs(n.x), abs(n.y)), abs(n.z));
   return most > 0.0 && most < 1e30 ? normalize(n / most) : vec3(0.0);
 }
 
-// Unit outward world normal at p, from the smoothed gradient, else from the cell's; (0, 0, 0) on a plateau.
+// Unit outward world normal at p from the smoothed gradient, or from the plain one if that
+// vanishes; (0, 0, 0) on a plateau.
 vec3 normal(vec3 p) {
   vec3 n = SMOOTH == 1 ? to_world_normal(smooth_gradient(p)) : vec3(0.0);
   return n == vec3(0.0) ? to_world_normal(gradient(p)) : n;

@@ -1,17 +1,21 @@
-// Filters light that converges, a fragment a texel: one of few paths takes over what its neighbours on the surface agree on.
-// Kernel: filter_texels of isogi_core/kernels/shading/filtering.py. Texels without light are not here, and have none.
+// Filters light of texels that still converges, one fragment per texel: a texel of few paths takes
+// over the light that its neighbours on the surface agree on. Kernel: filter_texels of
+// isogi_core/kernels/shading/filtering.py. Texels without light have no record.
 #include "irradiance_ratio.glsl"
 #include "noise.glsl"
-uniform highp usampler2D noises;    // of each record
-uniform highp usampler2D places;    // of each record: the number of its brick, then six bits of its place there; NONE of means
-uniform int apart;                  // texels from one neighbour to the next
+uniform highp usampler2D noises; // The noise of each record, as noise_of packs it.
+// The texel of each record: the number of its brick, then six bits of its place in it; NONE for
+// means of bricks.
+uniform highp usampler2D places;
+uniform int apart; // Texels from one neighbour to the next.
 layout(location = 0) out uvec4 filtered;
 layout(location = 1) out uint noise;
 
-// A texel's light, unshadowed light about its normal, the variance of its luminance, and the logarithm of its samples.
+// A texel's light, the unshadowed light about its normal, the variance of its luminance, and the
+// logarithm of its samples, which is negative if it is not filtered.
 struct Texel { vec3 direct, bare, reflected, normal; float variance, samples; };
 
-// The texel of a record.
+// Unpack the record of a texel.
 Texel texel_of(int number) {
   ivec2 at = ivec2(number % ROW, number / ROW);
   uvec4 record = texelFetch(records, at, 0);
@@ -29,13 +33,15 @@ ivec3 place_of(uint word) {
   return at * BRICK + ivec3(bit & 3, (bit >> 2) & 3, bit >> 4);
 }
 
-// What a texel counts for another by the cosine between their normals: its 16th power, half at 17 degrees.
+// The weight of a texel for another by their normals: the 16th power of the cosine, one half at 17
+// degrees.
 float likeness(vec3 m, vec3 n) {
   float cosine = max(dot(m, n), 0.0), square = cosine * cosine, fourth = square * square;
   return fourth * fourth * (fourth * fourth);
 }
 
-// The records of the lit texels of 3 x 3 x 3 about q, itself among them, and what they count; how many there are.
+// List the records and weights of lit texels among the 3x3x3 about q, q included; return their
+// number.
 int neighbours_of(ivec3 q, vec3 n, out int found[27], out float weights[27]) {
   int count = 0;
   for (int i = 0; i < 27; i++) {
@@ -45,6 +51,7 @@ int neighbours_of(ivec3 q, vec3 n, out int found[27], out float weights[27]) {
     int number = number_of(s, lacks);
     if (lacks) continue;
     Texel each = texel_of(number);
+    // A Gaussian of the distance with a deviation of one step, times the likeness of normals.
     float weight = exp(-0.5 * dot(vec3(way), vec3(way))) * likeness(n, each.normal);
     if (each.samples == 0.0 || weight == 0.0) continue;
     found[count] = number;
@@ -53,7 +60,8 @@ int neighbours_of(ivec3 q, vec3 n, out int found[27], out float weights[27]) {
   return count;
 }
 
-// Neighbours' direct light over unshadowed light, their reflected light, and the variance of both's luminance.
+// Weighted means over neighbours: ratio of direct to unshadowed light, reflected light, and the
+// variance of the luminance of both. Ratios vary less over a curved surface than light does.
 void mean_of(int found[27], float weights[27], int count, out vec3 ratio, out vec3 reflected, out float variance) {
   vec3 direct = vec3(0.0), bare = vec3(0.0);
   float total = DARKEST;
@@ -61,6 +69,7 @@ void mean_of(int found[27], float weights[27], int count, out vec3 ratio, out ve
   variance = 0.0;
   for (int n = 0; n < count; n++) {
     Texel s = texel_of(found[n]);
+    // Weigh by the number of samples, so that noisy neighbours count less.
     float w = weights[n] * exp2(abs(s.samples));
     direct += w * s.direct;
     bare += w * s.bare;
@@ -73,8 +82,8 @@ void mean_of(int found[27], float weights[27], int count, out vec3 ratio, out ve
   variance /= total * total;
 }
 
-// Of neighbours: the variance of their luminance about what is expected, less what noise explains; the noise of all of
-// them; and what they count.
+// Sums over neighbours: squared differences of luminance from the expected light less the part that
+// noise explains, noise, and weights.
 vec3 differences(int found[27], float weights[27], int count, vec3 ratio, vec3 reflected) {
   float apart = 0.0, noise = 0.0, total = DARKEST;
   for (int n = 0; n < count; n++) {
@@ -102,7 +111,10 @@ void main() {
   float variance;
   mean_of(found, weights, count, ratio, around, variance);
   vec3 sums = differences(found, weights, count, ratio, around);
+  // Mix as a Wiener filter does: keep the share of the texel's light that true differences have in
+  // all differences.
   float own = sums.x / max(sums.x + sums.y, DARKEST);
+  // The variance that is left, for the next pass: of the texel's part, and of the mean's.
   float left = own * (sums.y / sums.z) + (1.0 - own) * (1.0 - own) * variance;
   filtered = record_of(mix(ratio * t.bare, t.direct, own), mix(around, t.reflected, own), filtered.w);
   noise = noise_of(left, t.samples);

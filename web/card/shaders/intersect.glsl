@@ -1,33 +1,38 @@
-// Rays against the isosurface of the trilinear field.
-// Kernels: isogi_core/kernels/tracing/intersect.py (rules), slabs.py (boxes), traversal.py (skipping). Four rules keep the
-// surface closed: solid is value > isovalue; a cell whose corners agree has no surface; the side on which a ray leaves a
-// cell is the side on which it enters the next; a ray that starts on its own surface is given its side.
+// Rays against the isosurface of the trilinear field. Kernels:
+// isogi_core/kernels/tracing/intersect.py (rules), slabs.py (boxes), traversal.py (skipping).
+//
+// Four rules keep the surface closed: solid means value > isovalue; a cell whose corners agree has
+// no surface; the side on which a ray leaves a cell is the side on which it enters the next; a ray
+// that starts on a surface is given its side.
 #include "volume.glsl"
 #include "cubic.glsl"
 
 const float OUTSIDE = 1.0, SOLID = -1.0, UNKNOWN = 0.0;
 const float MISS = -1.0;
-const float SKIN = 2e-5;     // voxels that a ray of unknown side may begin behind the surface and still be outside
-const float BLUR = 5e-7;     // rounding of a cubic's values, over the largest corner value
-const int STEPS = 2048;      // of a ray at most: no ray of a volume of 512 cells a side needs more
+// Voxels behind the surface at which a ray of unknown side may begin and still count as outside.
+const float SKIN = 2e-5;
+const float BLUR = 5e-7; // Rounding of a cubic's values, relative to the largest corner value.
+// Cells or skips of a ray at most: a volume of 512 cells a side needs no more.
+const int STEPS = 2048;
 
 struct Ray { vec3 o, d, inv; };
 
-// A ray whose direction has no component that vanishes.
+// A ray with the inverse of its direction; components that vanish are replaced by tiny ones.
 Ray ray_of(vec3 o, vec3 d) {
   vec3 safe = mix(d, vec3(1e-20), lessThan(abs(d), vec3(1e-20)));
   return Ray(o, d, 1.0 / safe);
 }
 
-// Part (near, far) of the ray, t >= 0, inside the volume's box; empty where near > far.
+// The part (near, far) of the ray, t >= 0, inside the volume's box; empty if near > far.
 vec2 clip_box(Ray ray) {
   vec3 a = -ray.o * ray.inv, b = (vec3(size - 1) - ray.o) * ray.inv;
   vec3 first = min(a, b), last = max(a, b);
   return vec2(max(max(max(first.x, first.y), first.z), 0.0), min(min(last.x, last.y), last.z));
 }
 
-// Where the ray leaves [low, low + edge): its t; c becomes the next cell. Faces decide, and no rounded place: `left` says
-// of which axes.
+// The t at which the ray leaves the cube [low, low + edge); c becomes the next cell. The cell
+// across an exit face follows from the face, never from a rounded point; `left` marks the axes of
+// exit faces.
 float leave(Ray ray, ivec3 low, int edge, inout ivec3 c, out bvec3 left) {
   ivec3 ahead = ivec3(step(0.0, ray.d)), high = low + edge - 1;
   vec3 t = (vec3(low + ahead * edge) - ray.o) * ray.inv;
@@ -38,15 +43,17 @@ float leave(Ray ray, ivec3 low, int edge, inout ivec3 c, out bvec3 left) {
   return nearest;
 }
 
-// The side of voxel c; UNKNOWN where it has no value.
+// The side of voxel c; UNKNOWN if it has no value.
 float side_of(ivec3 c) {
   float v = voxel(c);
   return v < HOLE ? UNKNOWN : v > isovalue ? SOLID : OUTSIDE;
 }
 
-// First crossing in cell c between t = near and far: its t, or MISS; `side` becomes that at the exit.
-// The ray has entered by faces across some axes, and left by others: there its places are on these, without rounding.
+// The first crossing in cell c between t = near and far, or MISS; `side` becomes the side at the
+// exit. `entered` and `left` mark the axes of the faces that the ray enters and leaves through:
+// there its local coordinates are set to the face, without rounding.
 float cross_cell(Ray ray, ivec3 c, float near, float far, bvec3 entered, bvec3 left, inout float side) {
+  // Read the corners; a cell with a hole has no surface, and the side behind it is unknown.
   float corners[8], least = 0.0, largest = 0.0;
   for (int k = 0; k < 8; k++) {
     float v = voxel(c + ivec3(k & 1, (k >> 1) & 1, k >> 2));
@@ -60,9 +67,12 @@ float cross_cell(Ray ray, ivec3 c, float near, float far, bvec3 entered, bvec3 l
   }
   float span = far - near;
   vec3 ahead = step(0.0, ray.d), local = ray.o - vec3(c);
+  // Restrict the field to the ray: a cubic on t = 0 to 1 between entry and exit.
   vec3 a = mix(clamp(local + near * ray.d, 0.0, 1.0), 1.0 - ahead, entered);
   vec3 b = mix(clamp(local + far * ray.d, 0.0, 1.0), ahead, left);
   vec4 q = cubic_along(corners, a, b - a);
+  // Choose the side of a ray that starts here: solid, unless the start lies less than SKIN behind
+  // the surface.
   if (side == UNKNOWN) {
     float through = span * max(max(abs(ray.d.x), abs(ray.d.y)), abs(ray.d.z));
     side = q.w * through > SKIN * abs(q.z) ? SOLID : OUTSIDE;
@@ -73,9 +83,11 @@ float cross_cell(Ray ray, ivec3 c, float near, float far, bvec3 entered, bvec3 l
   return MISS;
 }
 
-// First crossing of the isosurface by the ray o + t d, 0 <= t: its t, or MISS. `side` is where the start is known.
-// Kernel: cast, which is a word that GLSL keeps for itself.
-// Places are counted from where the ray enters the box, as single floats hold those near 0 best.
+// The first crossing of the isosurface by the ray o + t d, t >= 0, or MISS. `side` is the side of
+// the start. Kernel: cast, a word that GLSL reserves.
+//
+// Places are counted from the point at which the ray enters the box, as single precision is finest
+// near 0.
 float cast_ray(vec3 o, vec3 d, float side) {
   Ray ray = ray_of(o, d);
   vec2 part = clip_box(ray);
@@ -86,6 +98,7 @@ float cast_ray(vec3 o, vec3 d, float side) {
   ivec3 last = size - 2, c = clamp(ivec3(floor(ray.o)), ivec3(0), last);
   bool asked = side == UNKNOWN;
   bvec3 entered = bvec3(false), left;
+  // Walk from cell to cell, and skip cubes of idle cells.
   for (int i = 0; i < STEPS; i++) {
     ivec3 here = c, low;
     int edge;
@@ -96,11 +109,13 @@ float cast_ray(vec3 o, vec3 d, float side) {
       left = bvec3(false);
     }
     if (marked && end > t) {
+      // An active cell: look for a crossing.
       float hit = cross_cell(ray, here, t, end, entered, left, side);
       if (hit >= 0.0) return part.x + hit;
     } else if (!marked && asked) {
       float agreed = side_of(here);
-      if (agreed != UNKNOWN && side == -agreed) return part.x + t;    // a surface lost at the face before
+      // An idle cell has one side: if it is the other one, rounding lost a surface at the face.
+      if (agreed != UNKNOWN && side == -agreed) return part.x + t;
       side = agreed;
     }
     asked = marked || side == UNKNOWN;

@@ -1,37 +1,46 @@
-// The light of texels carried to a point: irradiance ratios between the eight texels about it, or their light as it is.
-// Kernels: isogi_core/kernels/shading/irradiance_ratio.py and lattice.py; layout: web/card/texels.js.
+// Light of texels interpolated to a point: irradiance ratios of the eight texels around it, or
+// their light as it is. Kernels: isogi_core/kernels/shading/irradiance_ratio.py and lattice.py;
+// layout: web/card/texels.js.
 #include "bricks.glsl"
-uniform highp usampler3D bricks;    // of 4x4x4 texels: which are there (64 bits), and the number of the first record
-uniform highp usampler2D records;   // ROW in a row: direct and reflected light as halves, and the word of the normal
+// Per brick of 4x4x4 texels: 64 bits of texels that are present, the number of the first record,
+// and a distance.
+uniform highp usampler3D bricks;
+// ROW in a row: direct and reflected light as halves, and the word of the normal.
+uniform highp usampler2D records;
 uniform ivec3 lattice;              // texels along x, y, z
 uniform vec3 density;               // texels per voxel
 uniform vec3 quadric[9];            // unshadowed light over 1, y, z, x, xy, yz, z^2, xz, x^2 - y^2
-uniform vec3 least;                 // what unshadowed light is taken to be at least
+uniform vec3 least; // Lower bound of unshadowed light.
 
-const float LEAST_COSINE = 1e-3;    // that weights count with at least: where all face away, all count
-const float TURNED = 0.1055;        // 1 - cosine, of 27 degrees, at which weights have fallen to a fifth
-const float DARKEST = 1e-30;
-const uint BURIED = 0x80008001u, VOID = 0x80008002u, FLAT = 0x80008003u;    // words that no normal has
+const float LEAST_COSINE = 1e-3; // Least cosine in weights: if all texels face away, all count.
+const float TURNED = 0.1055; // 1 - cosine, of 27 degrees, at which weights have fallen to a fifth.
+const float DARKEST = 1e-30; // Least divisor of ratios.
+// Words that no normal has.
+const uint BURIED = 0x80008001u, VOID = 0x80008002u, FLAT = 0x80008003u;
 const uint NONE = 0xffffffffu;      // number of no record
 
-// Irradiance over pi of what nothing shadows about the unit normal n. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
+// Irradiance over pi that arrives without shadows about the unit normal n. Source: Ramamoorthi and
+// Hanrahan 2001, eqs. 11 to 13.
 vec3 unshadowed_by(vec3 q[9], vec3 n) {
   vec3 light = q[0] + n.y * q[1] + n.z * q[2] + n.x * q[3];
   light += n.x * n.y * q[4] + n.y * n.z * q[5] + n.z * n.z * q[6] + n.x * n.z * q[7];
   return max(light + (n.x * n.x - n.y * n.y) * q[8], least);
 }
 
+// Irradiance over pi of the current light without shadows.
 vec3 unshadowed_light(vec3 n) { return unshadowed_by(quadric, n); }
 
-// Bits that are set in a word: sums of pairs of bits, then of fours, of bytes, and of all.
+// Number of bits that are set in a word: sums of pairs of bits, then of fours, of bytes, and of
+// all.
 int ones(uint word) {
   uint pairs = word - ((word >> 1) & 0x55555555u);
   uint fours = (pairs & 0x33333333u) + ((pairs >> 2) & 0x33333333u);
   return int((((fours + (fours >> 4)) & 0x0f0f0f0fu) * 0x01010101u) >> 24);
 }
 
-// The unit vector of a word of two 16-bit octahedral coordinates; (0, 0, 0) of FLAT.
-// Source: Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 3(2), 2014.
+// The unit vector of a word with two 16-bit octahedral coordinates; (0, 0, 0) for FLAT. Source:
+// Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 3(2),
+// 2014.
 vec3 octahedral(uint word) {
   if (word == FLAT) return vec3(0.0);
   vec2 e = unpackSnorm2x16(word);
@@ -41,28 +50,32 @@ vec3 octahedral(uint word) {
   return normalize(v);
 }
 
-// The number of the record of texel q: its own where it is there, else of its brick's mean, or NONE; whether it lacks.
+// The number of the record of texel q: its record if it is present, otherwise that of a nearby
+// brick's mean, or -1. `lacks` tells that it is not present.
 int number_of(ivec3 q, out bool lacks) {
   uvec4 brick = texelFetch(bricks, q >> 2, 0);
   int bit = bit_of(q), all = ones(brick.x) + ones(brick.y);
   uint word = half_of(brick.xy, bit), own = 1u << (bit & 31);
   lacks = (word & own) == 0u;
+  // Records follow the bits: count the bits that are set before this one. The mean comes after all
+  // of them.
   int below = ones(word & (own - 1u)) + (bit < 32 ? 0 : ones(brick.x));
   return brick.z == NONE ? -1 : int(brick.z) + (lacks ? all : below);
 }
 
-// What a texel of normal m counts at a point of normal n, by the cosine c between them: (c / (1 + (1 - c) / TURNED))^2.
+// The weight of a texel with normal m at a point with normal n: (c / (1 + (1 - c) / TURNED))^2 for
+// the cosine c between them.
 float agree(vec3 m, vec3 n) {
   float cosine = dot(n, m), weight = max(cosine, LEAST_COSINE) / (1.0 + (1.0 - cosine) / TURNED);
   return weight * weight;
 }
 
-uniform vec3 albedo;    // what is shown, over that which light was folded for
+uniform vec3 albedo; // Albedo that is shown, relative to the one that light was folded for.
 
-// Sums over the texels about a point, as blend_records of the kernel has them.
+// Sums over the texels about a point, as in blend_records of the kernel.
 struct Blend { vec3 direct, unshadowed, reflected; float weight, buried, lacking; };
 
-// Add a texel's record, of weight w, for a point of normal n.
+// Add the record of a texel with trilinear weight w, for a point with normal n.
 void add_record(inout Blend sums, uvec4 record, float w, vec3 n) {
   if (record.w == BURIED) sums.buried += w;
   if (record.w == BURIED || record.w == VOID) return;
@@ -75,8 +88,11 @@ void add_record(inout Blend sums, uvec4 record, float w, vec3 n) {
   sums.weight += w;
 }
 
-// Light at p of normal n, in the plan's unit, before it meets the surface in its other albedo. `lacking` is how much of it is of texels that are not there yet.
-// Weights are trilinear (S1, section 4.2); ratios are to unshadowed light, which stands in where nothing is known.
+// Light at p with normal n, in the plan's unit, before it is reflected with the albedo that is
+// shown. `lacking` is the share of it that belongs to texels that are not present.
+//
+// Weights are trilinear (S1, section 4.2). Ratios are relative to unshadowed light, which also
+// stands in for unknown light.
 vec3 texel_light(vec3 p, vec3 n, out float lacking) {
   vec3 q = p * density, under = unshadowed_light(n);
   ivec3 base = clamp(ivec3(floor(q)), ivec3(0), lattice - 2);
@@ -98,7 +114,8 @@ vec3 texel_light(vec3 p, vec3 n, out float lacking) {
     }
   }
   lacking = sums.lacking;
-  sums.reflected *= albedo;    // paths that came by one more hit, to first order
+  sums.reflected *= albedo; // Reflected light has met one surface more: correct it to first order.
+  // No texel counts: points between buried texels are dark, others get unshadowed light.
   if (!(sums.weight > 0.0)) return sums.buried > 0.0 ? vec3(0.0) : under;
   if (RATIOS == 0) return (sums.direct + sums.reflected) / sums.weight;
   return sums.direct / max(sums.unshadowed, DARKEST) * under + sums.reflected / sums.weight;

@@ -1,32 +1,36 @@
-// Light straight from lobes: small far lights, each seen along shadow rays. Kernel: isogi_core/kernels/shading/lobes.py.
-uniform vec3 towards[LOBES + 1];    // unit, in the box
-uniform vec3 east[LOBES + 1];       // radii of a lobe's disc, as long as the sine of its half angle
+// Direct light of lobes: small distant lights, each sampled by shadow rays. Kernel:
+// isogi_core/kernels/shading/lobes.py.
+uniform vec3 towards[LOBES + 1]; // Unit vectors to the middles, in the box.
+uniform vec3 east[LOBES + 1]; // Radii of a lobe's disc, as long as the sine of its half angle.
 uniform vec3 north[LOBES + 1];
-uniform vec3 shine[LOBES + 1];      // light of a cosine of 1
-uniform vec2 place;                 // of this picture's rays on all discs, in radii; (0, 0) is the middle
-uniform bool resting;               // whether the rays of this picture are one sample of many, all over the discs
-uniform float offset;               // voxels along the normal from which rays start
+uniform vec3 shine[LOBES + 1]; // Light at a cosine of 1.
+// Point of all discs that this sample's rays go to, in radii; (0, 0) is the middle.
+uniform vec2 place;
+uniform bool resting; // True if this picture is one sample of many, spread over the discs.
+uniform float offset; // Voxels along the normal from the surface to the origin of rays.
 
 const float PI = 3.14159265358979;
-const float SHARP = 0.00436331;     // sine of a quarter of a degree: lobes up to there are seen along one ray
+const float SHARP = 0.00436331; // Sine of a quarter of a degree: smaller lobes are points.
 
-// Where a ray starts that leaves the surface at p; p itself where that place is solid, in a crease or in noise.
-// Kernel: launch of isogi_core/kernels/transport/integrator.py.
+// Origin of a ray that leaves the surface at p: offset along the normal, or p itself if the offset
+// point is solid, in a crease or in noise. Kernel: launch of
+// isogi_core/kernels/transport/integrator.py.
 vec3 launch(vec3 p, vec3 n) {
   vec3 rise = n / spacing, start = p + offset * rise / length(rise);
   bool within = all(greaterThanEqual(start, vec3(0.0))) && all(lessThanEqual(start, vec3(size - 1)));
   return within && value(start) > isovalue ? p : start;
 }
 
-// E of a lobe whose half angle has the sine s over that from straight above, where only the horizon hides it:
-// the mean cosine over a flat disc of radius s, what is below the horizon being 0.
+// E of a lobe whose half angle has the sine s, relative to that from straight above, if only the
+// horizon hides it: the mean cosine over a flat disc of radius s, with 0 below the horizon.
 float irradiance(float cosine, float s) {
   if (cosine >= s) return cosine;
   float x = max(cosine / s, -1.0), root = sqrt(1.0 - x * x);
   return s / PI * (x * (0.5 * PI + x * root + asin(x)) + 2.0 / 3.0 * root * root * root);
 }
 
-// The way to the middle of what of lobe k is above the horizon of n, and what it brings where it is free.
+// Direction to the middle of the part of lobe k above the horizon of n, and the light that it
+// brings unless something blocks it.
 vec3 way_to_middle(int k, vec3 n, out float brought) {
   float cosine = dot(n, towards[k]), s = length(east[k]);
   if (s <= SHARP) s = 0.0;
@@ -34,7 +38,8 @@ vec3 way_to_middle(int k, vec3 n, out float brought) {
   return towards[k] + 0.5 * max(s - cosine, 0.0) * n;
 }
 
-// The way to a place of lobe k's disc, and what it brings where it is free: a part of the mean over all places.
+// Direction to the sampled point of lobe k's disc, and the light that it brings unless something
+// blocks it: a sample of the mean over the disc.
 vec3 way_to_disc(int k, vec3 n, out float brought) {
   vec3 across = place.x * east[k] + place.y * north[k];
   float up = sqrt(max(1.0 - dot(across, across), 0.0));
@@ -43,7 +48,7 @@ vec3 way_to_disc(int k, vec3 n, out float brought) {
   return w;
 }
 
-// E / pi straight from all lobes at p of normal n.
+// E / pi from all lobes at p with normal n.
 vec3 lobe_light(vec3 p, vec3 n) {
   vec3 start = launch(p, n), light = vec3(0.0);
   for (int k = 0; k < LOBES; k++) {

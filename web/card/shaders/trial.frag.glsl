@@ -1,5 +1,5 @@
-// A small picture that says how quickly a card reads: in each pixel as many voxels as a picture of a surface reads there,
-// each at a place that follows from the one before, as rays have it.
+// A small picture that times how quickly a card reads: each pixel reads as many voxels as a pixel
+// of a surface does, each at a place that depends on the one before, as along rays.
 uniform highp usampler3D voxels;    // EDGE a side
 out vec4 sampled;
 
