@@ -31,7 +31,9 @@ MODULE_IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MU
 
 IMPORT = re.compile(r'^import (\{[^}]*\}) from "(\.[^"]+)";\n', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?(?:class|const|function)\b\*? ?(\w+))", re.MULTILINE)
-BLOCK_COMMENT = re.compile(r"^[ \t]*/\*\*(?:[^*]|\*(?!/))*\*/[ \t]*\n", re.MULTILINE)
+COMMENT = re.compile(
+    r"^[ \t]*/\*\*(?:[^*]|\*(?!/))*\*/[ \t]*\n|^[ \t]*//[^\n]*\n", re.MULTILINE
+)
 STYLE_LINK = re.compile(r'^ *<link rel="stylesheet" href="web/([^"]+)">\n', re.MULTILINE)
 SCRIPT = re.compile(r'(?<=<script type="module" src=")web/[^"]+')
 
@@ -177,7 +179,7 @@ def wrapped(name: str) -> str:
         return f"const {taken} = {constant_of(joined_path(folder, found[2]))};\n"
 
     # Imports become destructured constants; exports become members of the returned object.
-    text = IMPORT.sub(constant, BLOCK_COMMENT.sub("", text))
+    text = IMPORT.sub(constant, COMMENT.sub("", text))
     text = text.replace("import.meta.url", f'new URL("{name}", import.meta.url).href')
     names = ", ".join(EXPORT.findall(text))
     body = EXPORT.sub("", text)
