@@ -98,6 +98,8 @@ class LightWriter:
 
     def write(self) -> None:
         """Begin to write all light."""
+        if time.monotonic() < self._retry:
+            return
         for kept in list(self._kept.values()):
             self._write(kept, kept.light.unwritten())
 
@@ -184,8 +186,10 @@ class LightWriter:
     def _pause(self, reason: str) -> None:
         """Write nothing for a while, as the store takes none.
 
-        Each further failure doubles the wait.
+        Each further failure doubles the wait; chunks of one task fail together, and count once.
         """
+        if time.monotonic() < self._retry:
+            return
         if not self.reason:
             self._wait = SHORTEST_RETRY
             log.error("light waits in memory for the store: %s", reason)

@@ -433,8 +433,8 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
     counts = sorted(census.counts.values(), key=lambda count: count.files.used)
     if any(math.isnan(count.files.used) for count in counts):
         raise StoreError(
-            "This store does not know when its objects were written: name the scene whose "
-            "light is to be deleted."
+            "This store does not know when its objects were written, so none can be chosen by age: "
+            "delete the folders of single layers, which `isogi store stats` lists."
         )
     wanted = choose_layers([count for count in counts if is_of_scene(count, rule.scene)], rule, now)
     # A bake that is going on would write its light again: leave its layers.

@@ -126,9 +126,9 @@ class ViewChecks(Refinement[PictureCheck]):
         """
         check = self.held(frame.view, target)
         if check and check.ahead is not None:
-            growing = 0.0
-            if check.growing:
-                growing = check.growing.left
+            # Another thread may end the growth meanwhile: read it once.
+            growth = check.growing
+            growing = growth.left if growth else 0.0
             ahead = check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
         if frame.quality.target is None or frame.quality.lacking is None:

@@ -168,7 +168,7 @@ class Backend(Protocol):
 FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 READ_ONLY_ERRNOS = (errno.EACCES, errno.EPERM, errno.EROFS)
 
-WRITING_VERBS = ("write", "make", "delete")
+WRITING_VERBS = ("write", "make", "delete", "move")
 """First words of the actions whose refusal means that the store is read-only."""
 
 

@@ -288,20 +288,19 @@ async def resume(service: Service) -> None:
     """
     await service.startup.lit.wait()
     ages = RecordAges()
-    if service.startup.failure:
-        held = []
-    else:
+    held: list[RecordDocument] | None = []
+    if not service.startup.failure:
         held = await resume_abandoned(service, ages)
     # From now on an unknown job is unknown, and not still to come.
     service.resumed.set()
-    while held:
+    while held is None or held:
         await asyncio.sleep(BEAT)
         held = await resume_abandoned(service, ages)
 
 
-async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDocument]:
+async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDocument] | None:
     """Start the prewarms that no process works on; return the others, which another server has,
-    or for which there was no room.
+    or for which there was no room. None if the store did not answer: ask again.
     """
     try:
         found = await asyncio.to_thread(
@@ -312,8 +311,8 @@ async def resume_abandoned(service: Service, ages: RecordAges) -> list[RecordDoc
             ]
         )
     except StoreError as error:
-        log.warning("Stopped prewarms are not resumed: %s", error)
-        return []
+        log.warning("Stopped prewarms are not resumed yet: %s", error)
+        return None
     # A prewarm is free if its process has ended, or has not written its record for a LEASE.
     free = {document.id for document in found if ages.of(document) > LEASE or document.left}
     return [

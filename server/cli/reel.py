@@ -95,7 +95,12 @@ class Reel:
         self.facts: dict[str, dict[str, Any]] = {}
         self._written = -math.inf
         if self._list.exists():
-            kept = json.loads(self._list.read_text(encoding="utf-8"))
+            try:
+                kept = json.loads(self._list.read_text(encoding="utf-8"))
+            except ValueError as error:
+                raise ViewError(
+                    f"{self._list} is damaged: delete that file, and its pictures are drawn again."
+                ) from error
             if kept["asked"] != self._digest:
                 raise ViewError(
                     f"{folder} holds pictures of something else: name another one, or delete "

@@ -124,9 +124,16 @@ export class Drawing {
   isReady({ lambert }) {
     if (!lambert || this.local) return true;
     if (!this.compiling)
-      this.programs.makeLocal().then((program) => {
-        this.local = program;
-      });
+      this.programs.makeLocal().then(
+        (program) => {
+          this.local = program;
+        },
+        (error) => {
+          // The server draws this shading meanwhile; the next view tries again.
+          console.warn("The graphics card compiles no local shading:", error);
+          this.compiling = false;
+        },
+      );
     this.compiling = true;
     return false;
   }

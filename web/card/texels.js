@@ -144,7 +144,10 @@ export class Texels {
   #append(blocks, lightKey, quadric) {
     // A chunk has one block: drop older versions, so that the table never points at stale records.
     const fresh = new Set(blocks.map((block) => block.at));
-    for (const run of this.runs) run.blocks = run.blocks.filter((block) => !fresh.has(block.at));
+    for (const run of this.runs) {
+      run.blocks = run.blocks.filter((block) => !fresh.has(block.at));
+      for (const at of fresh) run.raw.delete(at);
+    }
     const run = {
       blocks,
       row: this.rows,
@@ -169,10 +172,10 @@ export class Texels {
     this.runs = joinedRuns(youngest(this.runs, this.most));
     const { gl } = this;
     const rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
-    for (const old of this.#ofRows) gl.deleteTexture(old.id);
     // Allocate some spare rows; 16 keeps small scenes from growing at each answer.
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
     if (rows > height) throw new Error("The graphics card has no room for more texels.");
+    for (const old of this.#ofRows) gl.deleteTexture(old.id);
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
     // Keep raw transfer only if all of its layers fit the budget; else the server folds each light.

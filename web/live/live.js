@@ -232,6 +232,8 @@ export class Live {
       this.#loaded = null;
       this.#known.clear();
       await card.load(facts, slabs);
+      // The card holds the other scene by now if one was prepared meanwhile.
+      if (this.#preparing !== key) return;
       this.#isChecked = false;
 
       // Light is requested with the parameters of this view; transfer belongs to no rotation.

@@ -89,7 +89,8 @@ class PictureCheck:
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
+        growth = self.growing  # another thread may end it meanwhile
+        return self.known.nbytes + (growth.nbytes if growth else 0)
 
     def is_shown(self, frame: Frame) -> bool:
         """Return True if a ``frame`` was drawn with the controls and the rung that are known

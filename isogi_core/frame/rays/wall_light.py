@@ -65,8 +65,9 @@ class WallLight:
         size = self.texels.nbytes
         if not self.texels.fine:
             size *= (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
-        if self.interpolated:
-            size += self.interpolated.nbytes
+        interpolated = self.interpolated  # another thread may drop it meanwhile
+        if interpolated:
+            size += interpolated.nbytes
         return size
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
