@@ -27,6 +27,12 @@ UNKNOWN_SCHEDULER = (
 UPLOADS_MB = 2048
 """Megabytes that uploads may take by default, where no other machine reaches the server."""
 
+ANSWER_PIXELS = 1 << 22
+COMMAND_PIXELS = 1 << 24
+"""Most pixels in one picture by default, in answers of a server and in commands: each takes up to
+150 bytes of memory while it is drawn.
+"""
+
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or with commas between them."""
@@ -161,7 +167,14 @@ class Settings(BaseSettings):
         "X-Forwarded-Proto are believed,"
         " comma-separated; default: none.",
     )
-    max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
+    max_pixels: int | None = Field(
+        None,
+        ge=1,
+        description=(
+            "Most pixels in one picture; default: 4194304 in answers of a server, 16777216 in "
+            "commands."
+        ),
+    )
     max_paths: int = Field(
         2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
     )
@@ -385,6 +398,16 @@ class Settings(BaseSettings):
         if self.hand_out_voxels is None:
             return not self.bearers
         return self.hand_out_voxels
+
+    @property
+    def most_pixels(self) -> int:
+        """Most pixels in one picture."""
+        return self.max_pixels or COMMAND_PIXELS
+
+    @property
+    def answering(self) -> Self:
+        """These settings where a server answers: pictures of many clients are in memory there."""
+        return self.model_copy(update={"max_pixels": self.max_pixels or ANSWER_PIXELS})
 
     def trusts(self, host: str) -> bool:
         """Whether a connection from this address is a proxy's, whose headers name the client."""

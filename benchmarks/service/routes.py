@@ -42,8 +42,15 @@ MOST_MIB = 1500.0
 """Memory that the server may have with requests of one route at work."""
 
 SCENE = "/v1/scenes/{scene}"
-LARGEST = "width=4096&height=4096"
+LARGEST = "width=2048&height=2048"
+LONGEST = "width=16383&height=256"
+MIDDLE = "width=1024&height=1024"
 ANYWHERE = "azimuth={turn}"
+NEAR = f"distance=0.9&{ANYWHERE}"
+"""Pictures: the largest, one as long, the largest of which several are drawn at once; from any
+side, and from so near that every pixel shows the surface.
+"""
+
 COSTLIEST: dict[str, tuple[str, ...]] = {
     "/livez": ("",),
     "/readyz": ("",),
@@ -54,20 +61,23 @@ COSTLIEST: dict[str, tuple[str, ...]] = {
     f"{SCENE}/sky": ("?width=512&environment=studio",),
     f"{SCENE}/frame": (
         f"?{LARGEST}&f=npy&{ANYWHERE}",
-        f"?{LARGEST}&f=png&antialias=on&{ANYWHERE}",
-        f"?width=16383&height=1024&f=webp&shading=lambert_shadow&{ANYWHERE}",
-        f"?{LARGEST}&f=npy&shading=path_traced&samples=4&{ANYWHERE}",
-        f"?width=1448&height=1448&f=npy&shading=path_traced&samples=32&{ANYWHERE}",
+        f"?{LARGEST}&f=npy&{NEAR}",
+        f"?{LARGEST}&f=png&antialias=on&{NEAR}",
+        f"?{MIDDLE}&f=npy&{NEAR}",
+        f"?{MIDDLE}&f=png&antialias=on&{NEAR}",
+        f"?{LONGEST}&f=webp&shading=lambert_shadow&{ANYWHERE}",
+        f"?{LARGEST}&f=npy&shading=path_traced&samples=16&{NEAR}",
+        f"?{MIDDLE}&f=npy&shading=path_traced&samples=64&{NEAR}",
     ),
-    f"{SCENE}/coverage": (f"?{LARGEST}&{ANYWHERE}",),
+    f"{SCENE}/coverage": (f"?{LARGEST}&{NEAR}",),
     f"{SCENE}/fit": (f"?width=1&height=16383&{ANYWHERE}", f"?{LARGEST}&{ANYWHERE}"),
-    f"{SCENE}/point": (f"?{LARGEST}&x=2048&y=2048&{ANYWHERE}",),
+    f"{SCENE}/point": (f"?{LARGEST}&x=1024&y=1024&{ANYWHERE}",),
     f"{SCENE}/size": ("?cut=x>{cut}",),
     f"{SCENE}/slice": ("?axis=x&at={cut}&f=npy", "?axis=x&at={cut}"),
-    f"{SCENE}/events": (f"?{LARGEST}&{ANYWHERE}",),
+    f"{SCENE}/events": (f"?{LARGEST}&{NEAR}", f"?{MIDDLE}&{NEAR}"),
     f"{SCENE}/card": (f"?{LARGEST}&cut=x>{{cut}}",),
     f"{SCENE}/card/volume/{{layers}}": ("?cut=x>{cut}",),
-    f"{SCENE}/card/chunks": (f"?{LARGEST}&{ANYWHERE}", f"?width=16383&height=1024&{ANYWHERE}"),
+    f"{SCENE}/card/chunks": (f"?{LARGEST}&{NEAR}", f"?{LONGEST}&{ANYWHERE}"),
     f"{SCENE}/card/light/{{chunks}}": ("?yaw={turn}",),
     f"{SCENE}/card/transfer/{{chunks}}": ("?cut=x>{cut}",),
     f"{SCENE}/prewarm": ("",),

@@ -225,6 +225,42 @@ def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
     return Sight(NO_WALLS if walls is None else walls, planes)
 
 
+class Hits:
+    """What rays of a picture meet, tile by tile: numbers of pixels and points, in memory for those
+    that meet something alone. Tiles may be put by several threads.
+    """
+
+    def __init__(self, count: int) -> None:
+        """None yet, of ``count`` rays. The system has no memory for what is not written."""
+        self._pixels = np.empty(count, np.uint32)
+        self._points = np.empty((count, 3), np.float32)
+        self._runs: dict[int, int] = {}
+
+    def put(self, first: int, pixels: np.ndarray, points: np.ndarray) -> None:
+        """The hits of a tile that begins with the ray ``first``."""
+        last = first + len(pixels)
+        self._pixels[first:last] = pixels
+        self._points[first:last] = points
+        self._runs[first] = len(pixels)
+
+    @property
+    def runs(self) -> list[tuple[int, int]]:
+        """The first ray of each tile, and how many hits it has; tiles ascend."""
+        return sorted(self._runs.items())
+
+    def joined(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels (m,) uint32 and points (m, 3) float32 of all tiles; nothing is left here."""
+        # Move each tile's hits up to those before it, in place: a copy would take as much again.
+        end = 0
+        for first, count in self.runs:
+            self._pixels[end : end + count] = self._pixels[first : first + count]
+            self._points[end : end + count] = self._points[first : first + count]
+            end += count
+        self._pixels.resize(end, refcheck=False)
+        self._points.resize((end, 3), refcheck=False)
+        return self._pixels, self._points
+
+
 def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
     """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises
     Cancelled.
@@ -233,27 +269,24 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     camera = view_pinhole(view, spacing)
     sight = sight_of(view, spacing, walls)
     traced = surface.traced(tiles.run)
-    found: dict[int, tuple[np.ndarray, ...]] = {}
+    count = view.width * view.height
+    hits = Hits(count)
+    beside = Hits(count)
+    numbers = np.empty(count, np.int8)
 
     def _piece(a: int, b: int) -> None:
         pixels = np.empty((2, b - a), np.uint32)
         points = np.empty((2, b - a, 3), np.float32)
-        numbers = np.empty(b - a, np.int8)
-        count, beside = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
-        found[a] = (
-            pixels[0, :count],
-            points[0, :count],
-            pixels[1, :beside],
-            points[1, :beside],
-            numbers[:beside],
+        here, there = trace_pixels(
+            traced, sight, camera, a, view.width, pixels, points, numbers[a:b]
         )
+        hits.put(a, pixels[0, :here], points[0, :here])
+        beside.put(a, pixels[1, :there], points[1, :there])
 
-    tiles.run(_piece, view.width * view.height, TILE_RAYS)
-    pixels, points, *others = (
-        np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True)
-    )
-    seen = PointsBeside(*others)
-    shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
+    tiles.run(_piece, count, TILE_RAYS)
+    numbers = np.concatenate([numbers[a : a + n] for a, n in beside.runs])
+    seen = PointsBeside(*beside.joined(), numbers)
+    shown = (view.height, view.width), spacing, camera.eye, surface, *hits.joined()
     if view.window is None:
         return GBuffer(*shown, walls=seen)
     on_face = seen.numbers == WINDOW_FACE

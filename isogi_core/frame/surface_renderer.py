@@ -144,7 +144,7 @@ class SurfaceRenderer:
         target = until.target
         checked = is_checked(light.view) and until.enough < MAX_SAMPLES
         if checked:
-            known = self.checks.check(light, gbuffer, target).known
+            known = self.checks.check(light, target).known
         else:
             known = None
         with watch.stage("texels"):

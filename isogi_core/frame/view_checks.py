@@ -89,7 +89,6 @@ class PictureCheck:
     """
 
     light: RotatedLight
-    gbuffer: GBuffer
     known: PictureState
     growing: Growth | None = None
     pace: float | None = None
@@ -127,7 +126,7 @@ class PictureCheck:
 
     def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         if self.growing is not None:
-            return self._grow(self.growing, tiles)
+            return self._grow(self.growing, frame.gbuffer, tiles)
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty, tiles)
         if not self.known.attempt:
@@ -144,7 +143,7 @@ class PictureCheck:
                 frame, frame.measured, [prices.path * each for each in climbs]
             ):
                 return self._climb(frame)
-            return self._add_controls(frame.measured, uncertainty, tiles)
+            return self._add_controls(frame, frame.measured, uncertainty, tiles)
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
         first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
@@ -152,7 +151,7 @@ class PictureCheck:
         self.ahead = plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
-        return self._grow(Growth(plan.choice, self.known.own), tiles)
+        return self._grow(Growth(plan.choice, self.known.own), frame.gbuffer, tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
@@ -189,13 +188,15 @@ class PictureCheck:
         """
         known = self.known
         paths = paths_for(max(self.known.target, frame.noise))
-        first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
+        first = self._draw(frame.gbuffer, uncertainty, (0, FIRST_CONTROLS), paths, tiles)
         self.known = replace(
             known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
         )
         return True
 
-    def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+    def _add_controls(
+        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles
+    ) -> bool:
         """Draw as many controls again as it takes to decide: at least as many as there are, at most
         three times.
         """
@@ -206,26 +207,25 @@ class PictureCheck:
         else:
             most = CONTROLS_IF_MISSED
         wanted = min(controls_to(measured, measured.likely, known.target), most)
-        more = self._draw(
-            uncertainty,
-            before,
-            int(np.clip(wanted - before, before, 3 * before)),
-            known.paths,
-            tiles,
-        )
+        count = int(np.clip(wanted - before, before, 3 * before))
+        more = self._draw(frame.gbuffer, uncertainty, (before, count), known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
 
     def _draw(
-        self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
+        self,
+        gbuffer: GBuffer,
+        uncertainty: np.ndarray,
+        some: tuple[int, int],
+        paths: int,
+        tiles: Tiles,
     ) -> ControlPixels:
-        """Draw ``count`` controls of so many ``paths`` a half, after those that there were
-        ``before``.
-        """
+        """Draw ``some`` controls of so many ``paths`` a half: after how many, and how many."""
+        (before, count) = some
         attempt = self.known.attempt
-        places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
+        places = draw_places(gbuffer, uncertainty, (attempt, before), count)
         begun = time.perf_counter()
-        halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
+        halves = trace_controls(self.light, gbuffer, places, paths, attempt, tiles)
         self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
         return ControlPixels(
             places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
@@ -262,7 +262,7 @@ class PictureCheck:
         errors *= max(
             (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
         )
-        errors, noise = self._by_regions(errors, noise, tiles)
+        errors, noise = self._by_regions(frame.gbuffer, errors, noise, tiles)
         under = frame.quality.lacking and frame.quality.lacking.texels
         if under:
             texels = len(under.places)
@@ -278,13 +278,13 @@ class PictureCheck:
         return min(plans, key=lambda plan: plan.cost(prices))
 
     def _by_regions(
-        self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
+        self, gbuffer: GBuffer, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
     ) -> tuple[np.ndarray, np.ndarray]:
         """Squared ``errors`` and variances of ``noise`` (m,), each a mean over pixels around: those
         that get light of their own make whole regions then, and no scattered pixels whose borders
         show. Raises Cancelled.
         """
-        around = Surroundings(self.gbuffer, tiles)
+        around = Surroundings(gbuffer, tiles)
         found = np.column_stack([noise, errors])
         for step, _ in FILTER_PASSES:
             found, _ = around.means(found, noise, step)
@@ -314,7 +314,7 @@ class PictureCheck:
         lit = samples[samples > 0]
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
 
-    def _grow(self, growth: Growth, tiles: Tiles) -> bool:
+    def _grow(self, growth: Growth, gbuffer: GBuffer, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; they are shown, and controls drawn
         anew, once that will do. Whether there was anything to trace.
         """
@@ -324,7 +324,7 @@ class PictureCheck:
         self.growing = Growth(growth.choice, growth.light)
         begun = time.perf_counter()
         light = growth.light.grown(
-            growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note
+            growth.choice, count, self.light, gbuffer, tiles, self.growing.note
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)
@@ -370,16 +370,15 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept = kept
         self._texels = texels
 
-    def check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
+    def check(self, light: RotatedLight, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
         return self._kept.get(
-            check_key(light.view, target),
-            lambda: PictureCheck(light, gbuffer, PictureState(target)),
+            check_key(light.view, target), lambda: PictureCheck(light, PictureState(target))
         )
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
         """See ``Refinement``."""
-        return self.check(light, frame.gbuffer, target)
+        return self.check(light, target)
 
     def advance(
         self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
@@ -436,7 +435,13 @@ class ViewChecks(Refinement[PictureCheck]):
         Before it is measured they are foreseen by the error that the plan expects, and by the noise
         of its texels.
         """
-        check = self.held(frame.view, target)
+        return self.known_left(frame.view, target) or self.foreseen(frame, target)
+
+    def known_left(self, view: View, target: float) -> PathsLeft | None:
+        """The paths that the picture of a ``view`` has left, as its check expects; None before it
+        is measured.
+        """
+        check = self.held(view, target)
         if check and check.ahead is not None:
             if check.growing:
                 growing = check.growing.left
@@ -444,6 +449,11 @@ class ViewChecks(Refinement[PictureCheck]):
                 growing = 0.0
             ahead = check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
+        return None
+
+    @staticmethod
+    def foreseen(frame: Frame, target: float) -> PathsLeft:
+        """The paths that a ``frame`` will take, before anything measured it."""
         if frame.quality.target is None or frame.quality.lacking is None:
             return PathsLeft()
         return foreseen_work(frame, frame.quality.lacking.reading, target)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import AsyncGenerator, Callable, Hashable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Hashable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, NamedTuple, Self, TypeVar
 
@@ -40,9 +40,11 @@ from server.render.scheduling import (
     REQUEST_PATIENCE,
     REST_PATIENCE,
     AdmissionLimit,
+    Entered,
     LongRenders,
     Rank,
     Renders,
+    Room,
 )
 from server.render.variants import Variants
 from server.settings import Settings
@@ -95,7 +97,7 @@ class Service:
 
     def __init__(self, engine: RenderEngine, settings: Settings) -> None:
         self.engine = engine
-        self.settings = settings
+        self.settings = settings.answering
         self.startup = Startup(engine)
         self.resumed = asyncio.Event()
         self.connections = AdmissionLimit(settings.streams, "streams are open")
@@ -356,17 +358,30 @@ class Service:
             await self.startup.lit.wait()
         await self._ask_ahead(picture, viewer)
         while True:
-            shown = await self.show(picture, viewer, self.rank(viewer, patience))
-            given_up = not (shown.frame.final or shown.coming)
-            if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
-                known = now
-                patience = REFINEMENT_PATIENCE
-                yield shown
-            if not shown.coming:
-                return
-            wait = await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
-            del shown  # megabytes, which nobody needs while light is baked
+            rank = self.rank(viewer, patience)
+            place = await self.threads.enter(picture.view, rank)
+            try:
+                shown = replace(await self.show(picture, viewer, rank), place=place)
+                given_up = not (shown.frame.final or shown.coming)
+                now = (shown.frame.version, shown.frame.total)
+                wait = await self._wait_after(shown)
+                news = [shown] if now != known or given_up else []
+                del shown  # megabytes, which nobody needs while a client takes the picture
+                if news:
+                    known = now
+                    patience = REFINEMENT_PATIENCE
+                    yield news.pop()
+                if wait is None:
+                    return
+            finally:
+                place.leave()
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
+
+    async def _wait_after(self, shown: Shown) -> Wait | None:
+        """What the next picture of a view waits for; None where none is coming."""
+        if not shown.coming:
+            return None
+        return await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
         """Request the light of a view that is new before its first picture is lit: workers bake it
@@ -384,9 +399,12 @@ class Service:
 
         threads = self.threads.of(picture.view)
         if viewer.bakes and not threads.crowded:
-            frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST_PATIENCE))
-            if frame is not None:
-                await self.request_light(picture, frame, viewer)
+            rank = self.rank(viewer, REST_PATIENCE)
+            async with self.threads.kept(picture.view, rank):
+                frame = await threads.share(("ahead", picture), work, rank)
+                if frame is not None:
+                    await self.request_light(picture, frame, viewer)
+                    del frame
 
     def make_way(self) -> None:
         """Have the workers make way for a view that moves. Does not wait for that: a thread may
@@ -423,18 +441,26 @@ class Service:
         deadline = loop.time() + wait
         try:
             await within(wait, self.startup.lit)
-            shown = await self.show(picture, viewer, rank, watch)
-            while shown.coming and (left := deadline - loop.time()) > 0:
-                coming = shown.coming
-                since = shown.since
-                del shown  # megabytes, which nobody needs while light is baked
+            while True:
+                with watch.stage("queue"):
+                    place = await self.threads.enter(picture.view, rank)
+                try:
+                    shown = await self.show(picture, viewer, rank, watch)
+                    rank = rank.begun
+                    left = deadline - loop.time()
+                    if not shown.coming or left <= 0:
+                        made = partial(finish, shown)
+                        return await self.threads.of(picture.view).run(made, rank)
+                    coming = shown.coming
+                    since = shown.since
+                    del shown  # megabytes, which nobody needs while light is baked
+                finally:
+                    place.leave()
                 with (
                     watch.stage("bake"),
                     self.updates.pending(self._bake(picture), coming, since) as pending,
                 ):
                     await within(left, pending.all)
-                shown = await self.show(picture, viewer, rank.begun, watch)
-            return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
         except asyncio.CancelledError:
             self.leave(viewer)
             raise
@@ -501,9 +527,16 @@ SceneDep = Annotated[Scene, Depends(scene_of)]
 DRAFTS = 2
 """Threads for drafts alone, so that none waits for a full picture to end."""
 
-LARGE_PICTURE_PIXELS = 1 << 21
-"""Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides
-what is kept.
+LARGE_PICTURE_PIXELS = 1 << 20
+"""Pixels beyond which there is one picture at a time, from the first ray until it is encoded: each
+takes up to 150 bytes a pixel.
+"""
+
+SENT_PIXELS = 1 << 18
+SENT_PICTURES = 8
+SENT_LARGE_PICTURES = 2
+"""Pixels beyond which pictures that are encoded while they are sent (npy) are sent in turns; and
+how many at once, those that are large by themselves.
 """
 
 ASKING = 2
@@ -522,6 +555,9 @@ class RenderThreads:
         self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
         self.large = Renders(1)
+        self._large_room = Room(1)
+        self._sending = Room(SENT_PICTURES)
+        self._sending_large = Room(SENT_LARGE_PICTURES)
         self.paths = LongRenders()
         self.large_paths = LongRenders(1)
         self.asking = Renders(ASKING)
@@ -544,6 +580,30 @@ class RenderThreads:
         if view.width * view.height > LARGE_PICTURE_PIXELS:
             return self.large
         return self.pictures
+
+    async def enter(self, view: View, rank: Rank) -> Entered:
+        """A place in memory for the picture of a view, until it is left; one of few for a large
+        one. Raises BusyError where there is none until the rank gives up.
+        """
+        if self.drawing(view) is self.large:
+            return await self._large_room.enter(rank)
+        return Entered()
+
+    def sending(self, view: View) -> Room | None:
+        """The places of pictures that are encoded while they are sent; None for small ones."""
+        pixels = view.width * view.height
+        if pixels > LARGE_PICTURE_PIXELS:
+            return self._sending_large
+        return self._sending if pixels > SENT_PIXELS else None
+
+    @asynccontextmanager
+    async def kept(self, view: View, rank: Rank) -> AsyncIterator[None]:
+        """A place in memory for the picture of a view, for the block: see ``enter``."""
+        place = await self.enter(view, rank)
+        try:
+            yield
+        finally:
+            place.leave()
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""
@@ -589,7 +649,7 @@ class Shown:
     of its stages.
 
     ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest
-    update of light when the frame was begun.
+    update of light when the frame was begun. Its ``place`` in memory is left once it is encoded.
     """
 
     frame: Frame
@@ -597,6 +657,7 @@ class Shown:
     watch: Stopwatch
     coming: frozenset[Index]
     since: int
+    place: Entered = field(default_factory=Entered)
 
 
 class Wait(NamedTuple):

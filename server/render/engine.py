@@ -5,7 +5,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
@@ -19,7 +19,7 @@ from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
 from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import PathsLeft
+from isogi_core.frame.view_checks import PathsLeft, ViewChecks
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -59,6 +59,35 @@ from worker.progress import (
     TimeLeft,
     log_normal_ratios,
 )
+
+NOTHING_LEFT = PathsLeft()
+
+
+@dataclass(frozen=True, eq=False)
+class Unfinished:
+    """What a picture lacks, without the picture itself: megabytes, which nobody needs for the time
+    that it takes.
+
+    It is of a ``view`` of a ``scene`` that was asked for with a ``max_error``, and is to reach a
+    ``target``. It lacks ``chunks`` of a ``bake``, and ``later`` stages, and has ``read`` chunks of
+    texels finer by ``fineness`` steps, None where it reads none. Its pixels are ``foreseen`` to
+    take paths until something measures it, and it was drawn in so many ``seconds``, by stage.
+    """
+
+    scene: str
+    view: View
+    max_error: float | None
+    target: float
+    final: bool
+    refinable: bool
+    seconds: Mapping[str, float]
+    bake: str = ""
+    chunks: tuple[Index, ...] = ()
+    later: tuple[Stage, ...] = ()
+    read: tuple[Index, ...] | None = None
+    fineness: int = 0
+    foreseen: PathsLeft = NOTHING_LEFT
+
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
@@ -270,7 +299,8 @@ class RenderEngine:
                 if frame.checkable:
                     self.check(scene, view, target, cancelled)
                 else:
-                    self.baker.wait(*self._chunks(scene, frame), left)
+                    bake, stage = self.lacking(scene, frame)
+                    self.baker.wait(bake, [demand.index for demand in stage.demands], left)
             frame = self.survey(scene, view, target, cancelled, watch)
         return frame
 
@@ -366,17 +396,30 @@ class RenderEngine:
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
         return self._beside.name(scene, stage.shown, fineness, make)
 
-    def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
-        """The bake that a ``frame`` lacks light of, and the chunks of it."""
-        return (found := self.lacking(scene, frame))[0], [
-            demand.index for demand in found[1].demands
-        ]
+    def unfinished(self, scene: str, frame: Frame, max_error: float | None = None) -> Unfinished:
+        """What a ``frame`` still lacks until it reaches an error, its scene's target by default."""
+        target = max_error or self._find(scene).scene.target_error
+        picture = (scene, frame.view, max_error, target)
+        lacks = Unfinished(*picture, frame.final, frame.refinable, frame.seconds)
+        if frame.final:
+            return lacks
+        bake, stage = self.lacking(scene, frame)
+        lacking = frame.quality.lacking
+        return replace(
+            lacks,
+            bake=bake,
+            chunks=tuple(demand.index for demand in stage.demands),
+            later=(frame.quality.finer or frame).stages[1:],
+            read=lacking.texels.chunks if lacking else None,
+            fineness=frame.quality.fineness,
+            foreseen=ViewChecks.foreseen(frame, target),
+        )
 
-    def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
-        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants
+    def waiting(self, lacks: Unfinished, viewer: Viewer) -> int:
+        """How many chunks that a picture ``lacks`` are still to be baked; what the ``viewer`` wants
         stays wanted.
         """
-        return self.baker.open(*self._chunks(scene, frame), viewer)
+        return self.baker.open(lacks.bake, list(lacks.chunks), viewer)
 
     def leave(self, viewer: Viewer) -> None:
         """Have nothing more baked, and no picture checked, for a ``viewer`` that has gone."""
@@ -399,25 +442,26 @@ class RenderEngine:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, nothing more
         is done for it, or no worker is at it.
         """
-        picture = (scene, frame.view, max_error)
-        if frame.final:
+        return self.time_without(self.unfinished(scene, frame, max_error))
+
+    def time_without(self, lacks: Unfinished) -> TimeLeft | None:
+        """Seconds until a picture has what it ``lacks``; None as ``time_left`` says."""
+        picture = (lacks.scene, lacks.view, lacks.max_error)
+        if lacks.final:
             with self._estimating:
                 self._estimator.end(picture, time.monotonic())
             return TimeLeft(0.0, 0.0, 0.0)
-        loaded = self._find(scene)
-        target = max_error or loaded.scene.target_error
-        (bake, chunks) = self._chunks(scene, frame)
-        if not (chunks or frame.refinable):
+        if not (lacks.chunks or lacks.refinable):
             return None
-        subject = (scene, surface_key(frame.view), target)
-        later = (frame.quality.finer or frame).stages[1:]
-        baking = self.baker.time_left(bake, subject, chunks, later)
+        subject = (lacks.scene, surface_key(lacks.view), lacks.target)
+        baking = self.baker.time_left(lacks.bake, subject, list(lacks.chunks), lacks.later)
         if baking is None:
             return None
-        left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
-        if lacking := frame.quality.lacking:
-            spent = self.baker.spent(bake, lacking.texels.chunks)
-            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+        checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
+        left = checks.known_left(lacks.view, lacks.target) or lacks.foreseen
+        if lacks.read is not None:
+            spent = self.baker.spent(lacks.bake, lacks.read)
+            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
         if baking.high > 0.0:
             return self._promises.kept(picture, self._learnt(picture, baking))
         return None

@@ -186,6 +186,32 @@ class FairSemaphore:
             first[1].set_result(None)
 
 
+class Room(FairSemaphore):
+    """Places that work has until what it made is out of memory: its turn is paid for where it is
+    done.
+    """
+
+    async def enter(self, rank: Rank) -> "Entered":
+        """A place, until it is left. Raises BusyError where there is none until the rank gives
+        up.
+        """
+        await self._wait(rank)
+        return Entered(self._give_back)
+
+
+@dataclass(eq=False)
+class Entered:
+    """A place in a room; leaving it twice is no error."""
+
+    _give_back: Callable[[], None] | None = None
+
+    def leave(self) -> None:
+        """Give it back."""
+        if self._give_back is not None:
+            self._give_back()
+            self._give_back = None
+
+
 Result = TypeVar("Result")
 
 DRAFT = 0.0

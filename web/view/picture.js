@@ -6,7 +6,7 @@ const LONGEST_SIDE = 1024;
 // of a picture whose light is still to come: finer costs much and shows little
 const HIGHEST_RATIO = 1.5;
 const SHORTEST_SIDE = 64;
-const MOST_PIXELS = 1 << 24; // that a server takes
+const MOST_PIXELS = 1 << 22; // that a server takes
 
 /**
  * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where

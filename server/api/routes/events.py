@@ -30,6 +30,7 @@ from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
 from server.render.bakes import stream_viewer
+from server.render.engine import Unfinished
 from server.schemas import TimeLeftSchema
 from worker.bake_requests import Viewer
 
@@ -104,45 +105,56 @@ async def events_of(
     """
     with service.connections.admitted(client) as place:
         try:
+            lacks = None
             async with aclosing(answers(service, picture, viewer)) as shown_so_far:
-                async for shown, new in shown_so_far:
+                async for shown in shown_so_far:
                     place.check()
-                    if not new:
-                        yield event("progress", await progress(service, picture, shown, viewer))
-                    elif not (shown.frame.final or shown.coming):
-                        yield event(
-                            "failed",
-                            coverage(shown) | {"detail": reason(service, shown.frame, viewer)},
-                            shown.frame.version,
-                        )
-                    elif shown.frame.version != seen:
-                        if shown.frame.final:
-                            kind = "final"
-                        else:
-                            kind = "refined"
-                        yield event(kind, coverage(shown), shown.frame.version)
+                    if shown is None:
+                        if lacks is not None:
+                            yield event("progress", await progress(service, lacks, viewer))
+                        continue
+                    lacks = await asyncio.to_thread(
+                        service.engine.unfinished, picture.scene, shown.frame, picture.target
+                    )
+                    (kind, facts) = event_of(service, shown, viewer)
+                    version = shown.frame.version
+                    shown.place.leave()
+                    del shown  # megabytes, while a client listens and light is baked
+                    if kind == "failed" or version != seen:
+                        yield event(kind, facts, version)
         finally:
             service.leave(viewer)
 
 
+def event_of(service: Service, shown: Shown, viewer: Viewer) -> tuple[str, dict[str, Any]]:
+    """The kind of the event that a picture is to a ``viewer``, and what it says."""
+    if shown.frame.final:
+        return "final", coverage(shown)
+    if shown.coming:
+        return "refined", coverage(shown)
+    return "failed", coverage(shown) | {"detail": reason(service, shown.frame, viewer)}
+
+
 async def answers(
     service: Service, picture: PictureRequest, viewer: Viewer
-) -> AsyncGenerator[tuple[Shown, bool], None]:
-    """Each answer to a picture request, and whether it is new; the latest again after
-    TIME_LEFT_SECONDS seconds.
+) -> AsyncGenerator[Shown | None, None]:
+    """Each answer to a picture request; None after TIME_LEFT_SECONDS seconds without a new one.
+
+    No answer is kept while the next is waited for: a picture takes megabytes.
     """
     async with aclosing(service.refinements(picture, viewer)) as refinements:
-        shown = None
         coming = asyncio.ensure_future(anext(refinements, None))
         try:
             while True:
                 done, _ = await asyncio.wait({coming}, timeout=TIME_LEFT_SECONDS)
-                if done and (shown := coming.result()) is None:
+                if not done:
+                    yield None
+                    continue
+                done.clear()
+                if coming.result() is None:
                     return
-                if done:
-                    coming = asyncio.ensure_future(anext(refinements, None))
-                if shown:
-                    yield shown, bool(done)
+                yield coming.result()
+                coming = asyncio.ensure_future(anext(refinements, None))
         finally:
             coming.cancel()
             while not coming.done():
@@ -162,14 +174,10 @@ def coverage(shown: Shown) -> dict[str, Any]:
     return coverage_schema(shown.frame, shown.time_left).model_dump()
 
 
-async def progress(
-    service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer
-) -> dict[str, Any]:
+async def progress(service: Service, lacks: Unfinished, viewer: Viewer) -> dict[str, Any]:
     """The chunks that are still to be baked, and the time that this takes."""
-    engine = service.engine
-    frame = shown.frame
-    waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
-    left = await asyncio.to_thread(engine.time_left, picture.scene, frame, picture.target)
+    waiting = await asyncio.to_thread(service.engine.waiting, lacks, viewer)
+    left = await asyncio.to_thread(service.engine.time_without, lacks)
     known = None if left is None else TimeLeftSchema(**asdict(left)).model_dump()
     return {"waiting": waiting, "time_left": known, "overdue": bool(left and left.overdue)}
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request, Response
 from starlette.responses import StreamingResponse
+from starlette.types import Message, Send
 
 from isogi_core.errors import StoreAwayError
 from isogi_core.frame.frame import Frame
@@ -39,9 +41,13 @@ from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_part
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake, background_viewer, request_viewer, stream_viewer
 from server.render.jobs import Job, Result
-from server.render.scheduling import REFINEMENT_PATIENCE
+from server.render.scheduling import REFINEMENT_PATIENCE, REQUEST_PATIENCE, Room
 from server.schemas import CameraSchema, Coverage
+from worker.bake_requests import Viewer
 from worker.errors import WorkersError
+
+SLOWEST_PART = 5.0
+"""Seconds for which a client may take none of an answer while others wait to be sent theirs."""
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 APPLIED = {"Preference-Applied": {"description": "What of the Prefer header was heeded."}}
@@ -104,7 +110,7 @@ async def read_frame(
                 status_code=304, headers=headers | {"Server-Timing": server_timing(watch)}
             )
         if form == "npy":
-            return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
+            return InTurn(service, viewer, frame, headers | {"Server-Timing": server_timing(watch)})
         with watch.stage("encode"):
             body = encode(frame, form, exposure, params)
         return Response(
@@ -129,12 +135,52 @@ async def read_frame(
     )
 
 
-def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
-    """A frame as npy, made while it is sent: a large one would take its memory several times
-    over.
+class InTurn(StreamingResponse):
+    """A frame as npy, made while it is sent: a large one would take its memory several times over.
+
+    Few large ones are sent at once, for each is in memory until its client has it. A client that
+    takes none of it for long loses it where others wait.
     """
-    whole = headers | {"Content-Length": str(npy_bytes(frame))}
-    return StreamingResponse(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
+
+    def __init__(
+        self, service: Service, viewer: Viewer, frame: Frame, headers: dict[str, str]
+    ) -> None:
+        """Send a ``frame`` to a ``viewer``."""
+        whole = headers | {"Content-Length": str(npy_bytes(frame))}
+        super().__init__(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
+        self._service = service
+        self._viewer = viewer
+        self._room = service.threads.sending(frame.view)
+
+    async def stream_response(self, send: Send) -> None:
+        """Send it, once it is its turn. Raises BusyError where that takes too long."""
+        if self._room is None:
+            await super().stream_response(send)
+            return
+        patience = self._service.settings.queue_seconds
+        rank = self._service.rank(self._viewer, REQUEST_PATIENCE, patience)
+        place = await self._room.enter(rank)
+        try:
+            await super().stream_response(partial(self._send, send, self._room))
+        except StalledError:
+            pass  # the answer is cut short, and uvicorn closes the connection
+        finally:
+            place.leave()
+
+    async def _send(self, send: Send, room: Room, message: Message) -> None:
+        """Send a part. Raises StalledError where the client takes none of it, and others wait."""
+        sending = asyncio.ensure_future(send(message))
+        try:
+            while not (await asyncio.wait({sending}, timeout=SLOWEST_PART))[0]:
+                if room.crowded:
+                    raise StalledError
+            await sending
+        finally:
+            sending.cancel()
+
+
+class StalledError(Exception):
+    """A client takes nothing of an answer that others wait for."""
 
 
 @router.get(

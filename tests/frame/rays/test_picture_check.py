@@ -294,7 +294,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(
         quality=quality, noise=0.02, measured=total, surface=9, final=False
     )
     unused: Any = None
-    PictureCheck(unused, unused, state).advance(frame, np.empty(0), unused, PRESENT)
+    PictureCheck(unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
