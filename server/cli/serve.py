@@ -3,19 +3,15 @@
 import asyncio
 import gc
 import logging
-import os
 import signal
 import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
-from multiprocessing import resource_tracker
-from multiprocessing.util import _run_finalizers  # type: ignore[attr-defined]
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import click
-import psutil
 import uvicorn
 from fastapi import FastAPI
 
@@ -26,6 +22,7 @@ from server.api.connections import Connection, ServerConfig
 from server.api.lifespan import Closing
 from server.api.service import Service
 from server.cli.setting_options import unknown_variables
+from server.cli.stopping import SIGNALS, STOPPED, leave
 from server.progress import compiling, open_scene, say
 from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
@@ -153,7 +150,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     def stopping() -> None:
         """End in time; at once where nobody was served, and no kernel need be waited for."""
         if not watching.done():
-            click.echo("isogi: stopped before it was ready", err=True)
+            click.echo(STOPPED, err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))
 
     server = Server(app, stopping)
@@ -188,21 +185,6 @@ def leave_within(seconds: float) -> None:
     timer.start()
 
 
-def leave() -> None:
-    """End the process now, and before it the processes that it started, which may themselves be
-    starting; then their semaphores are given back, which Python would report as leaked.
-    """
-    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
-    try:
-        for each in psutil.Process().children(recursive=True):
-            if each.pid != tracker:
-                with suppress(psutil.Error):
-                    each.kill()
-        _run_finalizers(0)
-    finally:
-        os._exit(0)
-
-
 def stop_on_signals(server: uvicorn.Server) -> None:
     """Let SIGTERM and SIGINT end the server and not the process, before uvicorn listens to them and
     after.
@@ -211,7 +193,7 @@ def stop_on_signals(server: uvicorn.Server) -> None:
     def stop(*_: Any) -> None:
         server.should_exit = True
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in SIGNALS:
         signal.signal(number, stop)
 
 
